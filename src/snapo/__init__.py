@@ -21,7 +21,7 @@ def _homes() -> dict[str, str]:
     text = Path(__file__).with_name("__init__.pyi").read_text(encoding="utf-8")
     listed = ast.parse(text)
     imports = [node for node in listed.body if isinstance(node, ast.ImportFrom)]
-    return {each.name: str(node.module) for node in imports for each in node.names}
+    return {name.name: str(node.module) for node in imports for name in node.names}
 
 
 def __getattr__(name: str) -> Any:

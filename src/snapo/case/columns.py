@@ -20,7 +20,7 @@ PARQUET = "Parquet needs the package pyarrow: pip install 'snapo[parquet]'"
 FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
-def parquet_lines(mention: "Mention", path: Path) -> list[tuple[int, list[str]]]:
+def parquet_lines(reference: "Mention", path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of a Parquet file, its column names first, as of a CSV.
 
     **Raises:** `CaseError` where pyarrow is missing, or the file is damaged or nested.
@@ -28,13 +28,13 @@ def parquet_lines(mention: "Mention", path: Path) -> list[tuple[int, list[str]]]
     try:
         import pyarrow.parquet as parquet
     except ImportError:
-        raise mention.error(f"{PARQUET}; or use a CSV file") from None
+        raise reference.error(f"{PARQUET}; or use a CSV file") from None
     try:
         table = parquet.read_table(path)
         columns = [column.to_pylist() for column in table.columns]
     except Exception as error:  # of Arrow, whatever is wrong with the file
-        what = f"this is not a Parquet file ({str(error).strip().splitlines()[0]})"
-        raise CaseError(mention.name, "", None, what) from None
+        message = f"this is not a Parquet file ({str(error).strip().splitlines()[0]})"
+        raise CaseError(reference.name, "", None, message) from None
     return list(enumerate(_lines(table.column_names, zip(*columns)), start=1))
 
 
@@ -77,8 +77,10 @@ def write_table(frame: Any, file: Path | str) -> Path:
     try:
         table = nw.from_native(frame, eager_only=True)
     except TypeError:
-        what = f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
-        raise TypeError(f"write_table: {what}") from None
+        message = (
+            f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
+        )
+        raise TypeError(f"write_table: {message}") from None
     match file.suffix.lower():
         case ".csv":
             with file.open("w", newline="", encoding="utf-8") as stream:

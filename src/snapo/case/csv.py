@@ -51,8 +51,8 @@ class Row:
     def error(self, column: str, allowed: str) -> CaseError:
         """A mistake in one cell of this line."""
         value = self.cells[column]
-        shown = value if value else Unquoted("an empty cell")
-        return CaseError(self.file, f"line {self.line}, column {column}", shown, allowed)
+        displayed = value if value else Unquoted("an empty cell")
+        return CaseError(self.file, f"line {self.line}, column {column}", displayed, allowed)
 
     def number(
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
@@ -74,17 +74,17 @@ class Row:
 
     def day(self, column: str) -> datetime.date:
         """A day that exists, YYYY-MM-DD."""
-        found = self.period(column)
-        if not isinstance(found, datetime.date):
+        period = self.period(column)
+        if not isinstance(period, datetime.date):
             raise self.error(column, "a date is written YYYY-MM-DD")
-        return found
+        return period
 
     def month(self, column: str) -> tuple[int, int]:
         """A month, YYYY-MM, as (year, month)."""
-        found = self.period(column)
-        if not isinstance(found, tuple):
+        period = self.period(column)
+        if not isinstance(period, tuple):
             raise self.error(column, "a month is written YYYY-MM")
-        return found
+        return period
 
     def period(self, column: str) -> datetime.date | tuple[int, int] | None:
         """A day that exists or a month as (year, month); None for any other text."""
@@ -119,31 +119,31 @@ def within(low: float, high: float) -> str:
     return f"a number from {low:g} to {high:g}"
 
 
-def beside(mention: Mention, suffixes: Sequence[str]) -> Path:
+def beside(reference: Mention, suffixes: Sequence[str]) -> Path:
     """The plain file that a case names, which must lie in the folder of the case or below it."""
-    name = Path(mention.name)
+    name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
-        raise mention.error(f"allowed is the name of a {kinds} file beside the case")
-    folder = mention.section.file.parent.resolve()
+        raise reference.error(f"allowed is the name of a {kinds} file beside the case")
+    folder = reference.section.file.parent.resolve()
     path = folder / name
     try:
         inside, exists = path.resolve().is_relative_to(folder), path.exists()
     except (OSError, ValueError, RuntimeError) as error:  # the last: links in a circle
-        raise mention.error(f"this cannot be the name of a file ({error.args[-1]})") from None
+        raise reference.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
-        raise mention.error("a file that a case names must lie beside the case")
+        raise reference.error("a file that a case names must lie beside the case")
     if not exists:
-        present = [each.name for each in sorted(folder.iterdir()) if each.suffix in suffixes]
+        present = [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
         hint = f" (there are {', '.join(present)})" if present else ""
-        raise mention.error(f"there is no such file in {folder}{hint}")
+        raise reference.error(f"there is no such file in {folder}{hint}")
     if not path.is_file():
-        raise mention.error("this is not a plain file")
+        raise reference.error("this is not a plain file")
     return path
 
 
 def read_rows(
-    mention: Mention, columns: Sequence[str], optional: Sequence[str] | None = None
+    reference: Mention, columns: Sequence[str], optional: Sequence[str] | None = None
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
@@ -152,28 +152,30 @@ def read_rows(
     Other columns are those of `optional`: a misspelt one must not count as left out. None allows
     any.
     """
-    path = beside(mention, (".csv", ".parquet"))
-    name = mention.name
+    path = beside(reference, (".csv", ".parquet"))
+    name = reference.name
     if path.suffix.lower() == ".parquet":
-        found, written = parquet_lines(mention, path), Dialect()
+        result, written = parquet_lines(reference, path), Dialect()
     else:
-        found, written = _read(mention, _text(path, name))
-    if not found:
-        what = f"the file is empty; its first line is {','.join(columns)}"
-        raise CaseError(name, "", None, what)
-    (line, cells), *records = found
+        result, written = _read(reference, _text(path, name))
+    if not result:
+        message = f"the file is empty; its first line is {','.join(columns)}"
+        raise CaseError(name, "", None, message)
+    (line, cells), *records = result
     names = _header(name, line, cells, columns)
-    known = names if optional is None else (*columns, *optional)
+    available = names if optional is None else (*columns, *optional)
     for column in names:
-        if column not in known:
-            what = f"there is no such column; {nearest(column, known, 'column')}"
-            raise CaseError(name, f"line {line}", column, what)
+        if column not in available:
+            message = f"there is no such column; {nearest(column, available, 'column')}"
+            raise CaseError(name, f"line {line}", column, message)
     rows = []
     for line, cells in records:
         if len(cells) != len(names):
             got = Unquoted(f"{len(cells)} cells")
-            what = f"the header has {len(names)} columns ({','.join(names)}); decimals have a point"
-            raise CaseError(name, f"line {line}", got, what)
+            message = (
+                f"the header has {len(names)} columns ({','.join(names)}); decimals have a point"
+            )
+            raise CaseError(name, f"line {line}", got, message)
         numbers = map(written.number, cells)
         rows.append(Row(name, line, dict(zip(names, numbers, strict=True)), written))
     if not rows:
@@ -189,26 +191,26 @@ def _text(path: Path, name: str) -> str:
     except OSError as error:
         raise CaseError(name, "", None, f"the file cannot be read ({error.strerror})") from None
     if "\0" in text:
-        what = "the file holds zero bytes, as UTF-16 does; save it as CSV in UTF-8"
-        raise CaseError(name, "", None, what)
+        message = "the file holds zero bytes, as UTF-16 does; save it as CSV in UTF-8"
+        raise CaseError(name, "", None, message)
     return text
 
 
-def _read(mention: Mention, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
+def _read(reference: Mention, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
     """Line numbers and cells, header first, and the dialect, of which the case gets a note."""
     lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
     header = next(lines, "")
-    found = list(_records(mention.name, text, separator(header)))
+    records = list(_records(reference.name, text, separator(header)))
     try:
-        written = dialect(header, (cells for _, cells in found[1:]))
+        written = dialect(header, (cells for _, cells in records[1:]))
     except Doubt as doubt:
-        line, cells = next(each for each in found[1:] if doubt.cell in each[1])
-        names = [*found[0][1], *cells]  # a line may have too many cells
+        line, cells = next(item for item in records[1:] if doubt.cell in item[1])
+        names = [*records[0][1], *cells]  # a line may have too many cells
         where = f"line {line}, column {names[cells.index(doubt.cell)]}"
-        raise CaseError(mention.name, where, doubt.cell, str(doubt)) from None
+        raise CaseError(reference.name, where, doubt.cell, str(doubt)) from None
     if written.words():
-        mention.section.notes.append(f"{mention.name} was read with {written.words()}.")
-    return found, written
+        reference.section.notes.append(f"{reference.name} was read with {written.words()}.")
+    return records, written
 
 
 def _records(name: str, text: str, separated_by: str) -> Iterator[tuple[int, list[str]]]:
@@ -225,45 +227,45 @@ def _records(name: str, text: str, separated_by: str) -> Iterator[tuple[int, lis
 
 def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> list[str]:
     names = [cell.lower() for cell in cells]
-    wanted = ",".join(columns)
+    requested = ",".join(columns)
     for column in columns:
         if column in names:
             continue
         got = Unquoted(f"the header {','.join(cells)!r}")
-        what = f"column {column} is missing; the header is {wanted}"
-        raise CaseError(name, f"line {line}", got, what)
+        message = f"column {column} is missing; the header is {requested}"
+        raise CaseError(name, f"line {line}", got, message)
     for column in names:
         if column and names.count(column) > 1:
             raise CaseError(name, f"line {line}", column, "this column stands there twice")
     return names
 
 
-def read_array(mention: Mention, columns: int, meaning: str) -> np.ndarray:
+def read_array(reference: Mention, columns: int, meaning: str) -> np.ndarray:
     """Reads a finite float64 array [path, day] from .npy (no pickles) or Parquet."""
-    path = beside(mention, (".npy", ".parquet"))
-    array = _npy(mention, path) if path.suffix.lower() == ".npy" else _parquet(mention, path)
+    path = beside(reference, (".npy", ".parquet"))
+    array = _npy(reference, path) if path.suffix.lower() == ".npy" else _parquet(reference, path)
     if array.ndim != 2 or array.shape[1] != columns or array.shape[0] < 2:
         got = Unquoted(f"an array of shape {array.shape}")
-        what = f"allowed is [path, day] with 2 paths or more and {columns} columns, {meaning}"
-        raise CaseError(mention.name, "", got, what)
+        message = f"allowed is [path, day] with 2 paths or more and {columns} columns, {meaning}"
+        raise CaseError(reference.name, "", got, message)
     if array.dtype.kind not in "fiu":
         got = Unquoted(f"numbers of type {array.dtype}")
-        raise CaseError(mention.name, "", got, "allowed are real numbers")
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        row, column = bad[0]
+        raise CaseError(reference.name, "", got, "allowed are real numbers")
+    invalid = np.argwhere(~np.isfinite(array))
+    if len(invalid):
+        row, column = invalid[0]
         where = f"path {row}, day {column} (both from 0)"
-        raise CaseError(mention.name, where, array[row, column], "every price must be finite")
+        raise CaseError(reference.name, where, array[row, column], "every price must be finite")
     return array.astype(np.float64)
 
 
-def _npy(mention: Mention, path: Path) -> np.ndarray:
+def _npy(reference: Mention, path: Path) -> np.ndarray:
     try:
         with path.open("rb") as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
     except Exception as error:  # a damaged header can be a size, a type or a syntax as well
-        what = f"this is not a .npy file of plain numbers ({_first_line(error)})"
-        raise CaseError(mention.name, "", None, what) from None
+        message = f"this is not a .npy file of plain numbers ({_first_line(error)})"
+        raise CaseError(reference.name, "", None, message) from None
 
 
 def _first_line(error: Exception) -> str:
@@ -271,14 +273,14 @@ def _first_line(error: Exception) -> str:
     return text.splitlines()[0] if text else type(error).__name__
 
 
-def _parquet(mention: Mention, path: Path) -> np.ndarray:
+def _parquet(reference: Mention, path: Path) -> np.ndarray:
     try:
         import pyarrow.parquet as parquet
     except ImportError:
-        raise mention.error(f"{PARQUET}; or use .npy") from None
+        raise reference.error(f"{PARQUET}; or use .npy") from None
     try:
         table = parquet.read_table(path)
         return np.column_stack([column.to_numpy() for column in table.columns])
     except Exception as error:  # of Arrow, or of columns that are no numbers
-        what = f"this is not a Parquet file of plain numbers ({_first_line(error)})"
-        raise CaseError(mention.name, "", None, what) from None
+        message = f"this is not a Parquet file of plain numbers ({_first_line(error)})"
+        raise CaseError(reference.name, "", None, message) from None

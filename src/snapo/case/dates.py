@@ -24,7 +24,7 @@ def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
 def dated(
     section: Section,
     key: str,
-    given: float | str,
+    inputs: float | str,
     unit: str,
     days: Sequence[datetime.date],
     *,
@@ -37,9 +37,11 @@ def dated(
     A number in the file holds from its date on. Before the first date holds `before`, under a
     label of its own and with a remark; without it the file must begin by the first of `days`.
     """
-    if not isinstance(given, str):
-        return Given(key, np.array([given], np.float64), ("",), unit, np.zeros(len(days), np.int64))
-    rows = read_rows(Mention(section, key, given), ("date", "value"))
+    if not isinstance(inputs, str):
+        return Given(
+            key, np.array([inputs], np.float64), ("",), unit, np.zeros(len(days), np.int64)
+        )
+    rows = read_rows(Mention(section, key, inputs), ("date", "value"))
     dates = rising_dates(rows)
     values = [row.number("value", low, high) for row in rows]
     labels = [date.isoformat() for date in dates]
@@ -47,9 +49,9 @@ def dated(
     if len(days) and dates[0] > days[0]:
         first = dates[0].isoformat()
         if before is None:
-            what = f"{key} is needed from {days[0].isoformat()} on; add a row for that date"
-            raise rows[0].error("date", what)
-        section.notes.append(f"{given} begins on {first}; until then {key} is {before:g}.")
+            message = f"{key} is needed from {days[0].isoformat()} on; add a row for that date"
+            raise rows[0].error("date", message)
+        section.notes.append(f"{inputs} begins on {first}; until then {key} is {before:g}.")
         values.insert(0, before)
         labels.insert(0, f"before {first}")
         starts = np.insert(starts, 0, days[0].toordinal())
@@ -63,7 +65,7 @@ def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.dat
     for row in rows:
         date = row.day(column)
         if dates and date <= dates[-1]:
-            what = f"dates must rise, and the row before has {dates[-1].isoformat()}"
-            raise row.error(column, what)
+            message = f"dates must rise, and the row before has {dates[-1].isoformat()}"
+            raise row.error(column, message)
         dates.append(date)
     return dates

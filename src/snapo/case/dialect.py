@@ -65,20 +65,20 @@ class Dialect:
 
     def words(self) -> str:
         """What differs from commas and decimal points, for a note; "" for nothing."""
-        found = []
+        messages = []
         if self.separator != ",":
-            found.append(f"{SEPARATORS[self.separator]} between the columns")
+            messages.append(f"{SEPARATORS[self.separator]} between the columns")
         if self.comma:
-            found.append("commas as decimal marks")
+            messages.append("commas as decimal marks")
         if self.first is not None:
-            found.append("days before months" if self.first == "day" else "months before days")
-        return ", ".join(found)
+            messages.append("days before months" if self.first == "day" else "months before days")
+        return ", ".join(messages)
 
 
 def separator(header: str) -> str:
     """The separator of a header row: the one that stands there most often, else the comma."""
     bare = re.sub(r'"[^"]*"', "", header)
-    return max(SEPARATORS, key=lambda each: bare.count(each))
+    return max(SEPARATORS, key=lambda item: bare.count(item))
 
 
 def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
@@ -97,8 +97,8 @@ def _decimal_comma(cells: set[str]) -> bool:
     commas = sorted(c for c in cells if COMMA.fullmatch(c) and c not in doubtful)
     points = sorted(c for c in cells if POINT.fullmatch(c) and c not in doubtful)
     if commas and points:
-        what = f"this number has a decimal comma and {points[0]} a point; write all alike"
-        raise Doubt(commas[0], what)
+        message = f"this number has a decimal comma and {points[0]} a point; write all alike"
+        raise Doubt(commas[0], message)
     if doubtful and not commas and not points:
         raise Doubt(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")
     return bool(commas)
@@ -106,16 +106,16 @@ def _decimal_comma(cells: set[str]) -> bool:
 
 def _first(cells: set[str]) -> Order | None:
     """What comes first in days with slashes: told by any number above twelve."""
-    found: dict[Order, str] = {}
+    table: dict[Order, str] = {}
     for cell in sorted(cells):
         match = DAY.fullmatch(MIDNIGHT.sub("", cell))
         if not match or match[2] != "/":
             continue
         if int(match[1]) > 12:
-            found["day"] = cell
+            table["day"] = cell
         if int(match[3]) > 12:
-            found["month"] = cell
-    if len(found) == 2:
-        what = f"here the month comes first, and in {found['day']} the day; write YYYY-MM-DD"
-        raise Doubt(found["month"], what)
-    return next(iter(found), None)
+            table["month"] = cell
+    if len(table) == 2:
+        message = f"here the month comes first, and in {table['day']} the day; write YYYY-MM-DD"
+        raise Doubt(table["month"], message)
+    return next(iter(table), None)

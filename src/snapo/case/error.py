@@ -25,9 +25,9 @@ class CaseError(ValueError):
         super().__init__(file, where, value, allowed)
 
     def __str__(self) -> str:
-        place = f"{self.file}, {self.where}" if self.where else self.file
+        position = f"{self.file}, {self.where}" if self.where else self.file
         got = "" if self.value is None else f" got {show(self.value)};"
-        return "\n".join([f"{place}:{got} {self.allowed}.", *map(str, self.others)])
+        return "\n".join([f"{position}:{got} {self.allowed}.", *map(str, self.others)])
 
 
 def show(value: Any) -> str:
@@ -39,7 +39,7 @@ def show(value: Any) -> str:
     if isinstance(value, Real) and not isinstance(value, Integral):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{key} = {show(each)}" for key, each in value.items())
+        inner = ", ".join(f"{key} = {show(item)}" for key, item in value.items())
         value = Unquoted("{ " + inner + " }")
     if isinstance(value, list | tuple):
         value = Unquoted("[" + ", ".join(map(show, value)) + "]")
@@ -51,9 +51,9 @@ class Unquoted(str):
     """A description in place of a value ("an unknown key"), shown without quotation marks."""
 
 
-def nearest(key: str, known, word: str = "key") -> str:
+def nearest(key: str, available, word: str = "key") -> str:
     """Suggests the known key nearest to an unknown one, or lists them all."""
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(key, available, n=1, cutoff=0.6)
     if close:
         return f"the nearest known {word} is {close[0]}"
-    return f"the known {word}s are {', '.join(known)}"
+    return f"the known {word}s are {', '.join(available)}"

@@ -100,15 +100,15 @@ class Given:
     @property
     def written(self) -> float | str:
         """The value of its key in the case: a number, or the name of a file."""
-        place = self.places[0] if self.places else None
-        return place.file if isinstance(place, SheetCell) else float(self.values[0])
+        position = self.places[0] if self.places else None
+        return position.file if isinstance(position, SheetCell) else float(self.values[0])
 
     def input(self) -> "Input":
         """The numbers as a differentiable input, with all that is said about them."""
         from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
 
-        said = {name: getattr(self, name) for name in SAID}
-        return Input(self.values, self.unit, self.labels, **said)
+        metadata = {name: getattr(self, name) for name in SAID}
+        return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "Given":
         """The numbers on rising dates: each holds from its own date on; index [len(days)].
@@ -130,9 +130,9 @@ class Given:
         first, before, position = self.labels[0], self.quantity.before, self.places[0]
         assert isinstance(position, SheetCell)
         if before is None:
-            what = f"{self.name} is needed from {day.isoformat()} on; add a row for that date"
+            message = f"{self.name} is needed from {day.isoformat()} on; add a row for that date"
             where = f"line {position.line}, column {self.quantity.by}"
-            raise CaseError(position.file, where, first, what)
+            raise CaseError(position.file, where, first, message)
         notes.append(f"{position.file} begins on {first}; until then {self.name} is {before:g}.")
         return replace(
             self,

@@ -38,7 +38,7 @@ class Only:
 
 def conditions(field: FieldInfo) -> Iterator[Only]:
     """All that must hold for a key to have a meaning."""
-    return (each for each in field.metadata if isinstance(each, Only))
+    return (item for item in field.metadata if isinstance(item, Only))
 
 
 def check_meanings(file: str, tables: Tables) -> None:
@@ -54,9 +54,9 @@ def check_meanings(file: str, tables: Tables) -> None:
             for only in conditions(type(table).model_fields[key]):
                 if not only.holds(tables):
                     value = getattr(table, key)
-                    shown = None if isinstance(value, dict | list) else value
+                    displayed = None if isinstance(value, dict | list) else value
                     where = f"{name}.{key}" if name else key
-                    mistakes.append(CaseError(file, where, shown, only.why(tables)))
+                    mistakes.append(CaseError(file, where, displayed, only.why(tables)))
                     break
     if mistakes:
         first, *rest = mistakes

@@ -13,15 +13,15 @@ Names = list[Annotated[str, Field(min_length=1)]]
 
 def names_of_parts(example: str) -> Any:
     """The field `parts: Names` of a domain's table `[report]`."""
-    what = f'names of parts such as ["{example}"]; what they need is done too'
-    return Field([], description=what)
+    message = f'names of parts such as ["{example}"]; what they need is done too'
+    return Field([], description=message)
 
 
 def known_parts(
     file: Path,
-    wanted: Sequence[str],
-    known: Collection[str],
-    lacking: Mapping[str, str] | None = None,
+    requested: Sequence[str],
+    available: Collection[str],
+    missing: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
     """The parts of a run that are wanted, by name; () where none is named, which means all.
 
@@ -30,12 +30,12 @@ def known_parts(
 
     **Raises:** `CaseError` for a name that is not known, or of a part that is lacking.
     """
-    for i, name in enumerate(wanted):
-        what = ""
-        if name not in known:
-            what = f"there is no such part; {nearest(name, known, 'part')}"
-        elif lacking and name in lacking:
-            what = f"a run of this case has no such part: {lacking[name]}"
-        if what:
-            raise CaseError(str(file), f"report.parts[{i}]", name, what)
-    return tuple(wanted)
+    for i, name in enumerate(requested):
+        message = ""
+        if name not in available:
+            message = f"there is no such part; {nearest(name, available, 'part')}"
+        elif missing and name in missing:
+            message = f"a run of this case has no such part: {missing[name]}"
+        if message:
+            raise CaseError(str(file), f"report.parts[{i}]", name, message)
+    return tuple(requested)

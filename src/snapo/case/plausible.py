@@ -192,10 +192,10 @@ def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     if not position:
         name, number = entry.source or entry.name, float(written[row])
         position = files.position(name, entry.labels[row], number)
-    shown = f"{_plain(entry.values[row] * entry.display_factor)} {_unit(entry)}".rstrip()
+    displayed = f"{_plain(entry.values[row] * entry.display_factor)} {_unit(entry)}".rstrip()
     if entry.display_factor != 1 and entry.written is None:
-        shown += f" ({entry.values[row]:.6g})"
-    return f"{position}: {entry.name}{label} is {shown}"
+        displayed += f" ({entry.values[row]:.6g})"
+    return f"{position}: {entry.name}{label} is {displayed}"
 
 
 def in_words(position: FilePosition) -> str:

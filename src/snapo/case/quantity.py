@@ -148,8 +148,8 @@ class Quantity:
     def from_rows(self, name: str, rows: Sequence[Row], labels: Sequence[str], **more) -> Given:
         """The numbers of one column, each with its cell."""
         values = [self.cell(row) for row in rows]
-        places = tuple(row.position(self.column) for row in rows)
-        return self.given(name, values, labels, places=places, **more)
+        positions = tuple(row.position(self.column) for row in rows)
+        return self.given(name, values, labels, places=positions, **more)
 
     def given(self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any) -> Given:
         """Numbers with everything that is known of them."""
@@ -290,7 +290,7 @@ def stacked(name: str, parts: Sequence[Given]) -> Given:
         values=np.concatenate([part.values for part in parts]),
         labels=tuple(f"{p}{y}".strip() for p, x in zip(prefixes, parts) for y in x.labels),
         index=np.stack([x.index + start for x, start in zip(parts, starts)], axis=-1),
-        places=tuple(place for part in parts for place in part.places),
+        places=tuple(position for part in parts for position in part.places),
         starts=None,
     )
 

@@ -156,9 +156,9 @@ def read_objective(
             raise CaseError(file, f"{name}.{key}", None, f'kind "{kind}" needs this key')
     for key in data:
         if key not in ("kind", *OBJECTIVE_KEYS[kind]):
-            owners = [f'"{each}"' for each, keys in OBJECTIVE_KEYS.items() if key in keys]
-            what = f'kind "{kind}" has no such key; it belongs to {", ".join(owners)}'
-            raise CaseError(file, f"{name}.{key}", data[key], what)
+            owners = [f'"{item}"' for item, keys in OBJECTIVE_KEYS.items() if key in keys]
+            message = f'kind "{kind}" has no such key; it belongs to {", ".join(owners)}'
+            raise CaseError(file, f"{name}.{key}", data[key], message)
     return objective
 
 
@@ -172,8 +172,10 @@ def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) 
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
         raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
     if objective.kind == "crra" and weight < 0:
-        what = 'a utility is of what shall be large: with kind "crra" allowed is a number above 0'
-        raise CaseError(file, f"{name}.weight", weight, what)
+        message = (
+            'a utility is of what shall be large: with kind "crra" allowed is a number above 0'
+        )
+        raise CaseError(file, f"{name}.weight", weight, message)
     return float(weight)
 
 
@@ -184,12 +186,14 @@ def read_training(
     training = parse(table, data, file, "training")
     if training.temperature_end > training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
-        what = f"allowed is at most temperature_start, {training.temperature_start:g}"
-        raise CaseError(file, where, value, what)
+        message = f"allowed is at most temperature_start, {training.temperature_start:g}"
+        raise CaseError(file, where, value, message)
     if training.exploration and training.temperature_end == training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
-        what = "with exploration, which falls with the temperature, it is below temperature_start"
-        raise CaseError(file, where, value, what)
+        message = (
+            "with exploration, which falls with the temperature, it is below temperature_start"
+        )
+        raise CaseError(file, where, value, message)
     return training
 
 
@@ -197,8 +201,8 @@ def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> No
     """Refuses training on windows for objectives that have no worth of what lies ahead."""
     for kind in kinds:
         if training.window != "auto" and kind != "mean":
-            what = f'windows need an objective of kind "mean", and there is "{kind}"'
-            raise CaseError(file, "training.window", training.window, what)
+            message = f'windows need an objective of kind "mean", and there is "{kind}"'
+            raise CaseError(file, "training.window", training.window, message)
 
 
 def read_evaluation(data: Mapping, file: str) -> EvaluationTable:

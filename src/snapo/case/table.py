@@ -88,8 +88,8 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
         path = unpacked(path)
     file = path / "case.toml" if path.is_dir() else path
     if not file.is_file():
-        what = "a case is a TOML file, or a folder with case.toml in it; there is none here"
-        raise CaseError(str(path), "", None, what)
+        message = "a case is a TOML file, or a folder with case.toml in it; there is none here"
+        raise CaseError(str(path), "", None, message)
     try:
         text = file.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -113,18 +113,18 @@ def is_deep(data: Any) -> bool:
     """Whether tables and lists are nested in more levels than any case needs."""
     level = [data]
     for _ in range(DEEPEST):
-        inner = (each.values() if isinstance(each, dict) else each for each in level)
-        level = [x for each in inner for x in each if isinstance(x, dict | list)]
+        inner = (item.values() if isinstance(item, dict) else item for item in level)
+        level = [x for entry in inner for x in entry if isinstance(x, dict | list)]
     return bool(level)
 
 
 def _not_toml(file: Path, text: str, message: str) -> CaseError:
     """The parser's complaint, with the line that it is about."""
-    found = re.search(r"line (\d+)", message)
-    number = int(found[1]) if found else len(text.rstrip().splitlines())  # "at end of document"
+    result = re.search(r"line (\d+)", message)
+    number = int(result[1]) if result else len(text.rstrip().splitlines())  # "at end of document"
     got = text.splitlines()[number - 1].strip()
-    what = f"this is not valid TOML ({message.partition(' (at ')[0]})"
-    return CaseError(str(file), f"line {number}", got, what)
+    subject = f"this is not valid TOML ({message.partition(' (at ')[0]})"
+    return CaseError(str(file), f"line {number}", got, subject)
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:
@@ -202,16 +202,16 @@ def parse(
         _check_sizes(read, file, name)
         return read
     except pydantic.ValidationError as error:
-        found, meant = {}, set()
+        entries, meant = {}, set()
         for item in error.errors():
             key = str(item["loc"][0])
             # Of a union's several complaints about one key, the first stands for all.
-            found.setdefault(key, _explain(table, data, file, name, item))
+            entries.setdefault(key, _explain(table, data, file, name, item))
             if item["type"] == "extra_forbidden":
                 meant.update(difflib.get_close_matches(key, table.model_fields, n=1))
         # A key that is missing because it is misspelt is one mistake, not two.
-        found = {key: each for key, each in found.items() if key in data or key not in meant}
-    first, *rest = found.values()
+        entries = {key: entry for key, entry in entries.items() if key in data or key not in meant}
+    first, *rest = entries.values()
     raise CaseError(first.file, first.where, first.value, first.allowed, rest)
 
 
@@ -219,20 +219,20 @@ def _check_sizes(table: Table, file: str, name: str) -> None:
     """Numbers that could only overflow, and texts that nobody reads, are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
-        what = f"allowed is {type(table).model_fields[key].description}"
-        for each in _plain(getattr(table, key)):
-            if isinstance(each, str) and len(each) > LONGEST:
-                what += f"; no text of a case has more than {LONGEST:,} characters"
-                raise CaseError(file, where, each, what)
-            if isinstance(each, int | float) and abs(each) > LARGEST:
-                raise CaseError(file, where, float(each), f"{what}; {TOO_LARGE}")
+        message = f"allowed is {type(table).model_fields[key].description}"
+        for item in _plain(getattr(table, key)):
+            if isinstance(item, str) and len(item) > LONGEST:
+                message += f"; no text of a case has more than {LONGEST:,} characters"
+                raise CaseError(file, where, item, message)
+            if isinstance(item, int | float) and abs(item) > LARGEST:
+                raise CaseError(file, where, float(item), f"{message}; {TOO_LARGE}")
 
 
 def _plain(value: Any) -> Iterator[Any]:
     """A value, or all those in its lists."""
     if isinstance(value, list):
-        for each in value:
-            yield from _plain(each)
+        for item in value:
+            yield from _plain(item)
     else:
         yield value
 
@@ -241,8 +241,8 @@ def _explain(table, data, file, name, item) -> CaseError:
     key = str(item["loc"][0])
     where = f"{name}.{key}" if name else key
     if item["type"] == "extra_forbidden":
-        what = f"there is no such key; {nearest(key, table.model_fields)}"
-        return CaseError(file, where, data[key], what)
+        message = f"there is no such key; {nearest(key, table.model_fields)}"
+        return CaseError(file, where, data[key], message)
     error = item.get("ctx", {}).get("error")
     if isinstance(error, CaseError):  # of a key's own reader
         return error

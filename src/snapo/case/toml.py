@@ -34,16 +34,16 @@ def _table(data: Mapping[str, Any], name: str) -> Iterator[str]:
             yield f"\n[{full}]"
             yield from _table(value, full)
         else:
-            for each in value:
+            for item in value:
                 yield f"\n[[{full}]]"
-                yield from _table(each, full)
+                yield from _table(item, full)
 
 
 def _is_table(value: Any) -> bool:
     if isinstance(value, Mapping):
         return True
     full = isinstance(value, list) and len(value) > 0
-    return full and all(isinstance(each, Mapping) for each in value)
+    return full and all(isinstance(item, Mapping) for item in value)
 
 
 def _key(key: str) -> str:
@@ -65,8 +65,8 @@ def _value(value: Any) -> str:
     if isinstance(value, datetime.date | datetime.time):
         return value.isoformat()
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(each) for each in value) + "]"
+        return "[" + ", ".join(_value(item) for item in value) + "]"
     if isinstance(value, Mapping):
-        inside = ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items())
+        inside = ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items())
         return "{ " + inside + " }" if inside else "{}"
     raise TypeError(f"to_toml: {value!r} is nothing that TOML has")

@@ -44,8 +44,8 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
         alive = (k for k in range(len(runs)) if np.any(gradient(k, entry.name)))
         k = next(alive, None)
         judged = runs if k is None else [runs[k]]
-        found = gradient(k or 0, entry.name)
-        if not np.all(np.isfinite(found)):
+        result = gradient(k or 0, entry.name)
+        if not np.all(np.isfinite(result)):
             notes.error(
                 f"{notes.method('prepare')}: input {entry.name}",
                 "The derivative of the schedule by it is not finite.",
@@ -55,7 +55,9 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
         if entry.name in together:
             continue
         for label, direction in _directions(entry, rng):
-            pairs = [_Comparison(simulator, inputs, run, entry, direction, found) for run in judged]
+            pairs = [
+                _Comparison(simulator, inputs, run, entry, direction, result) for run in judged
+            ]
             if _judge(notes, pairs, list(judged[0].totals), f"input {entry.name}{label}"):
                 break
 
@@ -76,12 +78,12 @@ def _directions(entry: inputs_.Named, rng) -> list[tuple[str, np.ndarray]]:
     shape, size = entry.input.value.shape, entry.input.value.size
     if size == 1:
         return [("", np.ones(shape))]
-    found = [(" (all entries)", rng.choice([-1.0, 1.0], shape))]
+    pairs = [(" (all entries)", rng.choice([-1.0, 1.0], shape))]
     for i in np.unique(np.linspace(0, size - 1, min(ENTRIES, size)).astype(int)):
         alone = np.zeros(size)
         alone[i] = 1.0
-        found.append((f" [{entry.input.names()[i]}]", alone.reshape(shape)))
-    return found
+        pairs.append((f" [{entry.input.names()[i]}]", alone.reshape(shape)))
+    return pairs
 
 
 class _Comparison:
@@ -107,17 +109,17 @@ class _Comparison:
         up, down = self._value(bump), self._value(-bump)
         return (up - down) / (2 * bump)
 
-    def disagrees(self, found: np.ndarray, bump: float) -> np.ndarray:
+    def disagrees(self, result: np.ndarray, bump: float) -> np.ndarray:
         """The gap between adjoint and difference beyond tolerance and round-off, per output."""
         roundoff = np.maximum(1e-13 * self.size, self.rounding) / bump
-        allowed = TOLERANCE * np.maximum(np.abs(found), np.abs(self.adjoint)) + roundoff
-        return np.where(np.abs(found - self.adjoint) > allowed, np.abs(found - self.adjoint), 0.0)
+        allowed = TOLERANCE * np.maximum(np.abs(result), np.abs(self.adjoint)) + roundoff
+        return np.where(np.abs(result - self.adjoint) > allowed, np.abs(result - self.adjoint), 0.0)
 
     def moves(self, bump: float) -> np.ndarray | None:
         """The differences, where they are more than round-off of a sum over paths."""
-        found = np.nan_to_num(self.difference(bump))
-        least = np.maximum(1e-12 * self.size, self.rounding)
-        return found if (np.abs(found) * bump > least).any() else None
+        result = np.nan_to_num(self.difference(bump))
+        minimum = np.maximum(1e-12 * self.size, self.rounding)
+        return result if (np.abs(result) * bump > minimum).any() else None
 
     def moves_decisions(self, bump: float) -> bool:
         """Whether outputs move where the policy decides, by what it sees: an error of a reading."""
@@ -130,10 +132,10 @@ class _Comparison:
         return np.array([total[np.isfinite(total)].mean() for total in totals.values()])
 
     def _schedule(self, bump: float) -> Schedule:
-        chosen = self.entry.input
-        new = replace(chosen, value=chosen.value + bump * self.direction)
+        selected = self.entry.input
+        new = replace(selected, value=selected.value + bump * self.direction)
         inputs = jax.tree.map(
-            lambda x: new if x is chosen else x, self.inputs, is_leaf=inputs_.is_input
+            lambda x: new if x is selected else x, self.inputs, is_leaf=inputs_.is_input
         )
         return prepare(self.simulator, inputs)
 

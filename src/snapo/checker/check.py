@@ -44,14 +44,16 @@ def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
     """Rolls two of the paths in float32, then in float64, as training and evaluation do."""
     draws = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
     weights = {name: np.full(2, 0.5) for name in run.totals}
-    given = (simulator, run.policy, run.schedule, draws, run.smooth, weights)
+    values = (simulator, run.policy, run.schedule, draws, run.smooth, weights)
     for precision in ("float32", "float64"):
         engine = Xla(precision=precision)
         try:
-            jax.block_until_ready(engine.adjoint(*given).totals)
+            jax.block_until_ready(engine.adjoint(*values).totals)
         except Exception as error:
-            where, what, _ = notes.explained(error, "step")
-            notes.error(where, f"It fails in {precision} after the other precision. {what}", TABLE)
+            where, message, _ = notes.explained(error, "step")
+            notes.error(
+                where, f"It fails in {precision} after the other precision. {message}", TABLE
+            )
             return
 
 
@@ -124,8 +126,8 @@ def _checked(
         bumped(notes, simulator, inputs, runs, seed)
         looked = f"Examined {paths} paths of {simulator.horizon} steps and bumped every input."
         aim = objective or Weighted(*((1.0, Mean(name)) for name in shapes.outputs))
-        found = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
-        looked = " ".join(filter(None, [looked, words(found)]))
+        result = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
+        looked = " ".join(filter(None, [looked, words(result)]))
     except Stop:
         looked = "Stopped at the first error that hides the rest."
     except Exception as error:

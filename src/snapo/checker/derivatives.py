@@ -55,15 +55,15 @@ def locate(notes: Notes, simulator: Simulator, run: Run) -> NoReturn:
         "step": ("state", "now", "action", "constants"),
         "observe": ("state", "now", "constants"),
     }
-    bad = []
+    invalid = []
     for method, arguments in names.items():
         for path, ok in jax.tree_util.tree_flatten_with_path(marks[method])[0]:
             if not ok.all():
                 step, number = (int(i) for i in np.argwhere(~ok)[-1])
                 leaf = arguments[path[0].idx] + jax.tree_util.keystr(path[1:])
-                bad.append((step, method, leaf, number))
-    if bad:
-        step, method, leaf, path = max(bad)
+                invalid.append((step, method, leaf, number))
+    if invalid:
+        step, method, leaf, path = max(invalid)
         notes.error(
             notes.method(method),
             f"Its derivative by {leaf} is not finite, first (from the end) at step {step} of {T} "

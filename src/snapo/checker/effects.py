@@ -90,8 +90,8 @@ def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[in
         result = ENGINE.adjoint(
             simulator, run.policy, run.schedule, run.draws, run.smooth, run.each_output()
         )
-        found = jax.tree.leaves((result.policy, result.schedule))
-        if not all(np.all(np.isfinite(leaf)) for leaf in found):
+        leaves = jax.tree.leaves((result.policy, result.schedule))
+        if not all(np.all(np.isfinite(leaf)) for leaf in leaves):
             locate(notes, simulator, run)
         offset = np.abs(result.policy.offset).max(0)
         left -= {component for component in left if offset[component] != 0}

@@ -81,11 +81,11 @@ class Notes:
     simulator: Any
     items: list[Finding] = field(default_factory=list)
 
-    def error(self, where: str, what: str, fix: str) -> None:
-        self._add(Finding("error", where, what, fix))
+    def error(self, where: str, message: str, fix: str) -> None:
+        self._add(Finding("error", where, message, fix))
 
-    def warning(self, where: str, what: str, fix: str) -> None:
-        self._add(Finding("warning", where, what, fix))
+    def warning(self, where: str, subject: str, fix: str) -> None:
+        self._add(Finding("warning", where, subject, fix))
 
     def stop_on_errors(self) -> None:
         if any(item.severity == "error" for item in self.items):

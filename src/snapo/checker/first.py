@@ -99,10 +99,10 @@ def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> N
     for observation in (jnp.zeros(features), jnp.ones(features), -jnp.ones(features)):
         with notes.during(where):
             nothing = jnp.zeros(remembered(policy))
-            found = np.asarray(policy(jnp.concatenate([observation, nothing]), Exact()))
-            found = found[: len(found) - nothing.size]
-        if found.shape != (size,):
-            notes.error(where, f"Its actions have shape {found.shape}.", f"Return ({size},).")
-        elif fault := action.fault(found):
+            result = np.asarray(policy(jnp.concatenate([observation, nothing]), Exact()))
+            result = result[: len(result) - nothing.size]
+        if result.shape != (size,):
+            notes.error(where, f"Its actions have shape {result.shape}.", f"Return ({size},).")
+        elif fault := action.fault(result):
             notes.error(where, *fault)
         notes.stop_on_errors()

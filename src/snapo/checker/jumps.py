@@ -27,24 +27,28 @@ class Jump(NamedTuple):
 
 def jumps(notes: Notes, points: Points) -> None:
     """Comparisons of a step or an end that make an output or the state jump, as warnings."""
-    watched, told = points.watched, set()
-    asked = [k for k, each in enumerate(watched.comparisons) if each.line and not each.line.own]
-    if points.method.name not in ("step", "terminal") or not asked:
+    monitored, summary = points.watched, set()
+    request = [
+        k
+        for k, comparison in enumerate(monitored.comparisons)
+        if comparison.line and not comparison.line.own
+    ]
+    if points.method.name not in ("step", "terminal") or not request:
         return
-    seen = points.met
+    observed = points.met
     held = [not moves or _held(x) for x, moves in zip(points.arguments, points.moving)]
-    for number in asked:
-        line = watched.comparisons[number].line
-        first, second = _sides(seen.truths[number], points.steps)
-        if not first.size or line in told:
+    for number in request:
+        line = monitored.comparisons[number].line
+        first, second = _sides(observed.truths[number], points.steps)
+        if not first.size or line in summary:
             continue
-        found = _largest(points, number, first, second, held, seen.results)
-        if found is not None and line is not None:
-            told.add(line)
+        largest = _largest(points, number, first, second, held, observed.results)
+        if largest is not None and line is not None:
+            summary.add(line)
             notes.warning(
                 f"{points.method.name}, {line}",
-                f"A comparison makes {found.name} jump, by {found.size:.4g} on a path: training "
-                f"and derivatives do not see the jump. In: {line.text}",
+                f"A comparison makes {largest.name} jump, by {largest.size:.4g} on a path: "
+                f"training and derivatives do not see the jump. In: {line.text}",
                 "Write smooth.indicator(a - b, scale) in place of a > b, or smooth.choose in place "
                 "of jnp.where; draw a decision that jumps with snapo.Choice.",
             )
@@ -70,9 +74,9 @@ def _sides(truth: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
             break
     if not pairs:
         return np.zeros(0, int), np.zeros(0, int)
-    chosen = np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).astype(int)
+    selected = np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).astype(int)
     # Always as many, so that nothing is compiled again.
-    first, second = np.array(pairs)[np.resize(chosen, PAIRS)].T
+    first, second = np.array(pairs)[np.resize(selected, PAIRS)].T
     return first, second
 
 

@@ -26,7 +26,7 @@ def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule
             with notes.during(method.name):
                 lines = dict.fromkeys(_while_loops(method.traced().jaxpr, None))
             if lines and not _differentiable(method):
-                line = next((each for each in lines if each), None)
+                line = next((item for item in lines if item), None)
                 notes.error(
                     f"{method.name}, {line}" if line else notes.method(method.name),
                     "Nothing can be differentiated through a loop whose number of rounds is not "
@@ -54,7 +54,7 @@ def _is_program(x: Any) -> bool:
 
 def _differentiable(method: Method) -> bool:
     """Whether a method can be differentiated backwards; nothing is computed."""
-    given = list(method.given.values())
+    values = list(method.given.values())
     noise = [name == "noise" for name in method.given]  # nobody asks for its derivative
 
     def back(*arguments: Any) -> Any:
@@ -63,15 +63,15 @@ def _differentiable(method: Method) -> bool:
         moving, rest = eqx.partition(free, eqx.is_inexact_array)
 
         def results(moving: Any) -> Any:
-            whole = eqx.combine(moving, rest)
-            called = [h if fixed else x for x, h, fixed in zip(whole, held, noise)]
+            complete = eqx.combine(moving, rest)
+            called = [h if fixed else x for x, h, fixed in zip(complete, held, noise)]
             return eqx.filter(method.function(*called), eqx.is_inexact_array)
 
         made, pull = jax.vjp(results, moving)
         return pull(made)
 
     try:
-        jax.eval_shape(back, *given)
+        jax.eval_shape(back, *values)
     except ValueError as error:
         return "while_loop" not in str(error)
     return True

@@ -17,10 +17,10 @@ def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None
         if name in right:
             continue
         lines = dict.fromkeys(line for eqn in equations if (line := line_of(eqn)))
-        places = ", ".join(map(str, lines))
+        positions = ", ".join(map(str, lines))
         texts = " In: " + "; ".join(line.text for line in lines) if lines else ""
         notes.warning(
-            f"input {name}" + (f" ({places})" if places else ""),
+            f"input {name}" + (f" ({positions})" if positions else ""),
             "Its derivative is lost: it is rounded, made a whole number or compared on every way "
             f"to the outputs, so that the derivative is 0 on every path and not known.{texts}",
             "Draw whole numbers with snapo.noise (Poisson, Binomial, Empirical), whose derivative "

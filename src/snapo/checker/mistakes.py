@@ -12,19 +12,19 @@ from snapo.problem.actions import Product
 
 def explained(error: BaseException, simulator: Any, method: str) -> tuple[str, str, str]:
     """The place of an exception with file:line, the mistake, and how to fix it."""
-    what, fix = _sentence(error)
+    message, fix = _sentence(error)
     fix = _guess(str(error), simulator, method) or fix
     frame = _own_frame(error, simulator)
     if frame is None:
-        return method, what, fix
+        return method, message, fix
     where = f"{method}, {short(frame.filename)}:{frame.lineno}"
-    return where, f"{what} In: {frame.line}" if frame.line else what, fix
+    return where, f"{message} In: {frame.line}" if frame.line else message, fix
 
 
 def _sentence(error: BaseException) -> tuple[str, str]:
-    for kind, what, fix in _READABLE:
+    for kind, subject, fix in _READABLE:
         if isinstance(error, kind):
-            return what, fix
+            return subject, fix
     message = (str(error).strip().splitlines() or [""])[0]
     return f"{type(error).__name__}: {message}", "Correct this line; nothing after it was examined."
 
@@ -46,7 +46,7 @@ def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary |
         home = inspect.getsourcefile(type(simulator))
     except TypeError:
         home = None
-    own = [f for f in frames if f.filename == home]
+    local = [f for f in frames if f.filename == home]
     libraries = (
         f"{os.sep}site-packages{os.sep}",
         os.path.dirname(__file__),
@@ -55,7 +55,7 @@ def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary |
     )
     other = [f for f in frames if not any(part in f.filename for part in libraries)]
     # The caller of `check` stands first in the traceback; user code lies deeper.
-    return own[-1] if own else (other[-1] if other else None)
+    return local[-1] if local else (other[-1] if other else None)
 
 
 def short(file: str | None) -> str:

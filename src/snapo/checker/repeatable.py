@@ -51,7 +51,7 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
                     continue
                 # Programs may differ in print alone; numbers decide.
                 both = [_filled(*fresh()) for _ in range(2)]
-                first, second = (jax.tree.leaves(_anew(jax.jit(each), z)) for each, z in both)
+                first, second = (jax.tree.leaves(_anew(jax.jit(item), z)) for item, z in both)
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second)):
                 notes.error(
                     notes.method(name),
@@ -62,10 +62,10 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
     notes.stop_on_errors()
 
 
-def _anew(function: Callable, *given: Any) -> Any:
+def _anew(function: Callable, *values: Any) -> Any:
     """A call for which JAX traces everything again, functions inside it that it has met too."""
     with following(object()):
-        return function(*given)
+        return function(*values)
 
 
 def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:

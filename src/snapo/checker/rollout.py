@@ -59,14 +59,14 @@ class Run(eqx.Module):
 
     def values(self, simulator, held: bool = True, **changes) -> dict[str, Any]:
         """Totals with something changed, the decisions held or those of the policy on the way."""
-        given = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
+        values = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
         return ENGINE.values(
             simulator,
             None if held else self.policy,
-            given["schedule"],
-            given["draws"],
+            values["schedule"],
+            values["draws"],
             self.smooth,
-            actions=given["actions"] if held else None,
+            actions=values["actions"] if held else None,
         ).totals
 
     def rounding(self) -> float:
@@ -85,7 +85,7 @@ class Run(eqx.Module):
             allowed = max(ROUNDING * size, rounding)
             return np.allclose(mine, theirs, rtol=0, atol=allowed, equal_nan=True)
 
-        return all(alike(one[name], found) for name, found in other.items())
+        return all(alike(one[name], result) for name, result in other.items())
 
 
 LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high actions
@@ -126,12 +126,12 @@ def _run(notes: Notes, simulator, policy, schedule, draws, smooth) -> tuple[Run,
     record = ("state", "action", "outputs")
     with notes.during("rollout"):
         out = ENGINE.values(simulator, policy, schedule, draws, smooth, record=record)
-    kept = out.record["action"], out.record["state"], out.totals
-    return Run(schedule, draws, policy, smooth, *kept), out
+    selected = out.record["action"], out.record["state"], out.totals
+    return Run(schedule, draws, policy, smooth, *selected), out
 
 
 def _finite(notes: Notes, out, kinds) -> None:
-    bad = []
+    invalid = []
     for kind in ("state", "outputs"):
         for path, leaf in jax.tree_util.tree_flatten_with_path(out.record[kind])[0]:
             name = jax.tree_util.keystr(path, simple=True, separator=".")
@@ -141,10 +141,10 @@ def _finite(notes: Notes, out, kinds) -> None:
             if wrong.any():
                 step, number = (int(i) for i in np.argwhere(wrong)[0][:2])
                 # The state at step t was made by step t - 1.
-                found = f"output {name}" if kind == "outputs" else f"state {name}"
-                bad.append((step - (kind == "state"), found, number))
-    if bad:
-        step, name, path = min(bad)
+                text = f"output {name}" if kind == "outputs" else f"state {name}"
+                invalid.append((step - (kind == "state"), text, number))
+    if invalid:
+        step, name, path = min(invalid)
         where = notes.method("step") if step >= 0 else notes.method("initial")
         notes.error(
             where,
@@ -163,19 +163,19 @@ def observed(notes: Notes, simulator: Simulator, run: Run) -> None:
     """Observations that are not finite or far from order one."""
     with jax.enable_x64(True):
         over_paths = jax.vmap(simulator.observe, (None, None, 0))
-        seen = jax.jit(jax.vmap(over_paths, (None, 0, 0)))(
+        visited = jax.jit(jax.vmap(over_paths, (None, 0, 0)))(
             run.schedule.constants, run.schedule.steps, run.states
         )
-        seen = np.asarray(seen)
-    if not np.all(np.isfinite(seen)):
-        step, path, feature = (int(i) for i in np.argwhere(~np.isfinite(seen))[0])
+        visited = np.asarray(visited)
+    if not np.all(np.isfinite(visited)):
+        step, path, feature = (int(i) for i in np.argwhere(~np.isfinite(visited))[0])
         notes.error(
             notes.method("observe"),
             f"Feature {feature} is not finite at step {step} (path {path}).",
             "Look for a division or logarithm at zero.",
         )
         raise Stop
-    for feature, largest in enumerate(np.abs(seen).max((0, 1))):
+    for feature, largest in enumerate(np.abs(visited).max((0, 1))):
         if largest > LARGE or 0 < largest < SMALL:
             notes.warning(
                 f"{notes.method('observe')}: feature {feature}",

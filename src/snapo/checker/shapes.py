@@ -25,10 +25,10 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
         name = simulator.__name__
         notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
         raise Stop
-    for name, least in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
+    for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            allowed = f"{name} is {value!r}; allowed is a whole number of at least {least}."
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < minimum:
+            allowed = f"{name} is {value!r}; allowed is a whole number of at least {minimum}."
             notes.error(name, allowed, "Change it in the class.")
     if not isinstance(action := getattr(simulator, "action", None), Actions):
         notes.error("action", f"It is {action!r}.", "Make it a set, such as Box(0.0, 1.0).")
@@ -116,10 +116,10 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
             _same_state(notes, state, after)
             _scalars(notes, "step", outputs)
             with notes.during("terminal"):
-                ends = jax.eval_shape(simulator.terminal, constants, state, smooth)
-            _scalars(notes, "terminal", ends)
+                endpoints = jax.eval_shape(simulator.terminal, constants, state, smooth)
+            _scalars(notes, "terminal", endpoints)
             notes.stop_on_errors()
-            names.append((set(outputs), set(ends)))
+            names.append((set(outputs), set(endpoints)))
     if not names[0][0] | names[0][1]:
         notes.error(
             notes.method("step"),

@@ -32,8 +32,8 @@ def unknown_outputs(
         yield from _missing("objective", objective, outputs)
     for k, limit in enumerate(as_constraints(constraints)):
         if not isinstance(limit, Limit):
-            what = "It is no constraint, such as Mean(output) <= level."
-            yield Unknown(f"constraints[{k}]", repr(limit), what)
+            message = "It is no constraint, such as Mean(output) <= level."
+            yield Unknown(f"constraints[{k}]", repr(limit), message)
         else:
             yield from _missing(f"constraints[{k}]", limit.measure, outputs)
 
@@ -48,7 +48,11 @@ def wanted(
     notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> None:
     """Writes them down, and stops where there are any."""
-    for each in unknown_outputs(objective, constraints, outputs):
-        said = each.what if each.got in each.what else f"{each.what[:-1]}: {each.got}."
-        notes.error(each.of, said, f"The outputs are {sorted(outputs)}.")
+    for unknown_output in unknown_outputs(objective, constraints, outputs):
+        metadata = (
+            unknown_output.what
+            if unknown_output.got in unknown_output.what
+            else f"{unknown_output.what[:-1]}: {unknown_output.got}."
+        )
+        notes.error(unknown_output.of, metadata, f"The outputs are {sorted(outputs)}.")
     notes.stop_on_errors()

@@ -21,7 +21,7 @@ OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def run(options: argparse.Namespace) -> int:
     """Runs the command that `options` name; mistakes in the input become one message."""
-    known = {
+    available = {
         "new": _new,
         "check": _check,
         "solve": _solve,
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         # stdout is for the answer alone
         with redirect_stdout(sys.stderr), stoppable():
-            answer, text, code = known[options.command](options)
+            answer, text, code = available[options.command](options)
     except CaseError as error:
         say(f"snapo: {error}")
         answer, text, code = {"status": "bad-input", "message": str(error)}, "", BAD_INPUT
@@ -76,20 +76,20 @@ Answer = tuple[Mapping[str, Any], str, int]  # for --json, for a person, and the
 
 def _new(options: argparse.Namespace) -> Answer:
     if options.kind is None:
-        found = commands.kinds()
-        lines = [f"{kind:<14}{words}{_sizes(sizes)}" for kind, words, sizes in found]
-        kinds = {kind: {"words": words, "sizes": sizes} for kind, words, sizes in found}
+        result = commands.kinds()
+        lines = [f"{kind:<14}{text}{_sizes(sizes)}" for kind, text, sizes in result]
+        kinds = {kind: {"words": label, "sizes": sizes} for kind, label, sizes in result}
         return {"status": "ok", "kinds": kinds}, "\n".join(lines), OK
     if options.folder is None:
-        what = f"say where to write it: snapo new {options.kind} DIR"
-        raise CaseError("DIR", "", None, what)
+        message = f"say where to write it: snapo new {options.kind} DIR"
+        raise CaseError("DIR", "", None, message)
     if options.xlsx:
         written = commands.new_workbook(options.kind, options.folder, options.size)
-        place = written[0]
+        position = written[0]
     else:
         written = commands.new(options.kind, options.folder, options.size)
-        place = options.folder
-    say(f"now: {commands.next_command(options.kind, place)}")
+        position = options.folder
+    say(f"now: {commands.next_command(options.kind, position)}")
     answer = {"status": "ok", "kind": options.kind, "files": written}
     return answer, "\n".join(map(str, written)), OK
 
@@ -122,20 +122,22 @@ def _solve(options: argparse.Namespace) -> Answer:
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
 
 
-def by_seed(found: Mapping[str, Any]) -> list[str]:
+def by_seed(result: Mapping[str, Any]) -> list[str]:
     """The table of `--seeds` for a person."""
     lines = [f"{'seed':>8}{'value':>18}{'below the best':>30}{'seconds':>10}   verdict"]
-    for row in found["rows"]:
+    for row in result["rows"]:
         below = "the best"
-        if row["seed"] != found["best"]:
+        if row["seed"] != result["best"]:
             below = _known(row["below_best"], row["below_best_error"])
         verdict = ", ".join(filter(None, (row["status"], row["convergence"])))
         value = _known(row["value"])
         lines.append(f"{row['seed']:>8}{value:>18}{below:>30}{row['seconds']:>10,.1f}   {verdict}")
-    mean, worst, best = (_known(found[name]) for name in ("mean", "worst", "highest"))
-    spread, error = (_known(found[name]) for name in ("deviation", "standard_error"))
-    ends = f"mean {mean}, worst {worst}, best {best}; standard deviation between seeds {spread}"
-    return [*lines, f"{ends}, Monte Carlo error {error} ({found['paths']:,} common paths)"]
+    mean, worst, best = (_known(result[name]) for name in ("mean", "worst", "highest"))
+    spread, error = (_known(result[name]) for name in ("deviation", "standard_error"))
+    endpoints = (
+        f"mean {mean}, worst {worst}, best {best}; standard deviation between seeds {spread}"
+    )
+    return [*lines, f"{endpoints}, Monte Carlo error {error} ({result['paths']:,} common paths)"]
 
 
 def _known(value: float | None, error: float | None = None) -> str:
@@ -159,12 +161,12 @@ def _certify(options: argparse.Namespace) -> Answer:
 
 
 def _report(options: argparse.Namespace) -> Answer:
-    found = {"report": commands.report(options.run)}
+    tables = {"report": commands.report(options.run)}
     if options.pdf:
-        found["pdf"] = commands.printed(options.run)
+        tables["pdf"] = commands.printed(options.run)
     if options.xlsx:
-        found["xlsx"] = commands.tables(options.run)
-    return {"status": "ok", **found}, "\n".join(map(str, found.values())), OK
+        tables["xlsx"] = commands.tables(options.run)
+    return {"status": "ok", **tables}, "\n".join(map(str, tables.values())), OK
 
 
 def _open(options: argparse.Namespace) -> Answer:
@@ -185,14 +187,14 @@ def _open(options: argparse.Namespace) -> Answer:
 def _compare(options: argparse.Namespace) -> Answer:
     from snapo.study.compare import compare
 
-    found = compare(options.first, options.second)
-    return {"status": "ok", **found.table()}, str(found), OK
+    result = compare(options.first, options.second)
+    return {"status": "ok", **result.table()}, str(result), OK
 
 
 def _bench(options: argparse.Namespace) -> Answer:
-    found = commands.bench(options.kind, options.engine, say)
-    text = "\n\n".join(f"{kind}\n{times}" for kind, times in found.items())
-    return {"status": "ok", "times": found}, text, OK
+    result = commands.bench(options.kind, options.engine, say)
+    text = "\n\n".join(f"{kind}\n{times}" for kind, times in result.items())
+    return {"status": "ok", "times": result}, text, OK
 
 
 def _schema(options: argparse.Namespace) -> Answer:
@@ -212,8 +214,8 @@ def summary(result: Mapping[str, Any]) -> str:
             lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}{meaning}")
     for name, value in (result.get("references") or {}).items():
         if value is not None:
-            little = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
-            note = f"   {little}" if little else ""
+            small = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
+            note = f"   {small}" if small else ""
             error = (result.get("reference_errors") or {}).get(name)
             note += "" if error is None else f"   finer grids move it by {error:,.2g}"
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}{note}")
@@ -234,15 +236,15 @@ def summary(result: Mapping[str, Any]) -> str:
 
 def bounds(result: Mapping[str, Any]) -> str:
     """The bounds for a person: each with its 95 % interval."""
-    found = result.get("bound") or {}
-    lines = [f"{result.get('kind', '')}: 95 % intervals, {found.get('paths', 0):,} paths"]
+    results = result.get("bound") or {}
+    lines = [f"{result.get('kind', '')}: 95 % intervals, {results.get('paths', 0):,} paths"]
     for name in ("lower", "upper", "gap"):
-        each = found.get(name)
-        if each:
-            low, high = _figure(each["low"]), _figure(each["high"])
-            lines.append(f"{name:<8}{_figure(each['value']):>16}   {low} to {high}")
-    if found.get("says_little"):
-        lines.append(f"this bound {found['says_little']}")
+        item = results.get(name)
+        if item:
+            low, high = _figure(item["low"]), _figure(item["high"])
+            lines.append(f"{name:<8}{_figure(item['value']):>16}   {low} to {high}")
+    if results.get("says_little"):
+        lines.append(f"this bound {results['says_little']}")
     lines.append(f"report: {Path(result['run']) / 'report.html'}")
     return "\n".join(lines)
 
@@ -259,9 +261,9 @@ def to_json(result: Any) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [_plain(entry) for entry in value]
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, Path):

@@ -34,7 +34,7 @@ def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.A
 def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
     """{option: the words that may follow it}."""
     return {
-        text: [str(each) for each in action.choices or ()]
+        text: [str(choice) for choice in action.choices or ()]
         for action in parser._actions
         for text in action.option_strings
         if text.startswith("--")
@@ -43,14 +43,14 @@ def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
 
 def _words(parser: argparse.ArgumentParser) -> list[str]:
     """The words that may stand in the place of an argument."""
-    found = [
-        str(each)
+    results = [
+        str(choice)
         for action in parser._actions
         if not action.option_strings
-        for each in action.choices or ()
+        for choice in action.choices or ()
     ]
     kinds = any(action.metavar == "KIND" for action in parser._actions)
-    return [*found, *(KINDS if kinds else ())]
+    return [*results, *(KINDS if kinds else ())]
 
 
 def _bash(commands: dict[str, argparse.ArgumentParser], zsh: bool) -> str:
@@ -58,10 +58,10 @@ def _bash(commands: dict[str, argparse.ArgumentParser], zsh: bool) -> str:
     for name, parser in commands.items():
         options = _options(parser)
         after = "".join(
-            f"        {name}:{option}) COMPREPLY=($(compgen -W '{' '.join(words)}'"
+            f"        {name}:{option}) COMPREPLY=($(compgen -W '{' '.join(text)}'"
             ' -- "$word")); return;;\n'
-            for option, words in options.items()
-            if words
+            for option, text in options.items()
+            if text
         )
         cases.append(after)
     lists = "\n".join(
@@ -89,11 +89,11 @@ def _fish(commands: dict[str, argparse.ArgumentParser]) -> str:
     lines = [f"complete -c snapo -n __fish_use_subcommand -f -a '{' '.join(commands)}'"]
     for name, parser in commands.items():
         here = f"complete -c snapo -n '__fish_seen_subcommand_from {name}'"
-        if words := _words(parser):
-            lines.append(f"{here} -a '{' '.join(words)}'")
-        for option, words in _options(parser).items():
-            follows = f" -x -a '{' '.join(words)}'" if words else ""
-            lines.append(f"{here} -l {option[2:]}{follows}")
+        if text := _words(parser):
+            lines.append(f"{here} -a '{' '.join(text)}'")
+        for option, text in _options(parser).items():
+            automatic = f" -x -a '{' '.join(text)}'" if text else ""
+            lines.append(f"{here} -l {option[2:]}{automatic}")
     return "\n".join(lines) + "\n"
 
 
@@ -107,8 +107,8 @@ def schema_of_kind(kind: str) -> dict[str, Any]:
     domain = find(kind, "KIND", "")
     formats = getattr(domain, "formats", None)
     if formats is None:
-        what = "this kind does not list its tables: its domain has no method `formats`"
-        raise CaseError("KIND", "", kind, what)
+        message = "this kind does not list its tables: its domain has no method `formats`"
+        raise CaseError("KIND", "", kind, message)
     return json_schema(kind, formats())
 
 
@@ -134,8 +134,8 @@ def json_schema(kind: str, formats: "Formats") -> dict[str, Any]:
                 keys[key] = _about(keys[key]) | value
     for table in lists[""]:
         properties(table)["kind"] = {"const": kind}
-    whole = _either([names[table] for table in lists[""]])
-    return {"$schema": DIALECT, "title": f"A case of kind {kind}", **whole, "$defs": definitions}
+    complete = _either([names[table] for table in lists[""]])
+    return {"$schema": DIALECT, "title": f"A case of kind {kind}", **complete, "$defs": definitions}
 
 
 def _either(references: Sequence[str]) -> dict[str, Any]:

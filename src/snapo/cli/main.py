@@ -50,8 +50,8 @@ def _parser() -> argparse.ArgumentParser:
         _add_schema,
     ):
         add(commands)
-    for each in commands.choices.values():
-        each.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    for choice in commands.choices.values():
+        choice.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     _add_completion(commands)
     return parser
 
@@ -186,14 +186,14 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
 def _seeds(text: str) -> int | tuple[int, ...]:
     """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
     parts = text.split(",")
-    if not all(each.isascii() and each.isdigit() and int(each) < 2**63 for each in parts):
-        what = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
-        raise argparse.ArgumentTypeError(f"{text!r} {what}")
-    found = tuple(map(int, parts))
-    if len(set(found)) < len(found):
+    if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
+        message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
+        raise argparse.ArgumentTypeError(f"{text!r} {message}")
+    seeds = tuple(map(int, parts))
+    if len(set(seeds)) < len(seeds):
         raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each makes one training")
     if len(parts) > 1:
-        return found
+        return seeds
     if not int(text):
         raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
     return int(text)

@@ -113,17 +113,17 @@ class Clip:
     keep: float = 1.0
 
     def __post_init__(self):
-        for name, good, allowed in (
+        for name, valid, allowed in (
             ("norm", self.norm > 0, "a number above 0"),
             ("keep", 0 <= self.keep <= 1, "a number from 0 to 1"),
         ):
-            if not good:
+            if not valid:
                 raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; allowed is {allowed}.")
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
         """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
-        each = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
-        size = np.concatenate(each).max(0)
+        item = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
+        size = np.concatenate(item).max(0)
         # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
         bound = np.multiply(size, self.norm, out=np.zeros_like(size), where=size > 0)
         return np.stack([bound, np.full_like(size, self.keep)], axis=-1)
@@ -254,20 +254,20 @@ class Engine(abc.ABC):
 
         Derivatives have a leading axis of parts; there are none at the start.
         """
-        found, first = [], 0
+        adjoints, first = [], 0
         for size in parts:
-            own = np.arange(first, first + size)
-            taken = {name: np.asarray(weight)[own] for name, weight in weights.items()}
-            replayed = None if actions is None else np.asarray(actions)[:, own]
-            given = simulator, policy, schedule, only(draws, own), smooth, taken
-            found.append(self.adjoint(*given, actions=replayed, wrt=wrt))
+            local = np.arange(first, first + size)
+            taken = {name: np.asarray(weight)[local] for name, weight in weights.items()}
+            replayed = None if actions is None else np.asarray(actions)[:, local]
+            values = simulator, policy, schedule, only(draws, local), smooth, taken
+            adjoints.append(self.adjoint(*values, actions=replayed, wrt=wrt))
             first += size
         totals: dict[str, Any] = {
-            name: np.concatenate([np.asarray(each.totals[name]) for each in found])
-            for name in found[0].totals
+            name: np.concatenate([np.asarray(item.totals[name]) for item in adjoints])
+            for name in adjoints[0].totals
         }
-        trees = [(each.policy, each.schedule) for each in found]
-        moved, schedules = jax.tree.map(lambda *each: np.stack(each), *trees)
+        trees = [(entry.policy, entry.schedule) for entry in adjoints]
+        moved, schedules = jax.tree.map(lambda *value: np.stack(value), *trees)
         return Adjoint(totals, moved, schedules, None)
 
 

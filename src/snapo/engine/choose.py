@@ -29,7 +29,7 @@ class Engines(NamedTuple):
 EngineName = str | Engine | Engines
 
 
-def choose(wanted: EngineName, problem: Problem, policy: Policy) -> Engines:
+def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines that are wanted: by name, as one engine, or as a pair that was chosen before.
 
     "auto" takes the native engine where it can run this problem, beside a GPU too: a gradient of
@@ -40,28 +40,28 @@ def choose(wanted: EngineName, problem: Problem, policy: Policy) -> Engines:
     **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
     nothing at all where llvmlite is not installed.
     """
-    if isinstance(wanted, Engines):
-        return wanted
-    if isinstance(wanted, Engine):
-        train, evaluate = (replace(wanted, precision=each) for each in ("float32", "float64"))
-        name = type(wanted).__name__.lower()
-        return Engines(train, evaluate, name, f"{wanted}, as it was given")
-    if wanted not in NAMES:
+    if isinstance(requested, Engines):
+        return requested
+    if isinstance(requested, Engine):
+        train, evaluate = (replace(requested, precision=item) for item in ("float32", "float64"))
+        name = type(requested).__name__.lower()
+        return Engines(train, evaluate, name, f"{requested}, as it was given")
+    if requested not in NAMES:
         allowed = ", ".join(NAMES)
-        raise ValueError(f"engine: got {wanted!r}; allowed is an engine, or one of {allowed}.")
+        raise ValueError(f"engine: got {requested!r}; allowed is an engine, or one of {allowed}.")
     devices = tuple(jax.devices())
-    if wanted == "xla":
+    if requested == "xla":
         return _xla(devices, "it was asked for")
     missing = unavailable()
     if missing is not None:
-        if wanted == "native":
+        if requested == "native":
             raise ValueError(f"engine: native cannot run here, as {missing}")
         return _xla(devices, missing)
     reason = unsupported(problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1)))
     if reason is None:
-        why = "it was asked for" if wanted == "native" else "it can compile this simulator"
+        why = "it was asked for" if requested == "native" else "it can compile this simulator"
         return Engines(Native("float32"), Native("float64"), "native", f"native, as {why}")
-    if wanted == "native":
+    if requested == "native":
         raise ValueError(f"engine: native cannot run this simulator: {reason}")
     return _xla(devices, f"the native engine cannot run this simulator: {reason}")
 

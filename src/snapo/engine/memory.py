@@ -30,20 +30,20 @@ def with_memory(
     return around, start
 
 
-def values_without(simulator: Simulator, used: Simulator, found: Rollout) -> Rollout:
+def values_without(simulator: Simulator, used: Simulator, rollout: Rollout) -> Rollout:
     """What a sweep gives, without the memory that `used` carries and `simulator` has not."""
     if used is simulator or not isinstance(used, Remembering):
-        return found
-    record = dict(found.record)
+        return rollout
+    record = dict(rollout.record)
     if "state" in record:
         record["state"] = record["state"]["own"]
     if "action" in record:
         record["action"] = record["action"][..., : simulator.action.size]
-    return Rollout(found.totals, found.state["own"], record)
+    return Rollout(rollout.totals, rollout.state["own"], record)
 
 
-def adjoint_without(simulator: Simulator, used: Simulator, found: Adjoint) -> Adjoint:
+def adjoint_without(simulator: Simulator, used: Simulator, adjoint: Adjoint) -> Adjoint:
     """The same of an adjoint pass."""
-    if used is simulator or not isinstance(used, Remembering) or found.start is None:
-        return found
-    return found._replace(start=found.start["own"])
+    if used is simulator or not isinstance(used, Remembering) or adjoint.start is None:
+        return adjoint
+    return adjoint._replace(start=adjoint.start["own"])

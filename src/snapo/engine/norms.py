@@ -48,20 +48,24 @@ def adjoint_norms(
     engine = Xla("float32")
     # A step may take a minute to compile: multiples of a block share one kernel.
     parts = np.array_split(np.arange(draws.size), max(1, draws.size // BLOCK))
-    found = []
-    for chosen in parts:
-        own = {name: jnp.asarray(weight, jnp.float32)[chosen] for name, weight in weights.items()}
-        call = engine.call(problem.simulator, policy, problem.schedule, only(draws, chosen), smooth)
+    norms = []
+    for selected in parts:
+        local = {
+            name: jnp.asarray(weight, jnp.float32)[selected] for name, weight in weights.items()
+        }
+        call = engine.call(
+            problem.simulator, policy, problem.schedule, only(draws, selected), smooth
+        )
         with call.following():
-            found.append(_norms(engine, call, own, jnp.asarray(memory or call.length)))
-    whole, leaves = jax.tree.map(lambda *each: np.concatenate(each).T, *found)
-    return Norms(whole, leaves)
+            norms.append(_norms(engine, call, local, jnp.asarray(memory or call.length)))
+    complete, leaves = jax.tree.map(lambda *item: np.concatenate(item).T, *norms)
+    return Norms(complete, leaves)
 
 
 @compiled_sooner  # it runs a few times: in a pension fund compiling took 13 s of processor time
 def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: Array):
-    def of_path(draws, own):
-        return _of_path(engine, call, draws, own, memory)
+    def of_path(draws, local):
+        return _of_path(engine, call, draws, local, memory)
 
     return jax.vmap(of_path, (call.draws.axes(), 0))(call.draws, weights)
 
@@ -74,13 +78,13 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: 
     start = packing.pack(initial)
     if dtype not in packing.kinds:  # a state of whole numbers has no adjoint
         return jnp.zeros(call.length), {}
-    place = packing.kinds.index(dtype)
+    position = packing.kinds.index(dtype)
 
     def step(carry, x):
         packed, totals = carry
         now, drawn, nudge, first = x
         packed = tuple(jnp.where(first, jax.lax.stop_gradient(part), part) for part in packed)
-        packed = tuple(part + nudge if i == place else part for i, part in enumerate(packed))
+        packed = tuple(part + nudge if i == position else part for i, part in enumerate(packed))
         state = packing.unpack(packed)
         action = call.policy(simulator.observe(constants, now, state), call.smooth)  # pyright: ignore
         noise = draws.noise(drawn, simulator.noise_size, dtype)
@@ -105,10 +109,10 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: 
         return sum((weight * totals[name] for name, weight in weights.items()), jnp.zeros(()))
 
     size = jnp.stack([jnp.abs(weight) for weight in weights.values()]).max()
-    slopes = jax.grad(worth)(jnp.zeros((call.length, start[place].size), dtype))
+    slopes = jax.grad(worth)(jnp.zeros((call.length, start[position].size), dtype))
     scale = simulator.state_scale(constants)
     if scale is not None:
-        slopes = slopes * packing.pack(scale)[place]
+        slopes = slopes * packing.pack(scale)[position]
     size = jnp.maximum(size, jnp.finfo(dtype).tiny)
     leaves = {
         name: jnp.linalg.norm(slopes[:, first:last], axis=1) / size
@@ -119,10 +123,10 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: 
 
 def _places(state: PyTree, dtype) -> list[tuple[str, int, int]]:
     """Where each leaf of real numbers lies in the packed state: its name, first and last place."""
-    found, first = [], 0
+    rows, first = [], 0
     for path, leaf in jax.tree.leaves_with_path(state):
         if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating):
             name, size = jax.tree_util.keystr(path, simple=True, separator="."), jnp.size(leaf)
-            found.append((name.removeprefix("own.") or "state", first, first + size))
+            rows.append((name.removeprefix("own.") or "state", first, first + size))
             first += size
-    return found
+    return rows

@@ -25,18 +25,18 @@ def pull_back(
 
     The transpose of `prepare`.
     """
-    given, version = inputs_.values(inputs), of_preparation(simulator, inputs)
+    values, version = inputs_.values(inputs), of_preparation(simulator, inputs)
     bare = inputs_.unnamed(inputs)
 
     def one(schedule: PyTree) -> PyTree:
         # Both are each thread's own.
         with jax.enable_x64(True), following(version):
             cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
-            return jax.tree.map(np.asarray, _pull_back(simulator, bare, given, cotangent))
+            return jax.tree.map(np.asarray, _pull_back(simulator, bare, values, cotangent))
 
     # One by one: all at once is compiled anew for every number of them, in far more time than the
     # calls take. The first compiles; the others share the processors.
-    moved = [one(each) for each in schedules[:1]]
+    moved = [one(item) for item in schedules[:1]]
     if len(schedules) > 1:
         with ThreadPoolExecutor(min(MOST_THREADS, cores())) as threads:
             moved += threads.map(one, schedules[1:])

@@ -71,8 +71,8 @@ class Xla(Engine):
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
             with call.following():
-                found = self.leave(_values(self, call, record))
-            return values_without(simulator, call.simulator, found)
+                result = self.leave(_values(self, call, record))
+            return values_without(simulator, call.simulator, result)
 
     def adjoint(
         self,
@@ -91,12 +91,12 @@ class Xla(Engine):
     ) -> Adjoint:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
+            values = {name: cast(weight, self.dtype) for name, weight in weights.items()}
             # The bounds are an array: other ones compile nothing.
-            bounds = None if clip is None else jnp.asarray(clip.bounds(given))
+            bounds = None if clip is None else jnp.asarray(clip.bounds(values))
             with call.following():
-                found = self.leave(_adjoint(self, call, given, bounds, wrt))
-            return adjoint_without(simulator, call.simulator, found)
+                result = self.leave(_adjoint(self, call, values, bounds, wrt))
+            return adjoint_without(simulator, call.simulator, result)
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
@@ -104,7 +104,7 @@ class Xla(Engine):
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
-        ends = window.ends(simulator.horizon)
+        endpoints = window.ends(simulator.horizon)
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )
@@ -113,7 +113,16 @@ class Xla(Engine):
         first = jnp.asarray(window.first, jnp.int32)
         smooth = cast(smooth, self.dtype)
         return Call(
-            simulator, policy, schedule, draws, smooth, actions, start, first, window.length, ends
+            simulator,
+            policy,
+            schedule,
+            draws,
+            smooth,
+            actions,
+            start,
+            first,
+            window.length,
+            endpoints,
         )
 
     def traced(self, call: "Call", record: tuple[str, ...] = ()) -> Rollout:
@@ -168,32 +177,32 @@ def _adjoint(
         return _pulled_back(engine, call, weights, bounds, wrt)
 
     batched = any(weight.ndim == 2 for weight in weights.values())
-    each = jax.tree.map(lambda weight: weight.ndim - 1, weights)
-    axes = call.axes(), each, None if bounds is None else 0
+    item = jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    axes = call.axes(), item, None if bounds is None else 0
     out = (0, None, None, int(batched))
     return Adjoint(*_over_devices(engine, some, (call, weights, bounds), axes, out))
 
 
-def _over_devices(engine: Xla, work, given, axes, out):
+def _over_devices(engine: Xla, work, values, axes, out):
     """`work` on every device's share of the paths; results without an axis of paths are summed.
 
     Each device goes through its own paths alone, and the gradients meet once, at the end: were
     the arrays merely laid out over the devices, XLA would add them up at every step.
     """
-    size = given[0].draws.size
+    size = values[0].draws.size
     if engine.devices is None or size % len(engine.devices):
-        return work(*given)
+        return work(*values)
 
     def spec(axis):
         return P() if axis is None else P(*(None,) * axis, "paths")
 
     def share(arrays):
-        found = work(*eqx.combine(arrays, rest))
+        result = work(*eqx.combine(arrays, rest))
         return tuple(
-            jax.lax.psum(part, "paths") if axis is None else part for part, axis in zip(found, out)
+            jax.lax.psum(part, "paths") if axis is None else part for part, axis in zip(result, out)
         )
 
-    arrays, rest = eqx.partition(given, eqx.is_array)
+    arrays, rest = eqx.partition(values, eqx.is_array)
     where = jax.tree.map(lambda _, axis: spec(axis), arrays, axes, is_leaf=lambda x: x is None)
     mesh = Mesh(np.asarray(engine.devices), ("paths",))
     outs = tuple(map(spec, out))
@@ -226,10 +235,13 @@ def _rollout(engine: Xla, call: Call, record, bounds) -> Rollout:
     def one(draws, noise, start, actions, bound):
         return _path(engine, call, draws, noise, start, actions, record, bound)
 
-    given = (call.draws, noise, call.start, call.actions, bounds)
-    axes = (call.draws.axes(), *(None if x is None else a for x, a in zip(given[1:], (1, 0, 1, 0))))
+    values = (call.draws, noise, call.start, call.actions, bounds)
+    axes = (
+        call.draws.axes(),
+        *(None if x is None else a for x, a in zip(values[1:], (1, 0, 1, 0))),
+    )
     out = Rollout(0, 0, dict.fromkeys(record, 1))  # pyright: ignore[reportArgumentType]
-    return jax.vmap(one, in_axes=axes, out_axes=out)(*given)
+    return jax.vmap(one, in_axes=axes, out_axes=out)(*values)
 
 
 def _noise(engine: Xla, call: Call) -> Array | None:
@@ -276,14 +288,14 @@ def _path(
         drawn = noise if stored else draws.noise(noise, simulator.noise_size, dtype)
         after, outputs = simulator.step(constants, now, state, action, drawn, smooth)
         outputs = {name: jnp.asarray(value, dtype) for name, value in outputs.items()}
-        kept = {"state": state, "action": action, "outputs": outputs}
+        retained = {"state": state, "action": action, "outputs": outputs}
         if "slack" in record:
-            kept["slack"] = dict(simulator.slack(constants, now, after, outputs))
+            retained["slack"] = dict(simulator.slack(constants, now, after, outputs))
         totals = {
             name: add(kinds.get(name, "sum"), carry.totals.get(name), v)
             for name, v in outputs.items()
         }
-        return _Carry(packing.pack(after), totals), {name: kept[name] for name in record}
+        return _Carry(packing.pack(after), totals), {name: retained[name] for name in record}
 
     now = jax.tree.map(
         lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, first, length), schedule.steps
@@ -295,13 +307,15 @@ def _path(
     )
     zeros = {name: zero(kinds.get(name, "sum"), dtype) for name in shapes[0].totals}
     carry = _Carry(packing.pack(start), zeros)
-    carry, kept = _scan(jax.checkpoint(step, prevent_cse=False), carry, xs, length, engine.segments)
+    carry, selected = _scan(
+        jax.checkpoint(step, prevent_cse=False), carry, xs, length, engine.segments
+    )
     state = packing.unpack(carry.state)
     totals = dict(carry.totals)
     if call.ends:
         for name, value in simulator.terminal(constants, state, smooth).items():
             totals[name] = add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
-    return Rollout(totals, state, kept)
+    return Rollout(totals, state, selected)
 
 
 def _scan(step, carry, xs, length: int, segments: int | None):
@@ -309,17 +323,17 @@ def _scan(step, carry, xs, length: int, segments: int | None):
     if segments is None or segments < 2 or length < 4:
         return jax.lax.scan(step, carry, xs)
     size = -(-length // min(segments, length))
-    whole = length // size * size
+    complete = length // size * size
 
     @jax.checkpoint
     def segment(carry, xs):
         return jax.lax.scan(step, carry, xs)
 
-    head = jax.tree.map(lambda leaf: leaf[:whole].reshape(-1, size, *leaf.shape[1:]), xs)
-    carry, kept = jax.lax.scan(segment, carry, head)
-    kept = jax.tree.map(lambda leaf: leaf.reshape(whole, *leaf.shape[2:]), kept)
-    carry, rest = segment(carry, jax.tree.map(lambda leaf: leaf[whole:], xs))
-    return carry, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), kept, rest)
+    head = jax.tree.map(lambda leaf: leaf[:complete].reshape(-1, size, *leaf.shape[1:]), xs)
+    carry, selected = jax.lax.scan(segment, carry, head)
+    selected = jax.tree.map(lambda leaf: leaf.reshape(complete, *leaf.shape[2:]), selected)
+    carry, rest = segment(carry, jax.tree.map(lambda leaf: leaf[complete:], xs))
+    return carry, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), selected, rest)
 
 
 def weighted_sum(totals, weights) -> Array:

@@ -24,9 +24,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'snapo.gym' has no attribute {name!r}")
     from importlib import import_module
 
-    found = getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
-    globals()[name] = found  # the function `play`, not the module of its name
-    return found
+    result = getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
+    globals()[name] = result  # the function `play`, not the module of its name
+    return result
 
 
 def __dir__() -> list[str]:

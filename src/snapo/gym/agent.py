@@ -41,12 +41,12 @@ class Agent:
 
     def __call__(self, observation: np.ndarray) -> Any:
         """The action at an observation [k]; or N of them at [N, k]."""
-        given = np.asarray(observation)
-        seen = np.atleast_2d(given)
-        seen = self._features(seen) if self._features else seen
-        decided = np.asarray(self._decide(np.asarray(seen, np.float32)))
+        values = np.asarray(observation)
+        observed = np.atleast_2d(values)
+        observed = self._features(observed) if self._features else observed
+        decided = np.asarray(self._decide(np.asarray(observed, np.float32)))
         actions = self._write(decided)
-        return actions if given.ndim > 1 else element(actions, 0)
+        return actions if values.ndim > 1 else element(actions, 0)
 
     def reset(self, began: np.ndarray | None = None) -> None:
         """Forgets: all episodes, or those of N that begin anew, `began` [N] of truth values."""
@@ -59,32 +59,32 @@ class Agent:
         """One like it without a memory yet, for these actions unless it was made for some."""
         return Agent(self.policy, self._features, space if self._given is None else self._given)
 
-    def _decide(self, seen: np.ndarray) -> np.ndarray:
+    def _decide(self, observed: np.ndarray) -> np.ndarray:
         """[N, size] decisions, which move the memory on."""
         size = remembered(self.policy)
-        memory = np.zeros((len(seen), size), np.float32) if self.memory is None else self.memory
-        if size and len(memory) != len(seen):
+        memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
+        if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it remembers {len(memory)} episodes, and here are {len(seen)} "
+                f"Agent: it remembers {len(memory)} episodes, and here are {len(observed)} "
                 "observations; call reset() where other episodes begin."
             )
-        given = np.concatenate([seen, memory], 1)
-        with following(of_policy(self.policy, given)):
-            decided = np.asarray(_decided(self.policy, given))
+        values = np.concatenate([observed, memory], 1)
+        with following(of_policy(self.policy, values)):
+            decided = np.asarray(_decided(self.policy, values))
         self.memory = decided[:, decided.shape[1] - size :] if size else None
         return decided[:, : decided.shape[1] - size]
 
 
 @eqx.filter_jit
-def _decided(policy: Policy, seen):
-    return jax.vmap(lambda each: policy(each, Exact()))(seen)
+def _decided(policy: Policy, observed):
+    return jax.vmap(lambda item: policy(item, Exact()))(observed)
 
 
-def _writer(policy: Policy, given: Any) -> Map:
+def _writer(policy: Policy, values: Any) -> Map:
     """From decisions to elements of the space given, of the set given, or of the policy's set."""
-    action = given if isinstance(given, Actions) else set_of(policy)
-    if given is not None and given is not action:
-        return writer(given, action)
+    action = values if isinstance(values, Actions) else set_of(policy)
+    if values is not None and values is not action:
+        return writer(values, action)
     if action is None:
         return lambda decided: decided
     return writer(space_of(action)[0], action)
@@ -94,5 +94,5 @@ def set_of(policy: Policy) -> Actions | None:
     """The set that a policy decides in; None where it does not say."""
     if isinstance(policy, LastObservations):
         return set_of(policy.policy)
-    found = getattr(policy, "action", None)
-    return found if isinstance(found, Actions) else None
+    action = getattr(policy, "action", None)
+    return action if isinstance(action, Actions) else None

@@ -88,8 +88,8 @@ class Dynamics:
         if isinstance(self.simulator, Ends):
             ended = ended | self.simulator.over(constants, after)
         reward = self._worth(outputs) + jnp.where(ended, self._worth(last), 0.0)
-        told = self._told(outputs, last, ended)
-        return Moved(after, self._seen(t + 1, after), reward, told, ended, due & ~ended)
+        summary = self._told(outputs, last, ended)
+        return Moved(after, self._seen(t + 1, after), reward, summary, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
         """The outputs that the last state alone has, none of a step."""
@@ -116,15 +116,15 @@ class Dynamics:
 
     def _told(self, outputs: Outputs, last: Outputs, ended: Array) -> Outputs:
         """The outputs of a step joined with those of the last state, by the kind of total."""
-        told = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
+        summary = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
         for name, value in last.items():
-            before, kind = told.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
-            if kind == "sum" or name not in told:
+            before, kind = summary.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
+            if kind == "sum" or name not in summary:
                 joined = before + value
             else:
                 joined = jnp.maximum(before, value) if kind == "max" else value
-            told[name] = jnp.where(ended, joined, before)
-        return told
+            summary[name] = jnp.where(ended, joined, before)
+        return summary
 
 
 class Compiled(NamedTuple):

@@ -33,8 +33,8 @@ class Environment(gymnasium.Env):
     def __init__(self, problem: Problem, endless: bool = False):
         self.dynamics, self._first, self._step = compiled(problem, endless)
         self.decisions, self.endless, self.render_mode = problem.action, endless, None
-        seen = (self.dynamics.features,)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, seen, np.float32)
+        observed = (self.dynamics.features,)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, observed, np.float32)
         self.action_space, self._read = space_of(problem.action)
         self._only_last = self.dynamics.only_last()
         self._t, self._state = 0, None
@@ -44,21 +44,21 @@ class Environment(gymnasium.Env):
         super().reset(seed=seed)
         noise = self._normals(self.dynamics.simulator.initial_noise_size)
         self._t = 0
-        self._state, seen = self._first(noise)
-        return np.asarray(seen), {}
+        self._state, observed = self._first(noise)
+        return np.asarray(observed), {}
 
     def step(self, action):
         """One decision: observation, reward, terminated, truncated, outputs."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("Environment: call reset before the first step.")
         noise = self._normals(self.dynamics.simulator.noise_size)
-        chosen = self._read(batched(action))[0].astype(np.float32)
-        moved = self._step(np.int32(self._t), self._state, chosen, noise)
+        selected = self._read(batched(action))[0].astype(np.float32)
+        moved = self._step(np.int32(self._t), self._state, selected, noise)
         self._t, self._state = self._t + 1, moved.state
         ended, late = bool(moved.ended), bool(moved.late)
         but = () if ended else self._only_last
-        told = {name: float(x) for name, x in moved.outputs.items() if name not in but}
-        return np.asarray(moved.observation), float(moved.reward), ended, late, told
+        summary = {name: float(x) for name, x in moved.outputs.items() if name not in but}
+        return np.asarray(moved.observation), float(moved.reward), ended, late, summary
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal(size, np.float32)
@@ -96,24 +96,24 @@ def play(
         raise ValueError("play: give at least one start.")
     worlds = [made(environment) for _ in seeds]
     act = _for_world(agent, worlds[0])
-    firsts = [each.reset(seed=int(seed))[0] for each, seed in zip(worlds, seeds)]
-    seen = np.stack([np.asarray(each, np.float32) for each in firsts])
+    firsts = [item.reset(seed=int(seed))[0] for item, seed in zip(worlds, seeds)]
+    observed = np.stack([np.asarray(first, np.float32) for first in firsts])
     rewards, steps = np.zeros(len(worlds)), np.zeros(len(worlds), int)
     going = list(range(len(worlds)))
     while going:
-        actions = act(seen)  # of all: one compiled shape
+        actions = act(observed)  # of all: one compiled shape
         left = []
         for i in going:
-            seen[i], reward, ended, late, _ = worlds[i].step(element(actions, i))
+            observed[i], reward, ended, late, _ = worlds[i].step(element(actions, i))
             rewards[i] += reward
             steps[i] += 1
             if not (ended or late):
                 left.append(i)
         going = left
-    for each in worlds:
-        each.close()
-    found = statistics.mean(rewards, np.arange(rewards.size))
-    return Played(float(np.mean(rewards)), found.standard_error, rewards, steps)
+    for world in worlds:
+        world.close()
+    average = statistics.mean(rewards, np.arange(rewards.size))
+    return Played(float(np.mean(rewards)), average.standard_error, rewards, steps)
 
 
 def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
@@ -121,8 +121,8 @@ def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
     if not isinstance(agent, Agent | Policy):
         return agent
     act = Agent(agent) if isinstance(agent, Policy) else agent
-    own = isinstance(world.unwrapped, Environment)
-    return act.on(world.unwrapped.decisions if own else world.action_space)
+    local = isinstance(world.unwrapped, Environment)
+    return act.on(world.unwrapped.decisions if local else world.action_space)
 
 
 def made(environment: "str | Callable[[], Any]"):

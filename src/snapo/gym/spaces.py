@@ -31,8 +31,8 @@ def space_of(action: Actions) -> tuple[Space, Reader]:
         parts = {name: space_of(action[name]) for name in action.names}
         space = gymnasium.spaces.Dict({name: part for name, (part, _) in parts.items()})
 
-        def read_all(given: Elements) -> np.ndarray:
-            return np.concatenate([read(given[name]) for name, (_, read) in parts.items()], -1)
+        def read_all(values: Elements) -> np.ndarray:
+            return np.concatenate([read(values[name]) for name, (_, read) in parts.items()], -1)
 
         return space, read_all
     if isinstance(action, Choice):
@@ -42,8 +42,8 @@ def space_of(action: Actions) -> tuple[Space, Reader]:
     low, high = (np.asarray(bound, np.float32) for bound in action.bounds())
     space = gymnasium.spaces.Box(low, high, dtype=np.float32)
 
-    def read(given: np.ndarray) -> np.ndarray:
-        inside = np.clip(np.asarray(given, np.float32).reshape(-1, action.size), low, high)
+    def read(inputs: np.ndarray) -> np.ndarray:
+        inside = np.clip(np.asarray(inputs, np.float32).reshape(-1, action.size), low, high)
         if isinstance(action, Simplex):
             total = inside.sum(-1, keepdims=True)
             return np.where(total > 0, inside / np.maximum(total, 1e-30), 1 / action.size)

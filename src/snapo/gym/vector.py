@@ -28,8 +28,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         mode = gymnasium.vector.AutoresetMode.NEXT_STEP
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = None
-        seen = (self.dynamics.features,)
-        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, seen, np.float32)
+        observed = (self.dynamics.features,)
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, observed, np.float32)
         self.single_action_space, self._read = space_of(problem.action)
         batch = gymnasium.vector.utils.batch_space
         self.observation_space = batch(self.single_observation_space, num_envs)
@@ -45,8 +45,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         """The first observations [N, features] of new paths; one seed makes all of them."""
         super().reset(seed=seed)
         self._t[:], self._done[:] = 0, False
-        self._state, seen = self._first(self._normals(self.dynamics.simulator.initial_noise_size))
-        return np.asarray(seen), {}
+        self._state, observed = self._first(
+            self._normals(self.dynamics.simulator.initial_noise_size)
+        )
+        return np.asarray(observed), {}
 
     def step(self, actions):
         """One decision for every path: [N, features], [N] rewards, terminated, truncated, info."""
@@ -54,30 +56,30 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
             raise gymnasium.error.ResetNeeded("VectorEnvironment: call reset before a step.")
         size = self.dynamics.simulator
         noise = self._normals(size.initial_noise_size), self._normals(size.noise_size)
-        chosen = self._read(actions).astype(np.float32)
-        again = self._done.copy()
-        self._state, moved = self._step(self._t, self._state, chosen, noise, again)
-        self._t = np.where(again, 0, self._t + 1).astype(np.int32)
+        selected = self._read(actions).astype(np.float32)
+        repeated = self._done.copy()
+        self._state, moved = self._step(self._t, self._state, selected, noise, repeated)
+        self._t = np.where(repeated, 0, self._t + 1).astype(np.int32)
         ended, late = np.asarray(moved.ended), np.asarray(moved.late)
         self._done = ended | late
-        told = {name: np.asarray(value) for name, value in moved.outputs.items()}
-        counts = {f"_{name}": ended if name in self._only_last else ~again for name in told}
+        summary = {name: np.asarray(value) for name, value in moved.outputs.items()}
+        counts = {f"_{name}": ended if name in self._only_last else ~repeated for name in summary}
         rewards = np.asarray(moved.reward, np.float64)
-        return np.asarray(moved.observation), rewards, ended, late, told | counts
+        return np.asarray(moved.observation), rewards, ended, late, summary | counts
 
-    def _moved(self, t, state, actions, noise, again):
+    def _moved(self, t, state, actions, noise, repeated):
         """All paths moved; those to start `again` at their first state, where nothing counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 
         def either(new, old):
-            return jnp.where(again.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+            return jnp.where(repeated.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
         state = jax.tree.map(either, fresh, moved.state)
-        reward, outputs, *ends = jax.tree.map(
+        reward, outputs, *endpoints = jax.tree.map(
             lambda old: either(jnp.zeros((), old.dtype), old), tuple(moved[2:])
         )
-        return state, Moved((), either(first, moved.observation), reward, outputs, *ends)
+        return state, Moved((), either(first, moved.observation), reward, outputs, *endpoints)
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal((self.num_envs, size), np.float32)

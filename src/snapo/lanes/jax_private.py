@@ -51,7 +51,7 @@ def unavailable(version: str = jax.__version__) -> str | None:
     first, end = TESTED
     release = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
     if not first <= release < end:
-        low, high = (".".join(map(str, each)) for each in TESTED)
+        low, high = (".".join(map(str, item)) for item in TESTED)
         return f"jax {version} is not among the releases it was tested with ({low} to below {high})"
     if _missing:
         return f"jax {version} has no {', '.join(_missing)}"
@@ -82,19 +82,19 @@ def called(eqn) -> Any:
     if name in CALLS:
         return params[CALLS[name]]
     if name == _OWN_CLASS:
-        given = [v.aval for v in eqn.invars]
-        return jax.make_jaxpr(lambda *values: eqn.primitive.to_lojax(*values, **params))(*given)
+        inputs = [v.aval for v in eqn.invars]
+        return jax.make_jaxpr(lambda *values: eqn.primitive.to_lojax(*values, **params))(*inputs)
     return None
 
 
 def searched_side(eqn) -> str | None:
     """ "left" or "right" of a `jnp.searchsorted` in one table; None of every other equation."""
-    own = eqn.params.get("_prim")
-    name = eqn.params.get("name") if own is None else type(own).__name__
+    local = eqn.params.get("_prim")
+    name = eqn.params.get("name") if local is None else type(local).__name__
     if name not in _SEARCHES or eqn.invars[0].aval.ndim != 1:
         return None
-    if own is not None:
-        return own.side
+    if local is not None:
+        return local.side
     # It asks whether query < entry, or query <= entry.
     return "right" if "lt_to" in str(eqn.params["jaxpr"].jaxpr) else "left"
 

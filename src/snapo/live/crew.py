@@ -46,9 +46,9 @@ class Crew:
         if self.state["stage"] == "ready":
             self._write(order)
         elif order["do"] not in ("move", "cancel"):
-            words = "the calculation is starting; try again in a moment"
+            text = "the calculation is starting; try again in a moment"
             await self.hear(
-                {"page": order["page"], "n": order["n"], "stage": "refused", "message": words}
+                {"page": order["page"], "n": order["n"], "stage": "refused", "message": text}
             )
 
     def forget(self, page: str) -> None:
@@ -66,8 +66,8 @@ class Crew:
             if self._closed or self.state["stage"] == "failed":
                 return
             self._deaths += self.state["stage"] != "ready"
-            words = "the calculation ended unexpectedly and is starting again"
-            self.state = {"stage": "starting", "message": words}
+            text = "the calculation ended unexpectedly and is starting again"
+            self.state = {"stage": "starting", "message": text}
             if self._deaths >= TRIES:
                 self.state = {"stage": "failed", "message": "the calculation does not start"}
             await self.hear(dict(self.state))

@@ -24,8 +24,8 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 class Downloads:
     """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
 
-    def __init__(self, run: Path, scenarios: Scenarios, crew: Crew, last: Last):
-        self.run, self.scenarios, self.crew, self.last = run, scenarios, crew, last
+    def __init__(self, run: Path, scenarios: Scenarios, workers: Crew, last: Last):
+        self.run, self.scenarios, self.crew, self.last = run, scenarios, workers, last
         self._numbers = count(1)
         self._writing: dict[int, asyncio.Future] = {}  # those that wait for the worker
 
@@ -48,20 +48,20 @@ class Downloads:
         return _download(self.scenarios.table().encode(), "text/csv", "scenarios.csv")
 
     async def case(self, request: web.Request) -> web.Response:
-        found = request.match_info["id"]
+        result = request.match_info["id"]
         try:
-            body = self.scenarios.zipped(found)
+            body = self.scenarios.zipped(result)
         except Refused as error:
             raise web.HTTPNotFound(text=str(error)) from None
-        return _download(body, "application/zip", f"{found}.zip")
+        return _download(body, "application/zip", f"{result}.zip")
 
     async def scenario(self, request: web.Request) -> web.Response:
-        found = request.match_info["id"]
+        result = request.match_info["id"]
         try:
-            body = self.scenarios.one(found).encode()
+            body = self.scenarios.one(result).encode()
         except Refused as error:
             raise web.HTTPNotFound(text=str(error)) from None
-        return _download(body, "text/csv", f"{found}.csv")
+        return _download(body, "text/csv", f"{result}.csv")
 
     async def report(self, request: web.Request) -> web.Response:
         file = self.run / REPORT
@@ -103,10 +103,10 @@ class Downloads:
         if at == "run":
             return at, self.crew.state.get("base") or {}
         page, _, n = at.partition("-")
-        found = self.last(page, int(n))
-        if found is None:
+        result = self.last(page, int(n))
+        if result is None:
             raise web.HTTPNotFound(text="These numbers are not shown any more.")
-        return at, found
+        return at, result
 
 
 def _download(body: bytes, kind: str, name: str) -> web.Response:

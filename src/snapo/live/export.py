@@ -15,7 +15,7 @@ def csv_of(rows: Iterable[Sequence[Any]]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     for row in rows:
-        writer.writerow([_cell(each) for each in row])
+        writer.writerow([_cell(item) for item in row])
     return out.getvalue()
 
 
@@ -38,24 +38,24 @@ def shown(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
 
 def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     """The rows, without the columns that end them empty."""
-    found = tables.get("value") or {}
-    yield ("value", "", "", found.get("value"), found.get("standard_error"))
-    yield ("change", "", "", found.get("change"), found.get("change_error"))
+    table = tables.get("value") or {}
+    yield ("value", "", "", table.get("value"), table.get("standard_error"))
+    yield ("change", "", "", table.get("change"), table.get("change_error"))
     for name, value in (tables.get("chosen") or {}).items():
         yield ("chosen", name, str(value), None, None)
     for name, numbers in (tables.get("values") or {}).items():
         for i, number in enumerate(numbers):
             yield ("moved", name, str(i + 1), number, None)
     yield from _sections(tables)
-    for each in tables.get("deltas") or []:
-        of = f"{each['of']} by {each['input']}" if "of" in each else each["input"]
-        yield ("move", of, "", each["effect"], None, each["low"], each["high"])
-        for row in each["rows"]:
+    for item in tables.get("deltas") or []:
+        of = f"{item['of']} by {item['input']}" if "of" in item else item["input"]
+        yield ("move", of, "", item["effect"], None, item["low"], item["high"])
+        for row in item["rows"]:
             yield ("delta", of, row["label"], row["value"], None, row["low"], row["high"])
-    for each in tables.get("fans") or []:
+    for item in tables.get("fans") or []:
         for key in ("mean", "p05", "p25", "p75", "p95"):
-            for i, number in enumerate(each[key]):
-                yield (f"{key} over time", each["name"], str(i), number, None)
+            for i, number in enumerate(item[key]):
+                yield (f"{key} over time", item["name"], str(i), number, None)
 
 
 def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
@@ -63,20 +63,20 @@ def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     today = tables.get("today") or {}
     for name, number, unit in today.get("facts", ()):
         yield ("today", name, unit, number, None)
-    for each in tables.get("sections") or []:
-        names = [f"{name}, {unit}" if unit else name for name, unit in each["columns"]]
-        for row in each["rows"]:
+    for item in tables.get("sections") or []:
+        names = [f"{name}, {unit}" if unit else name for name, unit in item["columns"]]
+        for row in item["rows"]:
             for name, cell in zip(names[1:], row[1:], strict=True):
                 number = cell if isinstance(cell, int | float) else None
                 label = name if number is not None or cell is None else f"{name}: {cell}"
-                yield (each["title"], str(row[0]), label, number, None)
+                yield (item["title"], str(row[0]), label, number, None)
 
 
 def zipped(folder: Path, name: str) -> bytes:
     """The files of a folder in a zip, in a folder `name`; links are left out."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
-        for each in sorted(folder.iterdir()):
-            if each.is_file() and not each.is_symlink():
-                packed.write(each, f"{name}/{each.name}")
+        for file in sorted(folder.iterdir()):
+            if file.is_file() and not file.is_symlink():
+                packed.write(file, f"{name}/{file.name}")
     return out.getvalue()

@@ -30,12 +30,12 @@ class Moves:
     - `slopes`: {input: d value / d number, flat}; empty where none are known.
     """
 
-    def __init__(self, study: Study, named: Mapping[str, Input], places: Places, anew: Anew):
-        self.study, self.named, self.places, self.anew = study, named, places, anew
+    def __init__(self, study: Study, inputs: Mapping[str, Input], digits: Places, rebuilt: Anew):
+        self.study, self.named, self.places, self.anew = study, inputs, digits, rebuilt
         self.slopes: dict[str, np.ndarray] = {}
 
     @abstractmethod
-    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
         """(name, table) one after another, of what is shown at these numbers and choices.
 
         **Raises:** `CaseError` where the case's own reader refuses them.
@@ -50,9 +50,9 @@ class Moves:
         """The keys of the case with a list of allowed values."""
         return choices(self.places.files, self.places.again)
 
-    def moved(self, values: Values, chosen: Chosen = NONE) -> Moved:
+    def moved(self, values: Values, selected: Chosen = NONE) -> Moved:
         """The case with these numbers and choices."""
-        files = put(self.places.files, self.choices, chosen) if chosen else None
+        files = put(self.places.files, self.choices, selected) if selected else None
         return self.places.moved(self.changed(values), files)
 
     @abstractmethod
@@ -70,37 +70,37 @@ class Moves:
     def inputs(self) -> list[dict[str, Any]]:
         """All inputs of the case, as the page shows them."""
         return [
-            described(name, given, self.slopes.get(name), self.source(name))
-            for name, given in self.named.items()
+            described(name, values, self.slopes.get(name), self.source(name))
+            for name, values in self.named.items()
         ]
 
     def units(self) -> dict[str, Any]:
         """`unit` of the value, and `units` of states and outputs by name, where they are known."""
         about, units = self.study.about, self.study.about.get("units")
-        known = dict(units) if isinstance(units, Mapping) else {}
-        return {"unit": about.get("value_unit", ""), "units": known}
+        available = dict(units) if isinstance(units, Mapping) else {}
+        return {"unit": about.get("value_unit", ""), "units": available}
 
     def changed(self, values: Values) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.
 
         **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
         """
-        found = {}
+        news = {}
         for name, value in values.items():
-            given = self.named.get(name)
-            if given is None:
+            inputs = self.named.get(name)
+            if inputs is None:
                 raise CaseError(name, "", None, "there is no such input")
             new = np.asarray(value, np.float64)
-            if new.size != given.value.size or not np.isfinite(new).all():
-                what = f"this input has {given.value.size} finite numbers"
-                raise CaseError(name, "", None, what)
-            new = new.reshape(given.value.shape)
-            if not np.array_equal(new, given.value):
-                found[name] = new
-        return found
+            if new.size != inputs.value.size or not np.isfinite(new).all():
+                message = f"this input has {inputs.value.size} finite numbers"
+                raise CaseError(name, "", None, message)
+            new = new.reshape(inputs.value.shape)
+            if not np.array_equal(new, inputs.value):
+                news[name] = new
+        return news
 
-    def files(self, values: Values, chosen: Chosen = NONE) -> Files:
+    def files(self, values: Values, selected: Chosen = NONE) -> Files:
         """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
-        files = self.moved(values, chosen).files.without(self.study.checks)
+        files = self.moved(values, selected).files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {})) | self.settings()
         return files.with_value(("evaluation",), table)

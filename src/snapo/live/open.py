@@ -26,8 +26,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
     result = run_folder.read_table(run / run_folder.RESULT) or {}
     parts = record["parts"]
     trains = "training" in parts or not parts
-    lacks = trains and not (run / run_folder.POLICY).is_file()
-    if lacks or result.get("value") is None:
+    missing = trains and not (run / run_folder.POLICY).is_file()
+    if missing or result.get("value") is None:
         raise no_policy(run, record)
     about = record.get("about", {})
     step = about.get("step")
@@ -46,7 +46,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
 
 def open_page(
     run: Path,
-    tell: Tell,
+    progress: Tell,
     *,
     simulator: tuple[str, str] | None = None,
     port: int = 0,
@@ -62,8 +62,8 @@ def open_page(
     try:
         from .server import Server
     except ModuleNotFoundError as error:
-        what = f"the page needs {error.name}: pip install 'snapo[live]'"
-        raise CaseError("snapo open", "", None, what) from None
+        message = f"the page needs {error.name}: pip install 'snapo[live]'"
+        raise CaseError("snapo open", "", None, message) from None
     worker = [sys.executable, "-m", "snapo.live.worker", str(run), "--engine", engine]
     if simulator is not None:
         worker += ["--simulator", ":".join(simulator)]
@@ -75,10 +75,10 @@ def open_page(
         try:
             await server.start(port)
         except OSError as error:
-            what = f"this machine cannot be listened to there ({error.strerror})"
-            raise CaseError("--port", "", port, what) from None
-        tell(f"the page is at {server.address}")
-        tell("it is for this machine alone; Ctrl-C ends it")
+            subject = f"this machine cannot be listened to there ({error.strerror})"
+            raise CaseError("--port", "", port, subject) from None
+        progress(f"the page is at {server.address}")
+        progress("it is for this machine alone; Ctrl-C ends it")
         if browser:
             webbrowser.open(server.address)
         try:

@@ -18,9 +18,9 @@ EXACT = {"low": None, "high": None}  # a derivative without noise has no interva
 class Recalculation(Moves):
     """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
 
-    def __init__(self, study: Study, given: Recalculated, places: Places, anew: Anew):
-        super().__init__(study, given.named, places, anew)
-        self.given, self.paths = given, 0
+    def __init__(self, study: Study, values: Recalculated, digits: Places, rebuilt: Anew):
+        super().__init__(study, values.named, digits, rebuilt)
+        self.given, self.paths = values, 0
         self._variants: dict[str, Recalculated] = {}
         self._base: np.ndarray | None = None
 
@@ -30,24 +30,24 @@ class Recalculation(Moves):
     def settings(self) -> dict[str, Any]:
         return {}
 
-    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
         """Those of the domain, the value with its change against the run."""
-        if self._base is None and (values or chosen):
+        if self._base is None and (values or selected):
             next(self.stages({}))
-        changed, case = self.changed(values), self.moved(values, chosen).case
-        for name, table in self._of(case, chosen).stages(case):
+        changed, case = self.changed(values), self.moved(values, selected).case
+        for name, table in self._of(case, selected).stages(case):
             if name == "value":
-                yield name, self._value(table, bool(changed or chosen))
+                yield name, self._value(table, bool(changed or selected))
             elif name == "deltas":
                 yield name, [self._by_handle(row) for row in table]
             else:
                 yield name, table
 
-    def _of(self, case: Any, chosen: Chosen) -> Recalculated:
+    def _of(self, case: Any, selected: Chosen) -> Recalculated:
         """What calculates at these choices: made once for each."""
-        if not chosen:
+        if not selected:
             return self.given
-        key = repr(sorted(chosen.items()))
+        key = repr(sorted(selected.items()))
         if key not in self._variants:
             made = self.anew(case).recalculated
             assert made is not None
@@ -56,10 +56,10 @@ class Recalculation(Moves):
 
     def _value(self, table: dict[str, Any], changed: bool) -> dict[str, Any]:
         """The value, and how it differs from the run's on the same paths."""
-        kept = np.asarray(table.pop("kept"))
-        self._base = kept if self._base is None else self._base
+        selected = np.asarray(table.pop("kept"))
+        self._base = selected if self._base is None else self._base
         self.paths = table["paths"]
-        change = statistics.mean(kept - self._base)
+        change = statistics.mean(selected - self._base)
         return table | {
             "change": change.value if changed else 0.0,
             "change_error": change.standard_error if changed else 0.0,
@@ -67,7 +67,7 @@ class Recalculation(Moves):
 
     def _by_handle(self, row: dict[str, Any]) -> dict[str, Any]:
         """Derivatives by what is moved together."""
-        numbers = [each["value"] for each in row["rows"]]
+        numbers = [item["value"] for item in row["rows"]]
         rows = [
             {"label": label, "value": sum(numbers[i] for i in at), **EXACT}
             for label, at in handles(self.named[row["input"]])

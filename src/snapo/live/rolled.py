@@ -40,7 +40,7 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
     """
     problem, engine = setup.problem, setup.engines.evaluate
     source, bound = problem.sources.evaluation, engine.bind(problem)
-    paths, deltas, fans = (source.available(each) for each in counts)
+    paths, deltas, fans = (source.available(count) for count in counts)
 
     def rolled(first: int, last: int):
         draws = source.draws(np.arange(first, last), problem.simulator)
@@ -49,33 +49,35 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
     if not engine.steady:
         totals = path_totals(problem, policy, counts.value, engine=engine)
         return Rolled(totals, None, rolled(0, fans).record)
-    parts, decided, shown = [], [], []
+    parts, decided, displayed = [], [], []
     for first in range(0, paths, MOST_RECORDED):
-        found = rolled(first, min(first + MOST_RECORDED, paths))
-        parts.append(float64(found.totals))
+        result = rolled(first, min(first + MOST_RECORDED, paths))
+        parts.append(float64(result.totals))
         if first < deltas:
-            decided.append(found.record["action"][:, : deltas - first])
+            decided.append(result.record["action"][:, : deltas - first])
         if first < fans:
-            shown.append(jax.tree.map(lambda x, n=fans - first: x[:, :n], found.record))
+            displayed.append(jax.tree.map(lambda x, n=fans - first: x[:, :n], result.record))
     totals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    kept = jax.tree.map(lambda *each: np.concatenate(each, 1) if each[1:] else each[0], *shown)
-    return Rolled(totals, np.concatenate(decided, 1), kept)
+    selected = jax.tree.map(
+        lambda *item: np.concatenate(item, 1) if item[1:] else item[0], *displayed
+    )
+    return Rolled(totals, np.concatenate(decided, 1), selected)
 
 
 def numbers_of_a_path(problem: Problem) -> int:
     """How many numbers the course of one path has: states, actions and outputs of all steps."""
-    simulator, known = problem.simulator, problem.schedule  # made here, outside of the trace
+    simulator, available = problem.simulator, problem.schedule  # made here, outside of the trace
 
     def step(noise, first, action):
-        schedule = jax.tree.map(jnp.asarray, known)
+        schedule = jax.tree.map(jnp.asarray, available)
         state = simulator.initial(schedule.constants, first)
         now = at(schedule.steps, 0)
         return simulator.step(schedule.constants, now, state, action, noise, Exact()), action
 
     sizes = simulator.noise_size, simulator.initial_noise_size, simulator.action.size
     with jax.enable_x64(True):
-        found = jax.eval_shape(step, *(jnp.zeros(size) for size in sizes))
-    return simulator.horizon * sum(leaf.size for leaf in jax.tree.leaves(found))
+        result = jax.eval_shape(step, *(jnp.zeros(size) for size in sizes))
+    return simulator.horizon * sum(leaf.size for leaf in jax.tree.leaves(result))
 
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:

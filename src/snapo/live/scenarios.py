@@ -34,50 +34,50 @@ class Scenarios:
 
     def all(self) -> list[dict[str, Any]]:
         """Every scenario that can be read, in the order in which they were kept."""
-        found = [_read(each / FILE) for each in sorted(self.folder.glob("*/"))]
-        return sorted((each for each in found if each), key=lambda each: each["made"])
+        results = [_read(file / FILE) for file in sorted(self.folder.glob("*/"))]
+        return sorted((item for item in results if item), key=lambda entry: entry["made"])
 
     def keep(self, name: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
         """Keeps a scenario under a name, in place of one of the same name; returns its id.
 
         **Raises:** `Refused` for a name that is none.
         """
-        said = " ".join(str(name).split())[:LONGEST]
-        if not said:
+        metadata = " ".join(str(name).split())[:LONGEST]
+        if not metadata:
             raise Refused("a scenario needs a name")
-        found = slug(said)
-        if not (self.folder / found).exists() and len(self.all()) >= MOST:
+        result = slug(metadata)
+        if not (self.folder / result).exists() and len(self.all()) >= MOST:
             raise Refused(f"a run keeps {MOST} scenarios at most; forget one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-        record = {"id": found, "name": said, "made": made, "values": dict(values)}
+        record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}
-        (self.folder / found).mkdir(parents=True, exist_ok=True)
-        write_text(self.folder / found / FILE, json.dumps(record, allow_nan=False))
-        return found
+        (self.folder / result).mkdir(parents=True, exist_ok=True)
+        write_text(self.folder / result / FILE, json.dumps(record, allow_nan=False))
+        return result
 
-    def forget(self, found: str) -> None:
+    def forget(self, result: str) -> None:
         """Removes a scenario and its case."""
-        shutil.rmtree(self.place(found), ignore_errors=True)
+        shutil.rmtree(self.place(result), ignore_errors=True)
 
-    def place(self, found: str) -> Path:
+    def place(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
         **Raises:** `Refused` for an id that is none: no path leads out of the run.
         """
-        if found != slug(found) or not (self.folder / found / FILE).is_file():
+        if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")
-        return self.folder / found
+        return self.folder / result
 
-    def zipped(self, found: str) -> bytes:
+    def zipped(self, result: str) -> bytes:
         """The case of a scenario, as a zip of its files."""
-        case = self.place(found) / CASE
+        case = self.place(result) / CASE
         if not case.is_dir():
             raise Refused("this scenario has no case of its own")
-        return zipped(case, found)
+        return zipped(case, result)
 
-    def one(self, found: str) -> str:
+    def one(self, result: str) -> str:
         """A scenario as CSV: value, moved inputs and derivatives, a number in each row."""
-        record = _read(self.place(found) / FILE)
+        record = _read(self.place(result) / FILE)
         if record is None:
             raise Refused("this scenario cannot be read")
         return csv_of(shown(record))
@@ -90,8 +90,8 @@ class Scenarios:
 def slug(name: str) -> str:
     """A name of a folder from a name: small letters, digits and single hyphens."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
-    found = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:LONGEST]
-    return found or "s-" + "-".join(f"{ord(each):x}" for each in name.strip()[:8])
+    text = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:LONGEST]
+    return text or "s-" + "-".join(f"{ord(item):x}" for item in name.strip()[:8])
 
 
 def _read(file: Path) -> dict[str, Any] | None:
@@ -99,14 +99,14 @@ def _read(file: Path) -> dict[str, Any] | None:
         record = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    good = isinstance(record, dict) and record.get("id") == file.parent.name
-    return record if good and isinstance(record.get("values"), dict) else None
+    valid = isinstance(record, dict) and record.get("id") == file.parent.name
+    return record if valid and isinstance(record.get("values"), dict) else None
 
 
 def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
     yield ("scenario", "value", "standard_error", "change", "change_error", "inputs_moved", "made")
     keys = ("value", "standard_error", "change", "change_error")
-    for each in records:
-        found = each.get("value") or {}
-        moved = " ".join(sorted([*each["values"], *(each.get("chosen") or {})]))
-        yield (each["name"], *(found.get(key) for key in keys), moved, each["made"])
+    for record in records:
+        result = record.get("value") or {}
+        moved = " ".join(sorted([*record["values"], *(record.get("chosen") or {})]))
+        yield (record["name"], *(result.get(key) for key in keys), moved, record["made"])

@@ -123,8 +123,8 @@ class Server:
 
     def _shown(self, page: str, n: int) -> Mapping[str, Any] | None:
         """The tables of a page's last move, once they are there."""
-        found = self._last.get((page, n))
-        return found if found is not None and "value" in found else None
+        result = self._last.get((page, n))
+        return result if result is not None and "value" in result else None
 
     # Pages.
 
@@ -160,19 +160,19 @@ class Server:
             n = n if isinstance(n, int) and not isinstance(n, bool) else -1
             match order.get("do"):
                 case "move":
-                    asked = {"values": _values(order.get("values")),
+                    request = {"values": _values(order.get("values")),
                              "chosen": _chosen(order.get("chosen", {}))}  # fmt: skip
                     self._last = {k: v for k, v in self._last.items() if k[0] != page}
-                    self._last[page, n] = dict(asked)
-                    await self.crew.ask({"do": "move", "page": page, "n": n, **asked})
+                    self._last[page, n] = dict(request)
+                    await self.crew.ask({"do": "move", "page": page, "n": n, **request})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
                 case "train" | "bound":
-                    found = self._last.get((page, n))
-                    if found is None or "value" not in found:
+                    result = self._last.get((page, n))
+                    if result is None or "value" not in result:
                         raise Refused("these numbers are not valued yet")
-                    given = {key: found[key] for key in ASKED}
-                    await self.crew.ask({"do": order["do"], "page": page, "n": n, **given})
+                    values = {key: result[key] for key in ASKED}
+                    await self.crew.ask({"do": order["do"], "page": page, "n": n, **values})
                 case "cancel":
                     await self.crew.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":
@@ -181,22 +181,22 @@ class Server:
                 case _:
                     raise Refused("this is no order")
         except (Refused, ValueError, OverflowError, RecursionError) as error:
-            words = str(error) if isinstance(error, Refused) else "this message cannot be read"
-            await self._send(page, {"stage": "refused", "n": n, "message": words})
+            label = str(error) if isinstance(error, Refused) else "this message cannot be read"
+            await self._send(page, {"stage": "refused", "n": n, "message": label})
         except OSError as error:
-            words = f"the run folder cannot be written ({error.strerror})"
-            await self._send(page, {"stage": "refused", "n": n, "message": words})
+            label = f"the run folder cannot be written ({error.strerror})"
+            await self._send(page, {"stage": "refused", "n": n, "message": label})
 
     async def _keep(self, page: str, n: int, name: str) -> None:
         """A scenario as it was valued, with its case; every page learns of it."""
-        found = self._last.get((page, n))
-        if found is None or "value" not in found:
+        result = self._last.get((page, n))
+        if result is None or "value" not in result:
             raise Refused("these numbers are not valued yet")
-        kept = self.scenarios.keep(name, found["values"], found)
+        selected = self.scenarios.keep(name, result["values"], result)
         await self._tell_all(self._kept())
-        folder = str(self.scenarios.place(kept) / CASE)
-        asked = {key: found[key] for key in ASKED}
-        await self.crew.ask({"do": "write", "page": page, "n": n, "folder": folder, **asked})
+        folder = str(self.scenarios.place(selected) / CASE)
+        request = {key: result[key] for key in ASKED}
+        await self.crew.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
 
     async def hear(self, message: dict[str, Any]) -> None:
         """One line of the worker: to the page that it is for, or to all."""
@@ -207,18 +207,18 @@ class Server:
         if page == "":  # a download waits for it
             self.downloads.hear(message)
             return
-        found = self._last.get((page, message["n"]))
-        if found is not None and "table" in message:
-            found[message["stage"]] = message["table"]
+        tables = self._last.get((page, message["n"]))
+        if tables is not None and "table" in message:
+            tables[message["stage"]] = message["table"]
         if message["stage"] == "written":
             await self._tell_all(self._kept())
         await self._send(page, message)
 
     def _kept(self) -> dict[str, Any]:
-        found = self.scenarios.all()
-        for each in found:
-            each["case"] = (self.scenarios.folder / each["id"] / CASE).is_dir()
-        return {"stage": "scenarios", "scenarios": found}
+        result = self.scenarios.all()
+        for item in result:
+            item["case"] = (self.scenarios.folder / item["id"] / CASE).is_dir()
+        return {"stage": "scenarios", "scenarios": result}
 
     async def _tell_all(self, message: Mapping[str, Any]) -> None:
         for page in list(self.pages):
@@ -233,12 +233,12 @@ class Server:
                 self.pages.pop(page, None)
 
 
-def _values(given: Any) -> dict[str, list[float]]:
+def _values(inputs: Any) -> dict[str, list[float]]:
     """{input: numbers} of a message; whether they suit the case, the case's reader says."""
-    if not isinstance(given, dict):
+    if not isinstance(inputs, dict):
         raise Refused("a move is a table of inputs")
-    found, size = {}, 0
-    for name, numbers in given.items():
+    values, size = {}, 0
+    for name, numbers in inputs.items():
         if not isinstance(numbers, list):
             raise Refused(f"{name}: an input is a list of numbers")
         size += len(numbers)
@@ -249,18 +249,18 @@ def _values(given: Any) -> dict[str, list[float]]:
                 raise Refused(f"{name}: an input is a list of numbers")
             if not math.isfinite(number):
                 raise Refused(f"{name}: every number must be finite")
-        found[name] = [float(number) for number in numbers]
-    return found
+        values[name] = [float(number) for number in numbers]
+    return values
 
 
-def _chosen(given: Any) -> dict[str, str | bool]:
+def _chosen(values: Any) -> dict[str, str | bool]:
     """{key: another value} of a message; whether the case can have it, its reader says."""
-    if not isinstance(given, dict) or len(given) > MOST_CHOICES:
+    if not isinstance(values, dict) or len(values) > MOST_CHOICES:
         raise Refused("choices are a table of words and switches")
-    for name, value in given.items():
+    for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
             raise Refused(f"{name[:60]}: a choice is a word or a switch")
-    return dict(given)
+    return dict(values)
 
 
 def _sent(name: str) -> web.Response:

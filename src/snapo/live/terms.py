@@ -33,7 +33,7 @@ def handles(entry: Input) -> list[tuple[str, list[int]]]:
 
 def _written(label: str) -> str:
     """A label with raised powers: "t^2" as "t²"."""
-    return re.sub(r"\^(\d+)", lambda found: raised(found[1]), label)
+    return re.sub(r"\^(\d+)", lambda result: raised(result[1]), label)
 
 
 def _days(labels: tuple[str, ...]) -> bool:
@@ -72,23 +72,23 @@ def own_unit(entry: Input) -> tuple[float, str]:
     return entry.trade_factor, entry.trade_unit
 
 
-def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str, np.ndarray]:
+def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
     """d value / d number of every input, flat: the derivative that the run reports.
 
     Of an input of which only the change along a bump of all its numbers is known, each number has
     its share of that.
     """
     if table is None:
-        return {name: np.zeros(entry.value.size) for name, entry in named.items()}
-    return {name: _slopes(table.of(name)) for name in named}
+        return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}
+    return {name: _slopes(table.of(name)) for name in inputs}
 
 
 def _slopes(derivative: Reported) -> np.ndarray:
     value, by = derivative.value.ravel(), derivative.by.ravel()
     if np.isfinite(value).all():
         return value
-    whole, square = float(np.mean(derivative.whole)), float(by @ by)
-    return by * (whole / square) if square and np.isfinite(whole) else np.zeros(by.size)
+    complete, square = float(np.mean(derivative.whole)), float(by @ by)
+    return by * (complete / square) if square and np.isfinite(complete) else np.zeros(by.size)
 
 
 class Deltas(NamedTuple):
@@ -111,8 +111,8 @@ class Deltas(NamedTuple):
         stands as it is at the run's inputs.
         """
         now, before = self.now[name], self.before.get(name)
-        known = self.table is not None and name in self.table.inputs
-        if not known or before is None or before.blocks.shape != now.blocks.shape:
+        available = self.table is not None and name in self.table.inputs
+        if not available or before is None or before.blocks.shape != now.blocks.shape:
             return plain(now, by).along(direction)
         assert self.table is not None
         reported = self.table.of(name).along(direction)
@@ -132,9 +132,9 @@ class Deltas(NamedTuple):
         )
 
 
-def derivatives(deltas: Deltas, named: Mapping[str, Input]) -> list[dict[str, Any]]:
+def derivatives(deltas: Deltas, inputs: Mapping[str, Input]) -> list[dict[str, Any]]:
     """A row for each input: the effect of its move, and of one unit more at every handle."""
-    return [_derivative(name, deltas, named[name]) for name in named]
+    return [_derivative(name, deltas, inputs[name]) for name in inputs]
 
 
 def usual(entry: Input) -> np.ndarray:

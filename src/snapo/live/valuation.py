@@ -43,11 +43,11 @@ class Valuation(Moves):
     """A run with a policy, ready to be valued at other inputs."""
 
     def __init__(
-        self, study: Study, solution: Solution, places: Places, counts: Counts, anew: Anew
+        self, study: Study, solution: Solution, digits: Places, counts: Counts, rebuilt: Anew
     ):
         assert study.setup is not None
         self.setup = study.setup()
-        super().__init__(study, self.setup.problem.named, places, anew)
+        super().__init__(study, self.setup.problem.named, digits, rebuilt)
         self.solution, self.counts = solution, counts
         self.slopes = slopes(solution.sensitivities, self.named)
         self._base: np.ndarray | None = None
@@ -66,25 +66,25 @@ class Valuation(Moves):
     def settings(self) -> dict[str, Any]:
         return {"paths": self.counts.value, "sensitivity_paths": self.counts.deltas}
 
-    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
         """Value, the domain's own sections, deltas, today, fans."""
         changed = self.changed(values)
-        study, setup = self._at(values, chosen)
+        study, setup = self._at(values, selected)
         policy = self.solution.policy
         assert policy is not None
-        rolled = roll(setup, policy, self.counts)
-        if (changed or chosen) and (bad := _too_many(setup, rolled.totals)):
-            raise self._no_value(changed, chosen, bad)
-        yield "value", self._value(setup, rolled, changed, bool(changed or chosen))
+        rollout = roll(setup, policy, self.counts)
+        if (changed or selected) and (invalid := _too_many(setup, rollout.totals)):
+            raise self._no_value(changed, selected, invalid)
+        yield "value", self._value(setup, rollout, changed, bool(changed or selected))
         if study.shown is not None:
             source = setup.problem.sources.evaluation
             groups = source.groups(np.arange(source.available(self.counts.value)))
-            found = study.shown(Measured(setup, rolled.totals, groups))
-            yield "sections", [each._asdict() for each in found]
-        yield "deltas", self._deltas(setup, rolled, bool(changed or chosen))
+            result = study.shown(Measured(setup, rollout.totals, groups))
+            yield "sections", [item._asdict() for item in result]
+        yield "deltas", self._deltas(setup, rollout, bool(changed or selected))
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
-        yield "fans", fans(rolled.shown)
+        yield "fans", fans(rollout.shown)
         self._last = setup
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
@@ -92,29 +92,29 @@ class Valuation(Moves):
         yield "health", self._health(self._last)
 
     def train_again(
-        self, values: Values, told: Callable[[int, int], None], chosen: Chosen = NONE
+        self, values: Values, summary: Callable[[int, int], None], selected: Chosen = NONE
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and what that gains on the same paths.
 
         It starts from the run's policy, which stays the one that the page values. `told` hears of
         the steps done and of all; what it raises ends the training.
         """
-        setup, policy = self._at(values, chosen)[1], self.solution.policy
+        setup, policy = self._at(values, selected)[1], self.solution.policy
         assert policy is not None
         steps = setup.training.steps
         training = replace(setup.training, validation_every=max(1, steps // TOLD))
         state = begin(policy, training)
-        told(0, steps)
+        summary(0, steps)
         state = train(
             setup.problem, state, training, setup.engines.train,
-            [lambda progress: told(progress.step, steps)],
+            [lambda progress: summary(progress.step, steps)],
         )  # fmt: skip
         before, _ = self._totals_worth(setup)
-        after, found = self._totals_worth(setup, state.best)
+        after, result = self._totals_worth(setup, state.best)
         gain = statistics.of_shares(after - before)
         return {
-            "value": found.value,
-            "standard_error": found.standard_error,
+            "value": result.value,
+            "standard_error": result.standard_error,
             "gain": gain.value,
             "gain_error": gain.standard_error,
             "steps": state.step,
@@ -126,14 +126,14 @@ class Valuation(Moves):
         """Whether the domain bounds the best policy's value from above."""
         return not isinstance(self.study.relaxation, str)
 
-    def bound_here(self, values: Values, chosen: Chosen = NONE) -> dict[str, Any]:
+    def bound_here(self, values: Values, selected: Chosen = NONE) -> dict[str, Any]:
         """The value between two bounds at these inputs: how much the best policy could gain.
 
         **Raises:** `CaseError` where the domain has no bound here; it says why.
         """
-        policy, (_, setup) = self.solution.policy, self._at(values, chosen)
+        policy, (_, setup) = self.solution.policy, self._at(values, selected)
         assert policy is not None
-        relaxation = self.anew(self.moved(values, chosen).case).relaxation
+        relaxation = self.anew(self.moved(values, selected).case).relaxation
         if isinstance(relaxation, str):
             raise CaseError("the bound", "", None, relaxation)
         engine = setup.engines.evaluate
@@ -141,45 +141,47 @@ class Valuation(Moves):
             setup.problem, policy, relaxation=relaxation(), paths=BOUND_PATHS, engine=engine
         ).row()
 
-    def _at(self, values: Values, chosen: Chosen = NONE) -> tuple[Study, Setup]:
+    def _at(self, values: Values, selected: Chosen = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""
-        changed, moved = self.changed(values), self.moved(values, chosen)
-        study, setup = self._variant(chosen) if chosen else (self.study, self.setup)
+        changed, moved = self.changed(values), self.moved(values, selected)
+        study, setup = self._variant(selected) if selected else (self.study, self.setup)
         if not changed:
             return study, setup
         assert study.moved is not None
         return study, study.moved(setup, moved.case)
 
-    def _variant(self, chosen: Chosen) -> tuple[Study, Setup]:
+    def _variant(self, selected: Chosen) -> tuple[Study, Setup]:
         """The study of other choices: made and compiled once for each.
 
         **Raises:** `CaseError` where the run's policy does not fit it.
         """
-        key = repr(sorted(chosen.items()))
+        key = repr(sorted(selected.items()))
         if key not in self._variants:
-            study = self.anew(self.moved({}, chosen).case)
+            study = self.anew(self.moved({}, selected).case)
             if study.setup is None or not _alike(study.setup().policy, self.setup.policy):
-                what = "the run's policy decides something else; keep this as a case, and solve it"
-                raise CaseError(", ".join(chosen), "", None, what)
+                message = (
+                    "the run's policy decides something else; keep this as a case, and solve it"
+                )
+                raise CaseError(", ".join(selected), "", None, message)
             self._variants[key] = study, study.setup()
         return self._variants[key]
 
-    def _no_value(self, changed: Values, chosen: Chosen, bad: int) -> CaseError:
+    def _no_value(self, changed: Values, selected: Chosen, invalid: int) -> CaseError:
         """The refusal of numbers without a value; of several, those that have none alone."""
         wrong, policy = dict(changed), self.solution.policy
         assert policy is not None
         if 1 < len(changed) <= MOST:
             for name, new in changed.items():
-                setup = self._at({name: new}, chosen)[1]
+                setup = self._at({name: new}, selected)[1]
                 if not _too_many(setup, totals_of(setup, policy, self.counts.value)):
                     del wrong[name]
         source = self.setup.problem.sources.evaluation
-        return no_value(wrong or changed, self.named, bad, source.available(self.counts.value))
+        return no_value(wrong or changed, self.named, invalid, source.available(self.counts.value))
 
     def _value(
-        self, setup: Setup, rolled: Rolled, changed: Values, differs: bool
+        self, setup: Setup, rollout: Rolled, changed: Values, differs: bool
     ) -> dict[str, Any]:
-        groups, found = _worth(setup, rolled.totals)
+        groups, result = _worth(setup, rollout.totals)
         if self._base is None:
             self._base = self._totals_worth(self.setup)[0] if differs else groups
         change = statistics.of_shares(groups - self._base)
@@ -188,8 +190,8 @@ class Valuation(Moves):
             for name, new in changed.items()
         }
         return {
-            "value": found.value,
-            "standard_error": found.standard_error,
+            "value": result.value,
+            "standard_error": result.standard_error,
             "paths": setup.problem.sources.evaluation.available(self.counts.value),
             "change": change.value if differs else 0.0,
             "change_error": change.standard_error if differs else 0.0,
@@ -203,25 +205,25 @@ class Valuation(Moves):
         assert policy is not None
         return _worth(setup, totals_of(setup, policy, self.counts.value))
 
-    def _deltas(self, setup: Setup, rolled: Rolled, differs: bool) -> list[dict[str, Any]]:
+    def _deltas(self, setup: Setup, rollout: Rolled, differs: bool) -> list[dict[str, Any]]:
         """The reported derivatives, with their intervals."""
         if differs and self._held is None:
             policy = self.solution.policy
             assert policy is not None
             self._held = self._held_at(self.setup, roll(self.setup, policy, self.counts))
-        now = self._held_at(setup, rolled) if differs or self._held is None else self._held
+        now = self._held_at(setup, rollout) if differs or self._held is None else self._held
         self._held = now if self._held is None else self._held
         return derivatives(
             Deltas(self.solution.sensitivities, self._held, now), setup.problem.named
         )
 
-    def _held_at(self, setup: Setup, rolled: Rolled) -> dict[str, Estimate]:
+    def _held_at(self, setup: Setup, rollout: Rolled) -> dict[str, Estimate]:
         policy = self.solution.policy
         assert policy is not None
         return sensitivities(
             setup.problem, policy, paths=self.counts.deltas,
-            engine=setup.engines.evaluate, actions=rolled.actions,
-            totals=None if rolled.actions is None else rolled.totals,
+            engine=setup.engines.evaluate, actions=rollout.actions,
+            totals=None if rollout.actions is None else rollout.totals,
         ).held  # fmt: skip
 
     def _health(self, setup: Setup) -> dict[str, Any]:
@@ -241,21 +243,21 @@ class Valuation(Moves):
         source = problem.sources.evaluation
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)
         bound = setup.engines.evaluate.bind(problem, controls=False)
-        way = Way(problem, bound, policy, smooth, held=False, inputs=False)
-        return way.derivatives(blocks).policy.norm()
+        path = Way(problem, bound, policy, smooth, held=False, inputs=False)
+        return path.derivatives(blocks).policy.norm()
 
 
 def _alike(one: Policy, other: Policy) -> bool:
     """Whether two policies have the same parts, decide on the same set, and are of one shape."""
-    shapes = [[np.shape(x) for x in jax.tree.leaves(each)] for each in (one, other)]
+    shapes = [[np.shape(x) for x in jax.tree.leaves(item)] for item in (one, other)]
     return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
 
 
-def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
+def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Bands over time of every number of state and outputs, and of the actions."""
-    found = []
+    results = []
     for kind in KINDS:
-        for name, values in leaves(shown[kind]).items():
+        for name, values in leaves(displayed[kind]).items():
             values = np.asarray(values, np.float64)
             values = values.reshape(*values.shape[:2], -1)
             if values.shape[2] > MOST_ENTRIES:
@@ -263,20 +265,20 @@ def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
             for i in range(values.shape[2]):
                 full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
                 lines = {line: x.tolist() for line, x in bands(values[:, :, i]).items()}
-                found.append({"name": full, "kind": kind, **lines})
-    return found
+                results.append({"name": full, "kind": kind, **lines})
+    return results
 
 
 def _too_many(setup: Setup, totals: Totals) -> int:
     """The number of paths that are not finite, where that leaves no value; else 0."""
     objective = setup.problem.objective
-    known = len(kept(objective, totals)[objective.outputs[0]])
-    return 0 if known else int(np.sum(~finite(totals, objective.outputs)))
+    available = len(kept(objective, totals)[objective.outputs[0]])
+    return 0 if available else int(np.sum(~finite(totals, objective.outputs)))
 
 
 def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:
     """The shares of independent groups of paths, and the value that they make."""
     problem = setup.problem
-    given = problem.objective, totals, problem.sources.evaluation
+    values = problem.objective, totals, problem.sources.evaluation
     controls = problem.simulator.control_variates()
-    return worth_of_groups(*given, controls), estimate(*given, controls)
+    return worth_of_groups(*values, controls), estimate(*values, controls)

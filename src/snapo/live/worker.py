@@ -56,21 +56,21 @@ def open_run(
     study = domain.study(case, options_of_run(domain, case, record, engine))
     files = read_files(file.parent, data)
     if study.setup is None and study.recalculated is not None:
-        given = study.recalculated()
-        places = Places(domain.read, files, given.named, study.inputs, case)
-        return Recalculation(study, given, places, anew)
+        values = study.recalculated()
+        digits = Places(domain.read, files, values.named, study.inputs, case)
+        return Recalculation(study, values, digits, anew)
     if study.setup is None:
-        what = "this run trained no policy, and there is none to value again"
-        raise CaseError(str(run), "", None, what)
+        message = "this run trained no policy, and there is none to value again"
+        raise CaseError(str(run), "", None, message)
     if study.moved is None:
-        what = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
-        raise CaseError("snapo open", "", None, what)
+        message = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
+        raise CaseError("snapo open", "", None, message)
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
-    places = Places(domain.read, files, setup.problem.named, study.inputs, case)
+    digits = Places(domain.read, files, setup.problem.named, study.inputs, case)
     if counts is None:
         counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
-    return Valuation(study, solution, places, counts, anew)
+    return Valuation(study, solution, digits, counts, anew)
 
 
 REST = 0.4  # seconds without an order, after which what can wait is computed
@@ -131,8 +131,8 @@ def serve(valuation: Moves, desk: Desk, post: Post, module: str | None = None) -
             elif order["do"] == "train" and isinstance(valuation, Valuation):
                 _train(valuation, desk, post, order)
             elif order["do"] == "bound" and isinstance(valuation, Valuation):
-                found = valuation.bound_here(order["values"], order.get("chosen") or {})
-                post(page=order["page"], n=order["n"], stage="bounded", table=found)
+                result = valuation.bound_here(order["values"], order.get("chosen") or {})
+                post(page=order["page"], n=order["n"], stage="bounded", table=result)
             elif order["do"] == "write":
                 _write(valuation, order)
                 post(page=order["page"], n=order["n"], stage="written", folder=order["folder"])
@@ -140,22 +140,22 @@ def serve(valuation: Moves, desk: Desk, post: Post, module: str | None = None) -
             post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))
         except Exception as error:
             moved = [*order.get("values", {}), *(order.get("chosen") or {})]
-            words = stopped(error, moved, module)
-            post(page=order["page"], n=order["n"], stage="refused", message=words)
+            text = stopped(error, moved, module)
+            post(page=order["page"], n=order["n"], stage="refused", message=text)
 
 
 def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
-    started, found = time.perf_counter(), ("", None)
+    started, stage = time.perf_counter(), ("", None)
     stages = valuation.stages(order["values"], order.get("chosen") or {})
     while not desk.stale(order):
-        found = next(stages, None)
+        stage = next(stages, None)
         seconds = time.perf_counter() - started
         address = {"page": order["page"], "n": order["n"], "seconds": seconds}
-        if found is None:
+        if stage is None:
             post(**address, stage="done")
             break
-        post(**address, stage=found[0], table=found[1])
-    if found is None and desk.rests(REST):
+        post(**address, stage=stage[0], table=stage[1])
+    if stage is None and desk.rests(REST):
         for name, table in valuation.afterwards():
             post(page=order["page"], n=order["n"], stage=name, table=table)
 
@@ -172,9 +172,9 @@ def _write(valuation: Moves, order: Mapping[str, Any]) -> None:
         files.write(Path(made))
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_workbook(Path(made), files.tables, Path(folder) / "case.xlsx")
-        for each in Path(made).iterdir():
-            if each.suffix not in (".csv", ".toml"):
-                shutil.copyfile(each, Path(folder) / each.name)
+        for file in Path(made).iterdir():
+            if file.suffix not in (".csv", ".toml"):
+                shutil.copyfile(file, Path(folder) / file.name)
 
 
 class Cancelled(Exception):
@@ -190,16 +190,16 @@ def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any
         post(**address, stage="training", table={"step": step, "of": of})
 
     try:
-        found = valuation.train_again(order["values"], told, order.get("chosen") or {})
+        result = valuation.train_again(order["values"], told, order.get("chosen") or {})
     except Cancelled:
         post(**address, stage="cancelled")
     else:
-        post(**address, stage="trained", table=found)
+        post(**address, stage="trained", table=result)
 
 
 def in_words(error: CaseError) -> str:
     """A refusal for the page: the case was written to a folder that its owner has not seen."""
-    return " ".join(_short(each) for each in (error, *error.others))
+    return " ".join(_short(item) for item in (error, *error.others))
 
 
 def _short(error: CaseError) -> str:
@@ -232,11 +232,11 @@ def main(arguments: list[str] | None = None) -> int:
     base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
     base |= dict(valuation.afterwards())
     counts = valuation.counted()
-    known = [each._asdict() for each in valuation.choices]
+    available = [choice._asdict() for choice in valuation.choices]
     bounded = isinstance(valuation, Valuation) and valuation.bounded
     ready = {
         "inputs": valuation.inputs(),
-        "choices": known,
+        "choices": available,
         "base": base,
         "counts": counts,
         "bounded": bounded,

@@ -22,8 +22,8 @@ def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
     >>> [round(float(snapo.wrap_angle(np.pi * x)), 4) for x in (0.5, 1.5, -6.25)]
     [1.5708, -1.5708, -0.7854]
     """
-    given = jnp.asarray(angle)
-    return given - TURN * jnp.floor(given / TURN + 0.5)
+    values = jnp.asarray(angle)
+    return values - TURN * jnp.floor(values / TURN + 0.5)
 
 
 def angle_features(angle: ArrayLike) -> Float[Array, " *shape 2"]:
@@ -32,5 +32,5 @@ def angle_features(angle: ArrayLike) -> Float[Array, " *shape 2"]:
     >>> snapo.angle_features(np.float32(0.0)).tolist()
     [1.0, 0.0]
     """
-    given = jnp.asarray(angle)
-    return jnp.stack([jnp.cos(given), jnp.sin(given)], -1)
+    values = jnp.asarray(angle)
+    return jnp.stack([jnp.cos(values), jnp.sin(values)], -1)

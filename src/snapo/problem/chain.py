@@ -54,7 +54,7 @@ class Chain(Simulator):
                 f"Chain: names are {self.names}; give {len(self.stages)} different ones."
             )
         sets = [stage.action for stage in self.stages]
-        if not self._alike and not all(isinstance(each, Box) for each in sets):
+        if not self._alike and not all(isinstance(item, Box) for item in sets):
             raise ValueError(
                 f"Chain: the stages' action sets are {sets}; all must be Boxes, or the same set."
             )
@@ -76,9 +76,12 @@ class Chain(Simulator):
         size = max(stage.action.size for stage in self.stages)
         low, high = np.full(size, np.inf), np.full(size, -np.inf)
         for stage in self.stages:
-            own = slice(stage.action.size)
-            least, most = stage.action.bounds()
-            low[own], high[own] = np.minimum(low[own], least), np.maximum(high[own], most)
+            local = slice(stage.action.size)
+            minimum, maximum = stage.action.bounds()
+            low[local], high[local] = (
+                np.minimum(low[local], minimum),
+                np.maximum(high[local], maximum),
+            )
         return Box(low, high, size)
 
     @property
@@ -90,31 +93,31 @@ class Chain(Simulator):
         return self.stages[0].initial_noise_size
 
     def prepare(self, inputs: PyTree) -> Schedule:
-        schedules = [s.prepare(given) for s, given in zip(self.stages, self._inputs(inputs))]
-        ends = [sum(s.horizon for s in self.stages[: i + 1]) for i in range(len(self.stages))]
+        schedules = [s.prepare(values) for s, values in zip(self.stages, self._inputs(inputs))]
+        endpoints = [sum(s.horizon for s in self.stages[: i + 1]) for i in range(len(self.stages))]
         steps = jnp.arange(self.horizon)
         padded = []
-        for stage, schedule, end in zip(self.stages, schedules, ends):
+        for stage, schedule, end in zip(self.stages, schedules, endpoints):
             # Outside its stage a schedule repeats its edge, which no step reads.
-            own = jnp.clip(steps - (end - stage.horizon), 0, stage.horizon - 1)
+            local = jnp.clip(steps - (end - stage.horizon), 0, stage.horizon - 1)
             padded.append(
-                jax.tree.map(lambda leaf, own=own: jnp.asarray(leaf)[own], schedule.steps)
+                jax.tree.map(lambda leaf, custom=local: jnp.asarray(leaf)[custom], schedule.steps)
             )
-        last = jnp.asarray(ends[:-1], int)
-        branch = 2 * jnp.searchsorted(jnp.asarray(ends), steps, side="right")
+        last = jnp.asarray(endpoints[:-1], int)
+        branch = 2 * jnp.searchsorted(jnp.asarray(endpoints), steps, side="right")
         branch = branch + jnp.isin(steps + 1, last)
         constants = tuple(schedule.constants for schedule in schedules)
         return Schedule(constants, {"branch": branch.astype(jnp.int32), "stages": tuple(padded)})
 
     def initial(self, constants, noise):
         first = self.stages[0].initial(constants[0], noise)
-        kept = {name: jnp.zeros(()) for name, kind in self.totals().items() if kind == "last"}
-        return {"stages": self._placeholders(constants, first), "last": kept}
+        selected = {name: jnp.zeros(()) for name, kind in self.totals().items() if kind == "last"}
+        return {"stages": self._placeholders(constants, first), "last": selected}
 
     def observe(self, constants, now, state):
         def stage(i):
-            own = self.stages[i].observe(constants[i], now["stages"][i], state["stages"][i])
-            return jnp.zeros(features, own.dtype).at[: own.shape[0]].set(own)
+            local = self.stages[i].observe(constants[i], now["stages"][i], state["stages"][i])
+            return jnp.zeros(features, local.dtype).at[: local.shape[0]].set(local)
 
         shapes = [
             jax.eval_shape(s.observe, constants[i], now["stages"][i], state["stages"][i])
@@ -122,26 +125,28 @@ class Chain(Simulator):
         ]
         features = max(shape.shape[0] for shape in shapes)
         number = now["branch"] // 2
-        seen = jax.lax.switch(number, [lambda i=i: stage(i) for i in range(len(self.stages))])
-        return jnp.concatenate([seen, jax.nn.one_hot(number, len(self.stages), dtype=seen.dtype)])
+        observed = jax.lax.switch(number, [lambda i=i: stage(i) for i in range(len(self.stages))])
+        return jnp.concatenate(
+            [observed, jax.nn.one_hot(number, len(self.stages), dtype=observed.dtype)]
+        )
 
     def step(self, constants, now, state, action, noise, smooth):
         def run(i):
             """One step of stage i: its next state, and its outputs as the chain names them."""
             simulator = self.stages[i]
-            drawn, chosen = noise[: simulator.noise_size], self._own(i, action)
+            drawn, selected = noise[: simulator.noise_size], self._own(i, action)
             after, outputs = simulator.step(
-                constants[i], now["stages"][i], state["stages"][i], chosen, drawn, smooth
+                constants[i], now["stages"][i], state["stages"][i], selected, drawn, smooth
             )
             return after, self._named(i, outputs)
 
         def leave(i):
             """The last step of stage i: its terminal outputs count, and the next stage begins."""
             after, outputs = run(i)
-            ends = self._named(i, self.stages[i].terminal(constants[i], after, smooth))
+            endpoints = self._named(i, self.stages[i].terminal(constants[i], after, smooth))
             return (
                 after,
-                self._joined(outputs, ends),
+                self._joined(outputs, endpoints),
                 self.maps[i](constants[i], after, constants[i + 1]),
             )
 
@@ -192,38 +197,40 @@ class Chain(Simulator):
         return kinds
 
     def control_variates(self) -> tuple[str, ...]:
-        found = [
+        prefixes = [
             self._prefix(i) + n for i, s in enumerate(self.stages) for n in s.control_variates()
         ]
-        return tuple(dict.fromkeys(found))
+        return tuple(dict.fromkeys(prefixes))
 
     def in_mean(self) -> tuple[str, ...]:
         # By every name that a stage's input may have: shared by all, or of one place or name.
-        found = []
+        results = []
         for i, stage in enumerate(self.stages):
             of = ("", f"{i}.", *(f"{name}." for name in self.names[i : i + 1]))
-            found += [prefix + name for prefix in of for name in stage.in_mean()]
-        return tuple(dict.fromkeys(found))
+            results += [prefix + name for prefix in of for name in stage.in_mean()]
+        return tuple(dict.fromkeys(results))
 
     def state_scale(self, constants):
         first = jax.eval_shape(lambda: self.initial(constants, jnp.zeros(self.initial_noise_size)))
         scales = []
         for i, (stage, shape) in enumerate(zip(self.stages, first["stages"])):
-            own = stage.state_scale(constants[i])
-            scales.append(jax.tree.map(lambda s: jnp.ones(s.shape), shape) if own is None else own)
+            local = stage.state_scale(constants[i])
+            scales.append(
+                jax.tree.map(lambda s: jnp.ones(s.shape), shape) if local is None else local
+            )
         return {"stages": tuple(scales), "last": dict.fromkeys(first["last"], jnp.ones(()))}
 
     def slack(self, constants, now, state, outputs):
         def stage(i):
             prefix = self._prefix(i)
-            own = {name: outputs[prefix + name] for name in _names_of(outputs, prefix)}
-            found = self.stages[i].slack(constants[i], now["stages"][i], state["stages"][i], own)
-            return self._named(i, found)
+            local = {name: outputs[prefix + name] for name in _names_of(outputs, prefix)}
+            slack = self.stages[i].slack(constants[i], now["stages"][i], state["stages"][i], local)
+            return self._named(i, slack)
 
         def padded(i):
-            found = stage(i)
+            result = stage(i)
             return {
-                name: jnp.asarray(found.get(name, full), full.dtype) for name, full in free.items()
+                name: jnp.asarray(result.get(name, full), full.dtype) for name, full in free.items()
             }
 
         free: dict[str, Any] = {}
@@ -247,7 +254,7 @@ class Chain(Simulator):
                 for i, stage in enumerate(self.stages)
             ]
 
-        sizes = [seen.shape[0] for seen in jax.eval_shape(observations)]
+        sizes = [observed.shape[0] for observed in jax.eval_shape(observations)]
         stages = [Interface(stage.action, size) for stage, size in zip(self.stages, sizes)]
         return Interface(self.action, max(sizes) + len(sizes), tuple(stages))
 
@@ -255,13 +262,15 @@ class Chain(Simulator):
         """The numbers of an action that stage i reads, within its own bounds."""
         if self._alike:
             return action
-        own = self.stages[i].action
-        low, high = own.bounds()
-        least, most = (bound[: own.size] for bound in self.action.bounds())
-        chosen = action[: own.size]
-        if np.array_equal(low, least) and np.array_equal(high, most):
-            return chosen
-        return jnp.clip(chosen, jnp.asarray(low, chosen.dtype), jnp.asarray(high, chosen.dtype))
+        local = self.stages[i].action
+        low, high = local.bounds()
+        minimum, maximum = (bound[: local.size] for bound in self.action.bounds())
+        selected = action[: local.size]
+        if np.array_equal(low, minimum) and np.array_equal(high, maximum):
+            return selected
+        return jnp.clip(
+            selected, jnp.asarray(low, selected.dtype), jnp.asarray(high, selected.dtype)
+        )
 
     def _inputs(self, inputs) -> Sequence[PyTree]:
         if isinstance(inputs, Mapping) and self.names:
@@ -284,10 +293,10 @@ class Chain(Simulator):
     def _named(self, i: int, outputs: Mapping[str, Any]) -> dict[str, Any]:
         return {self._prefix(i) + name: value for name, value in outputs.items()}
 
-    def _joined(self, outputs: dict, ends: dict) -> dict:
+    def _joined(self, outputs: dict, endpoints: dict) -> dict:
         """The outputs of a last step together with the terminal ones, by the kind of total."""
         joined, kinds = dict(outputs), self.totals()
-        for name, value in ends.items():
+        for name, value in endpoints.items():
             kind = kinds.get(name, "sum")
             if name not in joined or kind == "last":
                 joined[name] = value

@@ -29,20 +29,20 @@ def compiled(objective, version: Version) -> tuple[Callable, Callable]:
 def value(objective, totals: Mapping[str, np.ndarray]) -> float:
     """The formula on these paths."""
     with jax.enable_x64(True):
-        found = np.asarray(_known(objective, totals)[0](dict(totals)))
-    if found.shape != ():
+        result = np.asarray(_known(objective, totals)[0](dict(totals)))
+    if result.shape != ():
         raise TypeError(
-            f"{type(objective).__name__}: the formula gives shape {found.shape}; an objective is "
+            f"{type(objective).__name__}: the formula gives shape {result.shape}; an objective is "
             "one number, such as jnp.mean(x)."
         )
-    return float(found)
+    return float(result)
 
 
 def weights(objective, totals: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """d formula / d path total: {name: [N]}."""
     with jax.enable_x64(True):
-        found = _known(objective, totals)[1](dict(totals))
-        return {name: np.asarray(weight) for name, weight in found.items()}
+        result = _known(objective, totals)[1](dict(totals))
+        return {name: np.asarray(weight) for name, weight in result.items()}
 
 
 def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -64,10 +64,10 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
         # One path has no sampling error, and a formula need not exist for it alone.
         return np.array([centre if np.isfinite(centre) else 0.0])
     with jax.enable_x64(True):
-        found = _by_mass(objective, totals, size)
-        if found is None:
-            found = (_by_slope if len(totals) == 1 else _by_curve)(objective, totals, size)
-    return centre + found - found.mean()
+        mass = _by_mass(objective, totals, size)
+        if mass is None:
+            mass = (_by_slope if len(totals) == 1 else _by_curve)(objective, totals, size)
+    return centre + mass - mass.mean()
 
 
 def _by_mass(objective, totals, size: int) -> np.ndarray | None:
@@ -75,9 +75,9 @@ def _by_mass(objective, totals, size: int) -> np.ndarray | None:
     version = of_formula(objective, totals)
     weighted, slopes = _massed_formula(objective, tuple(totals), size, version)
     # A mass of two must be the same as a path twice.
-    chosen = np.random.default_rng(0).integers(0, size, size)
-    mass = np.bincount(chosen, minlength=size).astype(np.float64)
-    expected = value(objective, {name: total[chosen] for name, total in totals.items()})
+    selected = np.random.default_rng(0).integers(0, size, size)
+    mass = np.bincount(selected, minlength=size).astype(np.float64)
+    expected = value(objective, {name: total[selected] for name, total in totals.items()})
     if not np.isclose(weighted(mass, totals), expected, rtol=AGREEMENT, atol=0.0, equal_nan=True):
         return None
     return size * np.asarray(slopes(np.ones(size), totals))
@@ -103,13 +103,13 @@ def _evaluate(jaxpr, consts, values, mass, size: int):
     """A formula's equations, with the paths' masses in every sum over an axis of paths."""
     env = dict(zip(jaxpr.constvars, consts)) | dict(zip(jaxpr.invars, values))
     for eqn in jaxpr.eqns:
-        given = [a.val if isinstance(a, jex.Literal) else env[a] for a in eqn.invars]
+        inputs = [a.val if isinstance(a, jex.Literal) else env[a] for a in eqn.invars]
         inner = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)
         if isinstance(inner, jex.ClosedJaxpr) and eqn.primitive.name in _CALLS:
-            out = _evaluate(inner.jaxpr, inner.consts, given, mass, size)
+            out = _evaluate(inner.jaxpr, inner.consts, inputs, mass, size)
         else:
-            given = _massed(eqn, given, mass, size)
-            out = eqn.primitive.bind(*given, **eqn.primitive.get_bind_params(eqn.params))
+            inputs = _massed(eqn, inputs, mass, size)
+            out = eqn.primitive.bind(*inputs, **eqn.primitive.get_bind_params(eqn.params))
             out = out if eqn.primitive.multiple_results else [out]
         env.update(zip(eqn.outvars, out))
     return [a.val if isinstance(a, jex.Literal) else env[a] for a in jaxpr.outvars]
@@ -118,20 +118,20 @@ def _evaluate(jaxpr, consts, values, mass, size: int):
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
 
 
-def _massed(eqn, given, mass, size: int):
+def _massed(eqn, values, mass, size: int):
     """The operands of an equation; those of a sum over paths are multiplied by the masses."""
     if eqn.primitive.name == "reduce_sum":
         axes = eqn.params["axes"]
     elif eqn.primitive.name == "dot_general":
         axes = eqn.params["dimension_numbers"][0][0]
     else:
-        return given
-    first = given[0]
+        return values
+    first = values[0]
     for axis in axes:
         if first.shape[axis] == size and jnp.issubdtype(first.dtype, jnp.floating):
             shape = [size if i == axis else 1 for i in range(first.ndim)]
             first = first * mass.reshape(shape)
-    return [first, *given[1:]]
+    return [first, *values[1:]]
 
 
 def _by_slope(objective, totals, size: int) -> np.ndarray:
@@ -140,15 +140,15 @@ def _by_slope(objective, totals, size: int) -> np.ndarray:
     slope = size * weights(objective, totals)[name]
     order = np.argsort(x, kind="stable")
     means = (slope[order][1:] + slope[order][:-1]) / 2
-    found = np.empty(size)
-    found[order] = np.append(0.0, np.cumsum(means * np.diff(x[order])))
-    return found
+    result = np.empty(size)
+    result[order] = np.append(0.0, np.cumsum(means * np.diff(x[order])))
+    return result
 
 
 def _by_curve(objective, totals, size: int) -> np.ndarray:
     """The sensitivity curve at every path, on an evenly chosen part of the sample."""
-    chosen = np.linspace(0, size - 1, min(size, REFERENCE) - 1).astype(int)
-    sample = {name: total[chosen] for name, total in totals.items()}
+    selected = np.linspace(0, size - 1, min(size, REFERENCE) - 1).astype(int)
+    sample = {name: total[selected] for name, total in totals.items()}
 
     def with_one_more(path):
         joined = {name: jnp.append(sample[name], path[name]) for name in sample}
@@ -156,7 +156,7 @@ def _by_curve(objective, totals, size: int) -> np.ndarray:
 
     with following(of_formula(objective, totals)):
         many = jax.jit(lambda paths: jax.lax.map(with_one_more, paths, batch_size=1024))(totals)
-    return (len(chosen) + 1) * (np.asarray(many) - value(objective, sample))
+    return (len(selected) + 1) * (np.asarray(many) - value(objective, sample))
 
 
 def _known(objective, totals: Mapping[str, np.ndarray]) -> tuple[Callable, Callable]:

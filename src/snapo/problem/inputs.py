@@ -87,8 +87,8 @@ class Input(eqx.Module):
         largest = np.max(size, initial=0.0)
         if largest == 0:
             # A move is about a hundredth of the number.
-            least = 1e-5 if not self.move else 1e-3 * abs(self.move)
-            return np.full(self.value.shape, least)
+            minimum = 1e-5 if not self.move else 1e-3 * abs(self.move)
+            return np.full(self.value.shape, minimum)
         return RELATIVE_STEP * np.where(size > NOTHING * largest, size, largest)
 
 
@@ -125,8 +125,8 @@ def unnamed(inputs: PyTree) -> PyTree:
 
 def named(inputs: PyTree) -> list[Named]:
     """All inputs in tree order with their names."""
-    found = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]
-    return [Named(name_of(path), leaf) for path, leaf in found if is_input(leaf)]
+    result = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]
+    return [Named(name_of(path), leaf) for path, leaf in result if is_input(leaf)]
 
 
 def values(inputs: PyTree) -> list[np.ndarray]:

@@ -62,15 +62,15 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
     @wraps(verb)
     def called(*args: Any, **others: Any) -> Any:
         first, rest = (args[0], args[1:]) if args else (others.pop(parameters[0], None), ())
-        beside = {key: others.pop(key) for key in BESIDE if key in others}
+        adjacent = {key: others.pop(key) for key in BESIDE if key in others}
         # A simulator may have no inputs, and its policy at once.
         alone = bool(rest) and callable(rest[0]) and policy not in others
         if isinstance(first, Simulator) and rest and "inputs" not in others and not alone:
             others["inputs"], rest = rest[0], rest[1:]
-        made = problem_of(name, first, others.pop("inputs", None), needs=objective, **beside)
+        made = problem_of(name, first, others.pop("inputs", None), needs=objective, **adjacent)
         if objective and not isinstance(made.objective, Objective):
-            what = "allowed is an objective, or the name of an output for its mean"
-            raise ValueError(f"{name}: objective is {made.objective!r}; {what}.")
+            message = "allowed is an objective, or the name of an output for its mean"
+            raise ValueError(f"{name}: objective is {made.objective!r}; {message}.")
         decides = rest[0] if rest else others.get(policy)
         if not callable(decides) and not (decides is None and "actions" in others):
             raise ValueError(f"{name}: {policy} is {decides!r}; allowed is {NEEDED}.")
@@ -111,10 +111,10 @@ def problem_of(
         name = problem.__name__
         raise ValueError(f"{verb}: {name} is a class; give its object, {name}().")
     if isinstance(problem, Problem):
-        own = (each is not None for each in (inputs, objective, scenarios))
-        if constraints not in ((), [], None) or any(own):
-            what = "inputs, objective, scenarios and constraints"
-            raise ValueError(f"{verb}: a Problem has its own {what}.")
+        local = (item is not None for item in (inputs, objective, scenarios))
+        if constraints not in ((), [], None) or any(local):
+            message = "inputs, objective, scenarios and constraints"
+            raise ValueError(f"{verb}: a Problem has its own {message}.")
         _sizes(verb, problem.simulator)
         return problem
     if not isinstance(problem, Simulator):
@@ -122,19 +122,19 @@ def problem_of(
         raise ValueError(f"{verb}: a {kind} is neither a simulator nor a Problem.")
     _sizes(verb, problem)
     if not isinstance(scenarios, Scenarios | Sources | None):
-        what = "allowed are scenarios, such as snapo.Sobol(0), or Sources"
-        raise ValueError(f"{verb}: scenarios is {scenarios!r}; {what}.")
+        message = "allowed are scenarios, such as snapo.Sobol(0), or Sources"
+        raise ValueError(f"{verb}: scenarios is {scenarios!r}; {message}.")
     if not isinstance(constraints, Limit | list | tuple):
-        what = 'allowed is a list of them, such as [snapo.Mean("unserved") <= 0.05]'
-        raise ValueError(f"{verb}: constraints is {constraints!r}; {what}.")
-    chosen = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
+        message = 'allowed is a list of them, such as [snapo.Mean("unserved") <= 0.05]'
+        raise ValueError(f"{verb}: constraints is {constraints!r}; {message}.")
+    selected = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
     aim = Mean("") if objective is None else objective
-    made = Problem(problem, inputs, aim, chosen, constraints)
+    made = Problem(problem, inputs, aim, selected, constraints)
     if objective is not None:
         return made
     names = outputs_of(made)
     only = _only_output(verb, names) if needs else names[0]
-    return Problem(problem, inputs, Mean(only), chosen, constraints).prepared(made.schedule)
+    return Problem(problem, inputs, Mean(only), selected, constraints).prepared(made.schedule)
 
 
 def outputs_of(problem: Problem) -> list[str]:
@@ -159,8 +159,8 @@ def _only_output(verb: str, names: list[str]) -> str:
             f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "
             'large as possible, such as objective="profit" or -Mean("cost").'
         )
-    words = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
-    if SMALL & set(words):
+    text = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
+    if SMALL & set(text):
         name = f'"{names[0]}"'
         raise ValueError(
             f"{verb}: the only output is {names[0]!r}, and an objective is made as large as "
@@ -172,5 +172,7 @@ def _only_output(verb: str, names: list[str]) -> str:
 
 def _sizes(verb: str, simulator: Simulator) -> None:
     """Refuses a horizon and numbers of normals that are no such numbers."""
-    for name, least in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
-        count(f"{verb}: {type(simulator).__name__}: {name}", getattr(simulator, name, None), least)
+    for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
+        count(
+            f"{verb}: {type(simulator).__name__}: {name}", getattr(simulator, name, None), minimum
+        )

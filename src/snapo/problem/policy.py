@@ -61,10 +61,10 @@ class Policy(eqx.Module):
         return reduced(self)
 
 
-def as_observation(given: ArrayLike | Sequence[float]) -> Float[Array, " features"]:
+def as_observation(values: ArrayLike | Sequence[float]) -> Float[Array, " features"]:
     """An observation as an array of floating numbers."""
-    found = jnp.asarray(given)
-    return found if jnp.issubdtype(found.dtype, jnp.floating) else found.astype(jnp.float32)
+    result = jnp.asarray(values)
+    return result if jnp.issubdtype(result.dtype, jnp.floating) else result.astype(jnp.float32)
 
 
 class Network(eqx.Module):
@@ -223,10 +223,10 @@ def without_memory(policy: Policy, where: str) -> None:
 
 def _network(policy: MLP | Residual, action, features, key) -> Network | None:
     """The network of a policy; None while it is a recipe."""
-    given = [each is not None for each in (action, features, key)]
-    if not any(given):
+    values = [item is not None for item in (action, features, key)]
+    if not any(values):
         return None
-    if not all(given):
+    if not all(values):
         raise ValueError(
             f"{type(policy).__name__}: give the action set, the number of features and a key "
             "together, or none of them: then solve finds them."
@@ -246,11 +246,11 @@ def _made(policy: MLP | Residual) -> tuple[Network, Actions]:
 
 def _fitting(policy, network: Network, interface: Interface):
     """The policy itself, if its network has the right numbers of features and actions."""
-    given = network.weights[0].shape[1], network.weights[-1].shape[0]
-    if given != (interface.features, interface.action.size):
+    values = network.weights[0].shape[1], network.weights[-1].shape[0]
+    if values != (interface.features, interface.action.size):
         raise ValueError(
-            f"{type(policy).__name__}: it takes {given[0]} features and gives {given[1]} actions; "
-            f"this simulator has {interface.features} and {interface.action.size}."
+            f"{type(policy).__name__}: it takes {values[0]} features and gives {values[1]} "
+            f"actions; this simulator has {interface.features} and {interface.action.size}."
         )
     return policy
 

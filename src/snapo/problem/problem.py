@@ -32,13 +32,13 @@ class Converted(Generic[_In, _Out]):
     def __init__(self, convert: Callable[[_In], _Out], default: Any = NONE):
         self.convert, self.default = convert, default
 
-    def __set_name__(self, owner: type, name: str) -> None:
+    def __set_name__(self, user: type, name: str) -> None:
         self.name = name
 
-    def __set__(self, instance: Any, given: _In) -> None:
-        instance.__dict__[self.name] = self.convert(given)
+    def __set__(self, instance: Any, values: _In) -> None:
+        instance.__dict__[self.name] = self.convert(values)
 
-    def __get__(self, instance: Any, owner: type | None = None) -> _Out:
+    def __get__(self, instance: Any, user: type | None = None) -> _Out:
         if instance is not None:
             return instance.__dict__[self.name]
         if self.default is NONE:  # of the class: the default, where there is one
@@ -104,10 +104,10 @@ class Problem:
 
     def _kept(self, name: str, version: Any, make: Callable[[], Any]) -> Any:
         """What was made before, as long as the code that makes it reads the same."""
-        known = self.__dict__.get(name)
-        if known is None or known[0] != version:
-            known = self.__dict__[name] = version, make()
-        return known[1]
+        available = self.__dict__.get(name)
+        if available is None or available[0] != version:
+            available = self.__dict__[name] = version, make()
+        return available[1]
 
     @property
     def is_random(self) -> bool:
@@ -131,9 +131,9 @@ class Problem:
         """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""
         rows = [
             f"<tr><td style='text-align:left'>{escape(name)}</td>"
-            f"<td style='text-align:left'>{escape(each.words)}</td>"
-            f"<td>{each.value.size}</td><td>{_first(each.value)}</td><td>{escape(each.unit)}</td></tr>"
-            for name, each in self.named.items()
+            f"<td style='text-align:left'>{escape(item.words)}</td>"
+            f"<td>{item.value.size}</td><td>{_first(item.value)}</td><td>{escape(item.unit)}</td></tr>"
+            for name, item in self.named.items()
         ]
         titles = ("input", "meaning", "numbers", "first", "unit")
         head = "".join(f"<th style='text-align:left'>{title}</th>" for title in titles)
@@ -201,7 +201,7 @@ class Problem:
         if unknown := set(values) - set(self.named):
             raise KeyError(f"no input {sorted(unknown)}; the inputs are {list(self.named)}.")
         return self.with_inputs(
-            [values.get(name, given.value) for name, given in self.named.items()]
+            [values.get(name, inputs.value) for name, inputs in self.named.items()]
         )
 
     def moved(self, values: dict[str, Any]) -> "Problem":
@@ -229,11 +229,11 @@ class Problem:
 def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
     """The inputs whose derivative is right in the mean of many paths alone: those that the
     simulator names, and the parameters of every noise whose draws are separate values."""
-    given = {*simulator.in_mean(), *noise.in_mean(inputs)}
-    return tuple(entry.name for entry in inputs_.named(inputs) if entry.name in given)
+    values = {*simulator.in_mean(), *noise.in_mean(inputs)}
+    return tuple(entry.name for entry in inputs_.named(inputs) if entry.name in values)
 
 
 def _first(values: np.ndarray) -> str:
     """The first number of an input, and whether there are more."""
-    shown = f"{values.flat[0]:,.6g}" if values.size else ""
-    return shown + (" …" if values.size > 1 else "")
+    displayed = f"{values.flat[0]:,.6g}" if values.size else ""
+    return displayed + (" …" if values.size > 1 else "")

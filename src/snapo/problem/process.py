@@ -133,7 +133,7 @@ class Gaps(eqx.Module):
         gaps = np.diff(np.maximum(times, 0.0), prepend=0.0)
         _, first, which = np.unique(np.round(gaps, 12), return_index=True, return_inverse=True)
         length = gaps[first]
-        return cls(length, which, tuple(each <= 0 for each in length.tolist()))
+        return cls(length, which, tuple(item <= 0 for item in length.tolist()))
 
     def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
         """Of each, the lower Cholesky factor of the covariance that it adds; 0 where it is none."""

@@ -36,9 +36,9 @@ class Scenarios(abc.ABC):
         """The noise of one training step: other paths at every step, the same ones every run."""
         raise ValueError(f"{type(self).__name__}: these scenarios are for evaluation only.")
 
-    def available(self, wanted: int) -> int:
+    def available(self, requested: int) -> int:
         """How many paths there are when so many are wanted."""
-        return wanted
+        return requested
 
     def words(self, paths: int) -> str:
         """Which paths they are, when so many are wanted: "512 pseudo-random paths"."""
@@ -72,9 +72,9 @@ class Pseudo(Scenarios):
         fresh = replace(self, stream=self.stream + step)
         return fresh.draws(np.arange(fresh.available(paths)), simulator)
 
-    def available(self, wanted: int) -> int:
+    def available(self, requested: int) -> int:
         """As many as are wanted; of an odd number the last pair is completed."""
-        return wanted + wanted % 2 if self.antithetic else wanted
+        return requested + requested % 2 if self.antithetic else requested
 
     def words(self, paths: int) -> str:
         pairs = ", in pairs of opposite signs" if self.antithetic else ""
@@ -182,8 +182,8 @@ class Supplied(Scenarios):
         """The number of paths."""
         return self.step_noise.shape[1]
 
-    def available(self, wanted: int) -> int:
-        return min(wanted, self.size)
+    def available(self, requested: int) -> int:
+        return min(requested, self.size)
 
     def batch(self, step: int, paths: int, simulator: Simulator) -> Stored:
         random = np.random.default_rng([self.seed, TRAIN, step])
@@ -227,8 +227,8 @@ class EqualPaths(Scenarios):
     def words(self, paths: int) -> str:
         return f"{self.available(paths):,} equal paths, since nothing is random"
 
-    def available(self, wanted: int) -> int:
-        return min(2, self.own.available(wanted))
+    def available(self, requested: int) -> int:
+        return min(2, self.own.available(requested))
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
         return self.own.draws(paths, simulator)
@@ -259,32 +259,32 @@ class Sources:
     evaluation: Scenarios
 
     @classmethod
-    def of(cls, given: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
+    def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
         """The sources that a caller means: fresh normals of `seed` where nothing else is said.
 
         Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
         """
-        if isinstance(given, Sources):
-            return given
-        if isinstance(given, Supplied):
-            return cls.divided(replace(given, seed=seed))
+        if isinstance(values, Sources):
+            return values
+        if isinstance(values, Supplied):
+            return cls.divided(replace(values, seed=seed))
         fresh = (Pseudo(seed, stream=stream(use)) for use in (TRAIN, VALIDATE, EVALUATE))
         training, validation, evaluation = fresh
-        return cls(training, validation, given or evaluation)
+        return cls(training, validation, values or evaluation)
 
     def of_equal_paths(self, equal: bool) -> "Sources":
         """The same where paths differ; where all are equal, few for validation and evaluation."""
-        given = self.validation, self.evaluation
-        own = [each.own if isinstance(each, EqualPaths) else each for each in given]
-        few = [EqualPaths(each) for each in own] if equal else own
-        return self if few == list(given) else Sources(self.training, *few)
+        values = self.validation, self.evaluation
+        local = [item.own if isinstance(item, EqualPaths) else item for item in values]
+        few = [EqualPaths(entry) for entry in local] if equal else local
+        return self if few == list(values) else Sources(self.training, *few)
 
     def reseeded(self, seed: int) -> "Sources":
         """Sources with other paths for training and validation; the evaluation's stay."""
         training, validation = (
-            replace(each, seed=seed) if isinstance(each, Pseudo | Sobol | Supplied) else each
-            for each in (self.training, self.validation)
+            replace(item, seed=seed) if isinstance(item, Pseudo | Sobol | Supplied) else item
+            for item in (self.training, self.validation)
         )
         return Sources(training, validation, self.evaluation)
 
@@ -310,7 +310,7 @@ class Sources:
             )
         first, second = supplied.size * 3 // 5, supplied.size * 4 // 5
         edges = ((0, first), (first, second), (second, supplied.size))
-        return cls(*(supplied.part(*each) for each in edges))
+        return cls(*(supplied.part(*edge) for edge in edges))
 
 
 def _key(seed: int, stream: int, use: int) -> np.ndarray:

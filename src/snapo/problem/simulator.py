@@ -71,8 +71,8 @@ class Simulator(eqx.Module):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        if (own := cls.__dict__.get("__init__")) is not None:
-            cls.__init__ = _explained(own)
+        if (local := cls.__dict__.get("__init__")) is not None:
+            cls.__init__ = _explained(local)
 
     @abc.abstractmethod
     def prepare(self, inputs: PyTree) -> Schedule:
@@ -141,12 +141,12 @@ def _explained(init: Callable[..., None]) -> Callable[..., None]:
     """An `__init__` that says what is missing where it sets what is no field."""
 
     @wraps(init)
-    def explained(self: Any, *given: Any, **named: Any) -> None:
+    def explained(self: Any, *values: Any, **by_name: Any) -> None:
         try:
-            init(self, *given, **named)
+            init(self, *values, **by_name)
         except FrozenInstanceError as error:
             name = str(error).partition("'")[2].rstrip("'")
-            if not name or name in {each.name for each in fields(self)}:
+            if not name or name in {field.name for field in fields(self)}:
                 raise
             raise TypeError(
                 f"{type(self).__name__}: __init__ sets {name!r}, which is no field. Declare it in "
@@ -183,8 +183,8 @@ class Around(Simulator):
         return self.own.prepare(inputs)
 
     def on_paths(self):
-        own = self.own.on_paths()
-        return self if own is self.own else eqx.tree_at(lambda around: around.own, self, own)
+        local = self.own.on_paths()
+        return self if local is self.own else eqx.tree_at(lambda around: around.own, self, local)
 
     def initial(self, constants, noise):
         return self.own.initial(constants, noise)

@@ -150,8 +150,8 @@ class Smooth(Constraints):
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         room, finite = _finite_difference(high, low)
         narrow = finite & (self.temperature * scale > room)
-        least = jnp.where(narrow, room, 0.0) / jnp.where(narrow, self.temperature, 1.0)
-        return super().clip(x, low, high, jnp.where(narrow, least, scale))
+        minimum = jnp.where(narrow, room, 0.0) / jnp.where(narrow, self.temperature, 1.0)
+        return super().clip(x, low, high, jnp.where(narrow, minimum, scale))
 
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         scaled, hot = self._scaled(x, scale)
@@ -261,8 +261,8 @@ def _level(logits: Array, low: Array, high: Array, total: Array) -> Array:
     # the smallest's below.
     tiny, width = jnp.finfo(logits.dtype).tiny, jnp.sum(high - low)
     mean = (total - jnp.sum(low)) / jnp.where(width > 0, width, 1.0)
-    place = jnp.log(jnp.maximum(mean, tiny)) - jnp.log(jnp.maximum(1 - mean, tiny))
-    bracket = (place - jnp.max(logits), place - jnp.min(logits))
+    position = jnp.log(jnp.maximum(mean, tiny)) - jnp.log(jnp.maximum(1 - mean, tiny))
+    bracket = (position - jnp.max(logits), position - jnp.min(logits))
     # 11 halvings leave an error e of an eighth at most. The sum's curvature is at most its slope,
     # so that each Newton step leaves about e^2 / 2: 1e-2, 3e-5, 1e-9, 1e-18.
     left, right = jax.lax.fori_loop(0, 11, halve, bracket)

@@ -92,8 +92,8 @@ def _start(problem: Any) -> dict[str, Any]:
 def _all_told(problem: Any, first: dict[str, Any]) -> bool:
     """Whether the observation tells every number of a state by itself: nothing is hidden."""
     simulator, schedule = problem.simulator, problem.schedule
-    begin = jax.vmap(partial(simulator.initial, schedule.constants))
-    states = begin(jnp.asarray(first["early"][:LOCAL], float))
+    start = jax.vmap(partial(simulator.initial, schedule.constants))
+    states = start(jnp.asarray(first["early"][:LOCAL], float))
     if any(not _is_float(leaf) for leaf in jax.tree.leaves(states)):
         return False
     slopes = np.asarray(_observed(problem, states, 0)[1])
@@ -110,10 +110,10 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     _, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
     numbers = _flat(states)
     hidden = _hidden(numbers, np.asarray(moves), np.asarray(slopes))
-    whole, _ = _observed(problem, states, t)
-    in_steps = _in_steps(problem, states, np.asarray(whole), t, np.asarray(moves))
+    complete, _ = _observed(problem, states, t)
+    in_steps = _in_steps(problem, states, np.asarray(complete), t, np.asarray(moves))
     names = _names(states)
-    wanted = _paid_names(problem)
+    requested = _paid_names(problem)
     tail = partial(_paid, simulator, problem.schedule, noise[t:], start=t)
     doubtful = np.flatnonzero(hidden | in_steps)[:MOST]
     if not doubtful.size:
@@ -125,8 +125,8 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     before, others = paid(states), paid(jax.tree.map(lambda leaf: jnp.roll(leaf, 1, 0), states))
     for i in doubtful:
         after = paid(_swapped(states, int(i)))
-        for name in wanted & set(before[0]):
-            one, two, *more = (np.asarray(each[name]) for each in (*before, *after, *others))
+        for name in requested & set(before[0]):
+            one, two, *more = (np.asarray(item[name]) for item in (*before, *after, *others))
             if _matters(one, two, *more):
                 yield names[int(i)]
                 break
@@ -139,11 +139,11 @@ def _matters(one, two, moved_one, moved_two, all_one, all_two) -> bool:
     `one`, `two` [N]: what is paid under either; `moved_…`: with another number, `all_…`: with
     another state. Less than a fiftieth of what another state moves is left aside.
     """
-    least = MATTERS * max(_size(all_one - one), _size(all_two - two))
-    added = _size((moved_one - one) - (moved_two - two)) <= least
+    minimum = MATTERS * max(_size(all_one - one), _size(all_two - two))
+    added = _size((moved_one - one) - (moved_two - two)) <= minimum
     scale = np.maximum(np.abs(one), np.abs(two))
     apart = (moved_one * two - moved_two * one) / np.where(scale > 0, scale, 1.0)
-    scaled = _size(apart) <= least and not np.any(moved_one * one < 0)
+    scaled = _size(apart) <= minimum and not np.any(moved_one * one < 0)
     return not (added or scaled)
 
 
@@ -170,19 +170,19 @@ def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.nd
     return counted > len(moves) / 2
 
 
-def _in_steps(problem: Any, states: PyTree, seen: np.ndarray, t: int, moves: np.ndarray):
+def _in_steps(problem: Any, states: PyTree, observed: np.ndarray, t: int, moves: np.ndarray):
     """[n] whether a number moves in steps, is not read, and differs where paths look alike."""
-    numbers, found = _flat(states), np.zeros(_flat(states).shape[1], bool)
+    numbers, steps = _flat(states), np.zeros(_flat(states).shape[1], bool)
     still = ~np.any(moves != 0, axis=(0, 2))
-    look = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
+    look = (observed - observed.mean(0)) / np.where(observed.std(0) > 0, observed.std(0), 1.0)
     far = np.linalg.norm(look[:, None] - look[None], axis=2)
     np.fill_diagonal(far, np.inf)
     nearest = far.argmin(1)
     for i in np.flatnonzero(still & (numbers.std(0) > 0)):
-        told = np.mean(numbers[nearest, i] == numbers[:, i]) >= ALIKE
-        read = np.any(np.asarray(_observed(problem, _swapped(states, int(i)), t)[0]) != seen)
-        found[i] = not told and not read
-    return found
+        summary = np.mean(numbers[nearest, i] == numbers[:, i]) >= ALIKE
+        read = np.any(np.asarray(_observed(problem, _swapped(states, int(i)), t)[0]) != observed)
+        steps[i] = not summary and not read
+    return steps
 
 
 def _observed(problem: Any, states: PyTree, t: int):
@@ -207,8 +207,8 @@ def _seen(simulator, constants, now, states):
 def _reached(simulator, schedule, early, noise, actions):
     """The states after some steps, and [LOCAL, n, drawn] how normals move them."""
 
-    def after(given, actions):
-        early, noise = given
+    def after(values, actions):
+        early, noise = values
         state = simulator.initial(schedule.constants, early)
 
         def one(state, t):
@@ -218,9 +218,9 @@ def _reached(simulator, schedule, early, noise, actions):
 
         return jax.lax.scan(one, state, jnp.arange(len(noise)))[0]
 
-    def slopes(given, actions):
-        found = jax.jacfwd(lambda given: _vector(after(given, actions)))(given)
-        flat = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(found)]
+    def slopes(inputs, actions):
+        result = jax.jacfwd(lambda params: _vector(after(params, actions)))(inputs)
+        flat = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(result)]
         return jnp.concatenate(flat, axis=1)
 
     every = (early, jnp.swapaxes(noise, 0, 1)), jnp.swapaxes(actions, 0, 1)
@@ -233,17 +233,17 @@ def _paid(simulator, schedule, noise, actions, states, start):
     """{output: [N]} the sum of all that is paid from these states on."""
 
     def whole(state, noise, actions):
-        def one(state, given):
-            t, noise, action = given
+        def one(state, inputs):
+            t, noise, action = inputs
             now = at(schedule.steps, t)
             step = simulator.step(schedule.constants, now, state, action, noise, Exact())
             return _like(step[0], state), step[1]
 
-        given = (start + jnp.arange(len(noise)), noise, actions)
-        last, outputs = jax.lax.scan(one, state, given)
-        paid = {name: jnp.sum(each) for name, each in outputs.items()}
-        for name, each in simulator.terminal(schedule.constants, last, Exact()).items():
-            paid[name] = paid.get(name, 0.0) + each
+        values = (start + jnp.arange(len(noise)), noise, actions)
+        last, outputs = jax.lax.scan(one, state, values)
+        paid = {name: jnp.sum(output) for name, output in outputs.items()}
+        for name, item in simulator.terminal(schedule.constants, last, Exact()).items():
+            paid[name] = paid.get(name, 0.0) + item
         return paid
 
     return jax.vmap(whole)(states, jnp.swapaxes(noise, 0, 1), jnp.swapaxes(actions, 0, 1))
@@ -253,8 +253,8 @@ def _paid_names(problem: Any) -> set[str]:
     """The outputs of the objective and of the limits."""
     return {
         name
-        for each in (problem.objective, *(limit.measure for limit in problem.constraints))
-        for name in each.outputs
+        for item in (problem.objective, *(limit.measure for limit in problem.constraints))
+        for name in item.outputs
     }
 
 
@@ -275,13 +275,13 @@ def _vector(state: PyTree) -> jax.Array:
 def _with(state: PyTree, vector: jax.Array) -> PyTree:
     """The state with these numbers; those in steps keep theirs."""
     leaves, structure = jax.tree.flatten(state)
-    found, place = [], 0
+    parts, position = [], 0
     for leaf in leaves:
         size = jnp.size(leaf)
-        part = vector[place : place + size].reshape(jnp.shape(leaf))
-        found.append(part.astype(jnp.result_type(leaf)) if _is_float(leaf) else leaf)
-        place += size
-    return structure.unflatten(found)
+        part = vector[position : position + size].reshape(jnp.shape(leaf))
+        parts.append(part.astype(jnp.result_type(leaf)) if _is_float(leaf) else leaf)
+        position += size
+    return structure.unflatten(parts)
 
 
 def _like(after: PyTree, before: PyTree) -> PyTree:
@@ -297,21 +297,21 @@ def _flat(states: PyTree) -> np.ndarray:
 def _swapped(states: PyTree, number: int) -> PyTree:
     """The states, of which one number is that of the next path."""
     leaves, structure = jax.tree.flatten(states)
-    found, place = [], 0
+    results, position = [], 0
     for leaf in leaves:
         rows = np.array(leaf).reshape(len(leaf), -1)
-        if place <= number < place + rows.shape[1]:
-            rows[:, number - place] = np.roll(rows[:, number - place], 1)
-        place += rows.shape[1]
-        found.append(jnp.asarray(rows.reshape(np.shape(leaf))))
-    return structure.unflatten(found)
+        if position <= number < position + rows.shape[1]:
+            rows[:, number - position] = np.roll(rows[:, number - position], 1)
+        position += rows.shape[1]
+        results.append(jnp.asarray(rows.reshape(np.shape(leaf))))
+    return structure.unflatten(results)
 
 
 def _names(states: PyTree) -> list[str]:
     """The name of every number: "water", "level.0", as in `snapo.simulate`."""
     names = []
-    for way, leaf in jax.tree_util.tree_flatten_with_path(states)[0]:
-        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
+    for path, leaf in jax.tree_util.tree_flatten_with_path(states)[0]:
+        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in path)
         size = int(np.prod(np.shape(leaf)[1:]))
         name = name.lstrip(".") or "state"
         names += [f"{name}.{i}" for i in range(size)] if size > 1 else [name]

@@ -95,14 +95,14 @@ class Bars:
 def grouped(axes: "Axes", labels: Sequence[str], series: Sequence[Bars], unit: str) -> None:
     """Bars side by side per label, and above all of them the zero line."""
     width = 0.8 / len(series)
-    place = np.arange(len(labels))
-    for i, each in enumerate(series):
+    position = np.arange(len(labels))
+    for i, item in enumerate(series):
         offset = (i - (len(series) - 1) / 2) * width
         axes.bar(
-            place + offset, each.values, width=width, color=LIGHT[each.colour], label=each.label
+            position + offset, item.values, width=width, color=LIGHT[item.colour], label=item.label
         )
     axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
-    axes.set_xticks(place, list(labels))
+    axes.set_xticks(position, list(labels))
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.6, len(labels) - 0.4)
     number_axis(axes.yaxis)
@@ -124,17 +124,17 @@ def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
     """Horizontal bars from zero, the first on top; gains and losses in different colours."""
     from matplotlib.ticker import NullLocator
 
-    reach = max((abs(each.value) + each.half for each in swings), default=1.0) or 1.0
-    for row, each in enumerate(swings):
-        colour = LIGHT["inject"] if each.value >= 0 else LIGHT["withdraw"]
-        axes.barh(row, each.value, height=0.62, color=colour)
-        if each.half:
+    reach = max((abs(item.value) + item.half for item in swings), default=1.0) or 1.0
+    for row, swing in enumerate(swings):
+        colour = LIGHT["inject"] if swing.value >= 0 else LIGHT["withdraw"]
+        axes.barh(row, swing.value, height=0.62, color=colour)
+        if swing.half:
             line = {"ecolor": LIGHT["ink"], "elinewidth": 1.1, "capsize": 3.0}
-            axes.errorbar(each.value, row, xerr=each.half, fmt="none", **line)
-        side = 1 if each.value >= 0 else -1
-        end = each.value + side * (each.half + GAP * reach)
-        axes.text(end, row, each.text, va="center", ha="left" if side > 0 else "right")
-    axes.set_yticks(range(len(swings)), [each.name for each in swings])
+            axes.errorbar(swing.value, row, xerr=swing.half, fmt="none", **line)
+        side = 1 if swing.value >= 0 else -1
+        end = swing.value + side * (swing.half + GAP * reach)
+        axes.text(end, row, swing.text, va="center", ha="left" if side > 0 else "right")
+    axes.set_yticks(range(len(swings)), [entry.name for entry in swings])
     axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
     axes.set_ylim(len(swings) - 0.45, -0.55)
     axes.set_xlim(*_room(swings, reach))
@@ -147,17 +147,19 @@ def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
 
 def _room(swings: Sequence[Swing], reach: float) -> tuple[float, float]:
     """Limits of the horizontal axis that leave room for the numbers at the ends of the bars."""
-    names = max((len(each.name) for each in swings), default=0)
+    names = max((len(item.name) for item in swings), default=0)
     points = max(200.0, WIDTH - LETTER * names - 24.0)  # of the plot, beside the names
     low, high = -0.04 * reach, 0.04 * reach
     for _ in range(40):  # a wider axis has wider texts: their share of it is below a half
         each_point = (high - low) / points
-        for each in swings:
-            end = abs(each.value) + each.half + GAP * reach + each_point * LETTER * len(each.text)
-            low, high = (low, max(high, end)) if each.value >= 0 else (min(low, -end), high)
+        for swing in swings:
+            end = (
+                abs(swing.value) + swing.half + GAP * reach + each_point * LETTER * len(swing.text)
+            )
+            low, high = (low, max(high, end)) if swing.value >= 0 else (min(low, -end), high)
             # The whisker also reaches to the other side of zero.
-            back = each.half - abs(each.value)
-            low, high = (min(low, -back), high) if each.value >= 0 else (low, max(high, back))
+            back = swing.half - abs(swing.value)
+            low, high = (min(low, -back), high) if swing.value >= 0 else (low, max(high, back))
     return low, high
 
 
@@ -175,9 +177,9 @@ def stack(axes: "Axes", years: np.ndarray, layers: Sequence[Layer], unit: str) -
     """Layers on top of one another, each held for its year; negative ones hang below zero."""
     edges = np.append(years, years[-1] + (years[1] - years[0] if len(years) > 1 else 1.0))
     above, below = np.zeros(len(years)), np.zeros(len(years))
-    for each in layers:
-        style = {"color": LIGHT[each.colour], "alpha": each.alpha, "linewidth": 0}
-        over, under = above + np.maximum(each.values, 0.0), below + np.minimum(each.values, 0.0)
+    for layer in layers:
+        style = {"color": LIGHT[layer.colour], "alpha": layer.alpha, "linewidth": 0}
+        over, under = above + np.maximum(layer.values, 0.0), below + np.minimum(layer.values, 0.0)
         # One part where the layer is on one side of zero all the time.
         parts = [(above, over)] if np.any(over > above) or not np.any(under < below) else []
         parts += [(below, under)] if np.any(under < below) else []
@@ -187,7 +189,7 @@ def stack(axes: "Axes", years: np.ndarray, layers: Sequence[Layer], unit: str) -
                 np.append(first, first[-1]),
                 np.append(last, last[-1]),
                 step="post",
-                label=each.label if i == 0 else None,
+                label=layer.label if i == 0 else None,
                 **style,
             )
         above, below = over, under
@@ -234,18 +236,18 @@ def _beside(axes: "Axes", points) -> list[tuple[float, float]]:
     at = [(width * (x - left) / (right - left), height * (y - low) / (high - low))
           for _, x, y, _ in points]  # fmt: skip
     taken = [(x - 5, x + 5, y) for x, y in at]
-    found = [(0.0, 0.0)] * len(at)
+    count = [(0.0, 0.0)] * len(at)
     for i in sorted(range(len(at)), key=lambda i: -at[i][1]):
         (x, y), long = at[i], LETTER * len(points[i][0])
-        places = [(9.0, LINE * k * side) for k in range(12) for side in (1, -1)]
+        digits = [(9.0, LINE * k * side) for k in range(12) for side in (1, -1)]
         free = (
-            each for each in places
-            if 0 < y + each[1] < height and not any(
-                x + each[0] < b and a < x + each[0] + long and abs(y + each[1] - level) < LINE
+            item for item in digits
+            if 0 < y + item[1] < height and not any(
+                x + item[0] < b and a < x + item[0] + long and abs(y + item[1] - level) < LINE
                 for k, (a, b, level) in enumerate(taken) if k != i
             )
         )  # fmt: skip
-        place = next(free, places[0])
-        taken.append((x + place[0], x + place[0] + long, y + place[1]))
-        found[i] = place
-    return found
+        position = next(free, digits[0])
+        taken.append((x + position[0], x + position[0] + long, y + position[1]))
+        count[i] = position
+    return count

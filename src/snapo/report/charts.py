@@ -44,25 +44,25 @@ class Line:
     step: bool = False
 
 
-def ladder(axes: "Axes", rungs: Sequence[Rung]) -> None:
+def ladder(axes: "Axes", bars: Sequence[Rung]) -> None:
     """Horizontal bars from zero, the first on top, each with its number written out."""
     from matplotlib.ticker import NullLocator
 
-    values = np.array([rung.value for rung in rungs])
+    values = np.array([rung.value for rung in bars])
     reach = np.max(np.abs(values)) or 1.0
-    for row, rung in enumerate(rungs):
-        colour = LIGHT["main"] if rung.strong else LIGHT["main-soft"]
-        axes.barh(row, rung.value, height=0.62, color=colour)
-        if rung.error:
+    for row, bar in enumerate(bars):
+        colour = LIGHT["main"] if bar.strong else LIGHT["main-soft"]
+        axes.barh(row, bar.value, height=0.62, color=colour)
+        if bar.error:
             line = {"ecolor": LIGHT["withdraw"], "elinewidth": 1.6, "capsize": 4.0}
-            axes.errorbar(rung.value, row, xerr=INTERVAL * rung.error, fmt="none", **line)
-        end = max(rung.value + INTERVAL * (rung.error or 0.0), 0.0)
-        weight = "bold" if rung.strong else "normal"
-        axes.text(end + 0.012 * reach, row, rung.text, va="center", fontweight=weight)
-    axes.set_yticks(range(len(rungs)), [rung.name for rung in rungs])
+            axes.errorbar(bar.value, row, xerr=INTERVAL * bar.error, fmt="none", **line)
+        end = max(bar.value + INTERVAL * (bar.error or 0.0), 0.0)
+        weight = "bold" if bar.strong else "normal"
+        axes.text(end + 0.012 * reach, row, bar.text, va="center", fontweight=weight)
+    axes.set_yticks(range(len(bars)), [rung.name for rung in bars])
     axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
-    axes.set_ylim(len(rungs) - 0.45, -0.55)
-    longest = max(len(rung.text) for rung in rungs)
+    axes.set_ylim(len(bars) - 0.45, -0.55)
+    longest = max(len(rung.text) for rung in bars)
     axes.set_xlim(min(values.min() * 1.08, 0.0), max(values.max(), 0.0) + reach * 0.014 * longest)
     axes.xaxis.set_major_locator(NullLocator())
     axes.grid(False)
@@ -146,31 +146,31 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
     - `moved`: [n] how far each value moved lately: a pale box around its end; or None.
     - `compare`: (name, [n]) drawn as a bold tick across the bar; or None.
     """
-    place = np.arange(len(values))
+    position = np.arange(len(values))
     above = np.where(values > 0, values, np.nan)
     below = np.where(values <= 0, values, np.nan)
     for part, colour, name in ((above, "withdraw", names[0]), (below, "inject", names[1])):
         if np.isfinite(part).any():
-            axes.bar(place, part, width=0.6, color=LIGHT[colour], label=name)
+            axes.bar(position, part, width=0.6, color=LIGHT[colour], label=name)
     if moved is not None:
         size = np.abs(moved)
         style = {"facecolor": "none", "edgecolor": LIGHT["ink"], "linewidth": 0.8, "hatch": "////"}
         axes.bar(
-            place, 2 * size, bottom=values - size, width=0.6, alpha=0.55, label="Moved", **style
+            position, 2 * size, bottom=values - size, width=0.6, alpha=0.55, label="Moved", **style
         )
     if half is not None:
         caps = 4.0 if len(values) <= 24 else 1.5
         line = {"ecolor": LIGHT["ink"], "elinewidth": 1.3, "capsize": caps}
-        axes.errorbar(place, values, yerr=half, fmt="none", label="95 % interval", **line)
+        axes.errorbar(position, values, yerr=half, fmt="none", label="95 % interval", **line)
     if compare is not None:
         style = {"color": LIGHT["limit"], "linewidth": 2.4}
-        left, right = place - 0.4, place + 0.4
+        left, right = position - 0.4, position + 0.4
         axes.hlines(compare[1], left, right, label=compare[0], **style)
     axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
-    axes.set_xticks(place, labels)
+    axes.set_xticks(position, labels)
     axes.tick_params(axis="x", length=0)
-    beside = max(0.0, (6 - len(values)) / 2)  # a bar alone would fill the page
-    axes.set_xlim(-0.6 - beside, len(values) - 0.4 + beside)
+    adjacent = max(0.0, (6 - len(values)) / 2)  # a bar alone would fill the page
+    axes.set_xlim(-0.6 - adjacent, len(values) - 0.4 + adjacent)
     axes.margins(y=0.06)
     number_axis(axes.yaxis, 8)
     unit_above(axes, unit)
@@ -214,14 +214,14 @@ def trace(axes: "Axes", steps, curves: Sequence[Line], unit: str, log: bool = Fa
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     for curve in curves:
-        known = np.isfinite(curve.values)
+        available = np.isfinite(curve.values)
         # Few points are single measurements: they get a dot each.
-        dots = "o" if known.sum() <= 40 and not curve.step else None
+        dots = "o" if available.sum() <= 40 and not curve.step else None
         drawn = "steps-post" if curve.step else "default"
         style = {"linestyle": curve.style, "linewidth": curve.width, "drawstyle": drawn}
         axes.plot(
-            steps[known],
-            curve.values[known],
+            steps[available],
+            curve.values[available],
             color=LIGHT[curve.colour],
             marker=dots,
             markersize=3.2,

@@ -131,8 +131,8 @@ def _inline(svg: str, name: str, alt: str) -> str:
     return re.sub(r"\n\s*", "\n", svg).strip()
 
 
-def _id(found: str, used: set[str], name: str) -> str:
-    return f' id="{name}-{found}"' if found in used else ""
+def _id(result: str, used: set[str], name: str) -> str:
+    return f' id="{name}-{result}"' if result in used else ""
 
 
 def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
@@ -142,10 +142,10 @@ def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
     """
     handles, labels = axes.get_legend_handles_labels()
     rank = {label: i for i, label in enumerate(order)}
-    chosen = sorted(range(len(labels)), key=lambda i: rank.get(labels[i], len(rank)))
+    selected = sorted(range(len(labels)), key=lambda i: rank.get(labels[i], len(rank)))
     axes.legend(
-        [handles[i] for i in chosen],
-        [labels[i] for i in chosen],
+        [handles[i] for i in selected],
+        [labels[i] for i in selected],
         loc="lower right",
         bbox_to_anchor=(1.0, 1.02),
         ncols=6,

@@ -50,8 +50,8 @@ def history(run: Folder, unit: str) -> Section:
     last = number(lines[-1].values[np.isfinite(lines[-1].values)][-1])
     alt = f"Training over {number(steps[-1], 0)} steps; {lines[-1].label.lower()} ends at {last}"
     svg = draw("training", f"{alt} {unit}.", paint, 330 if below else 230, rows)
-    bad = run.column("history", "bad_paths")
-    count = 0 if bad is None else float(np.nansum(bad))
+    invalid = run.column("history", "bad_paths")
+    count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
         "The policy kept is the one with the best exact value on the validation paths, not the"
         f" last. Paths left out because a number was not finite: {number(count, 0)}."
@@ -62,8 +62,8 @@ def history(run: Folder, unit: str) -> Section:
 def notes(run: Folder) -> list[Text]:
     """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
     return [
-        Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(each)), caveat=True)
-        for each in run.result.get("notes") or ()
+        Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
+        for item in run.result.get("notes") or ()
     ]
 
 
@@ -73,29 +73,29 @@ def gradient(run: Folder) -> list[tuple[str, str, str]]:
     noise = finite(run.result.get("policy_gradient_noise"))
     if norm is None:
         return []
-    known = "" if noise is None else f"; noise of {number(noise)} is taken off"
-    return [("Policy gradient norm", number(norm), f"zero at an optimum{known}")]
+    available = "" if noise is None else f"; noise of {number(noise)} is taken off"
+    return [("Policy gradient norm", number(norm), f"zero at an optimum{available}")]
 
 
-def verdict(passed: Any, good: str, bad: str, undecided: str = "not tried") -> Mark | str:
+def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried") -> Mark | str:
     """A mark with its word; a check that was not made says so."""
-    return undecided if passed is None else Mark(bool(passed), good if passed else bad)
+    return undecided if passed is None else Mark(bool(passed), valid if passed else invalid)
 
 
 def spent(run: Folder) -> dict[str, float]:
     """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
     of itself."""
-    known = run.get("seconds") or run.result.get("seconds") or {}
-    found = {name: each for name, each in known.items() if finite(each) is not None}
-    page = found.pop("report", 0.0)
-    return found | {"total": found["total"] - page} if "total" in found else found
+    available = run.get("seconds") or run.result.get("seconds") or {}
+    table = {name: item for name, item in available.items() if finite(item) is not None}
+    page = table.pop("report", 0.0)
+    return table | {"total": table["total"] - page} if "total" in table else table
 
 
 def times(run: Folder) -> list[Facts]:
     """What the run took, part by part."""
     facts = [
-        (name.capitalize(), seconds(each), TOTAL if name == "total" else "wall clock")
-        for name, each in spent(run).items()
+        (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
+        for name, item in spent(run).items()
     ]
     return [Facts(facts)] if facts else []
 
@@ -109,11 +109,11 @@ def made_with(run: Folder) -> Table | Missing:
     seed = run.get("seed", run.result.get("seed"))
     rows = [("Engine", f"{name}: {reason}" if reason else name)] if name else []
     roles = run.get("solution.roles", {})
-    rows += [(f"Paths of the {role}", words) for role, words in roles.items()]
+    rows += [(f"Paths of the {role}", text) for role, text in roles.items()]
     if not roles:
-        rows += [(f"Paths to {key}", number(each, 0)) for key, each in paths.items()]
+        rows += [(f"Paths to {key}", number(path, 0)) for key, path in paths.items()]
     rows += [] if seed is None else [("Seed", str(seed))]
-    versions = [f"{key} {each}" for key, each in run.get("versions", {}).items()]
+    versions = [f"{key} {item}" for key, item in run.get("versions", {}).items()]
     rows += [("Versions", ", ".join(versions))] if versions else []
     if not rows:
         return Missing("Engine, seed and versions are not in this run.")

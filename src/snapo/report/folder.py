@@ -82,12 +82,12 @@ class Folder:
                     f"{files[0]} was changed or damaged since it was written; solve with --resume"
                 )
                 parts[name] = {**parts[name], "state": "failed", "note": note}
-        bad = {file for files in spoilt.values() for file in files}
+        invalid = {file for files in spoilt.values() for file in files}
         for file in sorted(folder.glob("parts/*.json")):
-            details |= {} if f"parts/{file.name}" in bad else _object(file)
+            details |= {} if f"parts/{file.name}" in invalid else _object(file)
 
         def columns(name: str) -> dict[str, list[str]]:
-            return {} if name in bad else _columns(folder / name)
+            return {} if name in invalid else _columns(folder / name)
 
         lines = columns("sensitivities.csv")
         blank = [""] * len(lines.get("input", []))
@@ -98,7 +98,7 @@ class Folder:
             if source
         )
         return cls(
-            {} if RESULT in bad else _object(folder / RESULT),
+            {} if RESULT in invalid else _object(folder / RESULT),
             details,
             parts,
             sensitivities,
@@ -113,8 +113,8 @@ class Folder:
 
     def numbers(self, path: str, column: str = "") -> np.ndarray | None:
         """A list of the parts' tables as float64, else the column of profile.csv, else None."""
-        found = array(self.get(path))
-        return self.column("profile", column) if found is None and column else found
+        result = array(self.get(path))
+        return self.column("profile", column) if result is None and column else result
 
     def column(self, table: str, name: str) -> np.ndarray | None:
         """A column of numbers of `profile`, `history` or `adjoints`; an empty cell is NaN."""
@@ -124,7 +124,7 @@ class Folder:
     def left_out(self, *parts: str) -> bool:
         """Whether none of these parts was asked for, nor is there from an earlier run."""
         missing = self.get(LEFT_OUT, [])
-        return all(each in missing and each not in self.parts for each in parts)
+        return all(part in missing and part not in self.parts for part in parts)
 
     @property
     def currency(self) -> str:
@@ -135,12 +135,12 @@ class Folder:
         """The unit of the value: its own, else the currency."""
         return str(self.get("unit", self.currency))
 
-    def money(self, value: Any, places: int | None = None, sign: bool = False) -> str:
-        return money(value, self.currency, places, sign)
+    def money(self, value: Any, positions: int | None = None, sign: bool = False) -> str:
+        return money(value, self.currency, positions, sign)
 
-    def worth(self, value: Any, error: Any, places: int) -> str:
+    def worth(self, value: Any, error: Any, positions: int) -> str:
         """A value with its standard error, "EUR 78,312 ± 41"."""
-        return f"{self.money(value, places)} {plus_minus(error, places)}".rstrip()
+        return f"{self.money(value, positions)} {plus_minus(error, positions)}".rstrip()
 
 
 def lookup(table: Any, path: str, default: Any = None) -> Any:
@@ -155,17 +155,17 @@ def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
     states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
     if "result" in record:
         states[RESULT] = {RESULT: record["result"]}
-    found = {name: changed_files(folder, files) for name, files in states.items()}
-    return {name: files for name, files in found.items() if files}
+    table = {name: changed_files(folder, files) for name, files in states.items()}
+    return {name: files for name, files in table.items() if files}
 
 
 def _object(file: Path) -> dict[str, Any]:
     """The object in a JSON file; an empty one where it is not there, or damaged."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return data if isinstance(data, dict) else {}
 
 
 def _columns(file: Path) -> dict[str, list[str]]:
@@ -177,8 +177,8 @@ def _columns(file: Path) -> dict[str, list[str]]:
     except (OSError, ValueError, csv.Error):
         return {}
     # The last line of a run that was killed may be cut short; it is left out.
-    whole = [row for row in rows[1:] if len(row) == len(rows[0])]
-    return {name: [row[i] for row in whole] for i, name in enumerate(rows[0])} if rows else {}
+    complete = [row for row in rows[1:] if len(row) == len(rows[0])]
+    return {name: [row[i] for row in complete] for i, name in enumerate(rows[0])} if rows else {}
 
 
 def _number(cell: str) -> float | None:

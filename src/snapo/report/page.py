@@ -156,9 +156,9 @@ def render(page: Page) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     sections = [
-        replace(each, blocks=[_filled(b) if isinstance(b, Table) else b for b in each.blocks])
-        for each in page.sections
-        if each.blocks
+        replace(section, blocks=[_filled(b) if isinstance(b, Table) else b for b in section.blocks])
+        for section in page.sections
+        if section.blocks
     ]
     page = replace(page, sections=sections)
     environment = Environment(
@@ -178,15 +178,15 @@ def render(page: Page) -> str:
 
 def coded(text: str) -> Markup:
     """A text, escaped: what stands between backticks is set as code, and no line ends in ±."""
-    kept = str(escape(text)).replace("± ", f"±{SPACE}")
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", kept))
+    selected = str(escape(text)).replace("± ", f"±{SPACE}")
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", selected))
 
 
 def classes(cell: Any, right: bool) -> Markup:
     """The classes of a cell as an attribute: numbers to the `right`; room for a long text."""
     long = isinstance(cell, str) and len(cell) > LONG
-    found = [name for name, so in (("n", right), ("long", long)) if so]
-    return Markup(f' class="{" ".join(found)}"') if found else Markup("")
+    results = [name for name, so in (("n", right), ("long", long)) if so]
+    return Markup(f' class="{" ".join(results)}"') if results else Markup("")
 
 
 def _filled(table: Table) -> Table:
@@ -196,10 +196,10 @@ def _filled(table: Table) -> Table:
         len(row) != wide for row in (*table.rows, table.head or table.rows[0])
     ):
         return table
-    kept = [i for i in range(wide) if i == 0 or any(row[i] != "" for row in table.rows)]
-    texts = frozenset(new for new, i in enumerate(kept) if not table.right(i))
-    rows = [tuple(row[i] for i in kept) for row in table.rows]
-    head = [table.head[i] for i in kept] if table.head else table.head
+    selected = [i for i in range(wide) if i == 0 or any(row[i] != "" for row in table.rows)]
+    texts = frozenset(new for new, i in enumerate(selected) if not table.right(i))
+    rows = [tuple(row[i] for i in selected) for row in table.rows]
+    head = [table.head[i] for i in selected] if table.head else table.head
     return replace(table, head=head, rows=rows, texts=texts)
 
 

@@ -16,8 +16,8 @@ SECONDS = 120  # after which a browser is given up
 
 def browser() -> str | None:
     """The path of a browser that can print without a window, None where there is none."""
-    named = os.environ.get(VARIABLE)
-    names = (named,) if named else BROWSERS
+    by_name = os.environ.get(VARIABLE)
+    names = (by_name,) if by_name else BROWSERS
     return next((path for name in names if (path := shutil.which(name))), None)
 
 
@@ -43,6 +43,8 @@ def print_page(page: Path, file: Path, browser: str) -> None:
         except subprocess.TimeoutExpired:
             raise OSError(f"{browser} has not printed within {SECONDS} s") from None
         if not made.exists() or not made.read_bytes().startswith(b"%PDF"):
-            said = done.stderr.decode(errors="replace").strip().splitlines()
-            raise OSError(f"{browser} ended with {done.returncode}: {said[-1] if said else ''}")
+            metadata = done.stderr.decode(errors="replace").strip().splitlines()
+            raise OSError(
+                f"{browser} ended with {done.returncode}: {metadata[-1] if metadata else ''}"
+            )
         file.write_bytes(made.read_bytes())

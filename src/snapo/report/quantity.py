@@ -40,104 +40,107 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
     return max(0, significant - 1 - math.floor(math.log10(largest)))
 
 
-def number(value: Any, places: int | None = None, sign: bool = False) -> str:
+def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
     """`-1234.5` as "−1,234.5"; `places` decimals, or what four significant digits need.
 
     A number that would be mostly noughts stands as a power of ten: "1.578 × 10⁻⁶".
     """
-    known = finite(value)
-    if known is None:
+    available = finite(value)
+    if available is None:
         return NONE
-    if known == 0 and places is not None and places > MOST:
+    if available == 0 and digits is not None and digits > MOST:
         return "0"
-    if 0 < abs(known) < TINY and (places is None or places > MOST):
-        return ("+" if sign and known > 0 else "") + power(known, 3)
-    text = f"{abs(known):,.{min(decimals([known], 4), 9) if places is None else places}f}"
-    if places is None and "." in text:
+    if 0 < abs(available) < TINY and (digits is None or digits > MOST):
+        return ("+" if sign and available > 0 else "") + power(available, 3)
+    text = f"{abs(available):,.{min(decimals([available], 4), 9) if digits is None else digits}f}"
+    if digits is None and "." in text:
         text = text.rstrip("0").rstrip(".")
     if not any(digit in text for digit in "123456789"):
         return text
-    if known < 0:
+    if available < 0:
         return MINUS + text
     return "+" + text if sign else text
 
 
-def quantity(value: Any, unit: str, places: int | None = None, sign: bool = False) -> str:
+def quantity(value: Any, unit: str, digits: int | None = None, sign: bool = False) -> str:
     """A number with its unit behind it; the space between them does not break."""
-    text = number(value, places, sign)
+    text = number(value, digits, sign)
     return (
         text if text == NONE or not unit else f"{text}{SPACE}{unit_words(unit)}".replace(" ", SPACE)
     )
 
 
-def money(value: Any, currency: str, places: int | None = None, sign: bool = False) -> str:
+def money(value: Any, currency: str, digits: int | None = None, sign: bool = False) -> str:
     """A number with its currency before it: "EUR 78,312"."""
-    text = number(value, places, sign)
+    text = number(value, digits, sign)
     return text if text == NONE or not currency else f"{currency}{SPACE}{text}"
 
 
-def plus_minus(error: Any, places: int) -> str:
+def plus_minus(error: Any, digits: int) -> str:
     """A standard error, "± 41"; nothing where there is none.
 
     One that `places` decimals would round to nothing keeps a digit: "± 0.00004".
     """
-    known = finite(error)
-    if known is None:
+    available = finite(error)
+    if available is None:
         return ""
-    return f"±{SPACE}{power(known, 0) if _tiny(known) else number(known, _reached(known, places))}"
+    text = (
+        power(available, 0) if _tiny(available) else number(available, _reached(available, digits))
+    )
+    return f"±{SPACE}{text}"
 
 
-def measured(value: Any, error: Any, places: int, sign: bool = False) -> tuple[str, str]:
+def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
     """A value and its standard error, ("+0.00018", "± 0.00004").
 
     Both with `places` decimals, or with those of the first digit of a smaller error; both as powers
     of ten where they are tiny. An error that is the rounding of the value is none.
     """
-    known, worth = finite(error), finite(value)
-    if known is not None and worth is not None and abs(known) < ROUNDING * abs(worth):
-        error = known = 0.0
-    if known is not None and _tiny(known) and worth is not None and _tiny(worth):
-        return ("+" if sign and worth > 0 else "") + rough(worth), plus_minus(error, places)
-    if known is not None and not _tiny(known):
-        places = _reached(known, places)
-    return number(value, places, sign), plus_minus(error, places)
+    available, values = finite(error), finite(value)
+    if available is not None and values is not None and abs(available) < ROUNDING * abs(values):
+        error = available = 0.0
+    if available is not None and _tiny(available) and values is not None and _tiny(values):
+        return ("+" if sign and values > 0 else "") + rough(values), plus_minus(error, digits)
+    if available is not None and not _tiny(available):
+        digits = _reached(available, digits)
+    return number(value, digits, sign), plus_minus(error, digits)
 
 
 def rough(value: Any) -> str:
     """A number of which the size alone matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
-    known = finite(value)
-    if known is None or known == 0:
-        return number(known, 0)
-    return power(known, 1) if _tiny(known) else number(known, decimals([known], 2))
+    available = finite(value)
+    if available is None or available == 0:
+        return number(available, 0)
+    return power(available, 1) if _tiny(available) else number(available, decimals([available], 2))
 
 
 def _tiny(value: float) -> bool:
     return 0 < abs(value) < TINY
 
 
-def _reached(error: float, places: int) -> int:
+def _reached(error: float, digits: int) -> int:
     """So many decimals, or more where they would show an error as nothing."""
-    return max(places, decimals([error], 1)) if abs(error) < 0.5 * 10.0**-places else places
+    return max(digits, decimals([error], 1)) if abs(error) < 0.5 * 10.0**-digits else digits
 
 
-def percent(share: Any, places: int = 1) -> str:
+def percent(share: Any, digits: int = 1) -> str:
     """`0.1234` as "12.3 %"."""
-    known = finite(share)
-    return NONE if known is None else f"{number(100 * known, places)}{SPACE}%"
+    available = finite(share)
+    return NONE if available is None else f"{number(100 * available, digits)}{SPACE}%"
 
 
-def part_of(share: Any, places: int = 2) -> str:
+def part_of(share: Any, digits: int = 2) -> str:
     """A share in per cent that is not nothing where it only rounds to it: "less than 0.01 %"."""
-    known = finite(share)
-    least = 10.0 ** -(places + 2)
-    if known is None or known == 0 or abs(known) >= least / 2:
-        return percent(share, places)
-    return f"less than {percent(least, places)}"
+    available = finite(share)
+    minimum = 10.0 ** -(digits + 2)
+    if available is None or available == 0 or abs(available) >= minimum / 2:
+        return percent(share, digits)
+    return f"less than {percent(minimum, digits)}"
 
 
 def unit_words(unit: str) -> str:
     """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
-    text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
+    text = POWER.sub(lambda result: result[1] + raised(result[2]), unit)
     text = re.sub(r"\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b", r"√\1\2", text)
     return re.sub(r"\bum\b", "µm", text).replace("*", "·").replace("^k", "ᵏ")
 
@@ -180,13 +183,13 @@ def raised(text: str) -> str:
     return text.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def power(value: Any, places: int = 1) -> str:
+def power(value: Any, decimal_places: int = 1) -> str:
     """A size of error, small or large as a power of ten: "3.1 × 10⁻⁹"."""
-    known = finite(value)
-    if known is None or known == 0 or 1e-3 <= abs(known) < 1e4:
-        return number(known)
-    digits, exponent = f"{known:.{places}e}".split("e")
-    digits = digits.rstrip("0").rstrip(".") if places > 1 else digits
+    available = finite(value)
+    if available is None or available == 0 or 1e-3 <= abs(available) < 1e4:
+        return number(available)
+    digits, exponent = f"{available:.{decimal_places}e}".split("e")
+    digits = digits.rstrip("0").rstrip(".") if decimal_places > 1 else digits
     return f"{digits.replace('-', MINUS)}{SPACE}×{SPACE}10{raised(str(int(exponent)))}"
 
 
@@ -210,19 +213,19 @@ def long_month(month: Any) -> str:
 
 def seconds(value: Any) -> str:
     """A duration: "0.02 s", "0.4 s", "83 s", "12 min 5 s"."""
-    known = finite(value)
-    if known is None:
+    available = finite(value)
+    if available is None:
         return NONE
-    if known < 0.1:
-        return f"{number(known, 2)}{SPACE}s" if known >= 0.005 else f"0{SPACE}s"
-    if known < 120:
-        return f"{number(known, 1 if known < 10 else 0)}{SPACE}s"
-    return f"{int(known // 60)}{SPACE}min {int(known % 60)}{SPACE}s"
+    if available < 0.1:
+        return f"{number(available, 2)}{SPACE}s" if available >= 0.005 else f"0{SPACE}s"
+    if available < 120:
+        return f"{number(available, 1 if available < 10 else 0)}{SPACE}s"
+    return f"{int(available // 60)}{SPACE}min {int(available % 60)}{SPACE}s"
 
 
 def array(values: Any) -> np.ndarray | None:
     """A list of numbers as float64, its nulls as NaN; None where there is nothing to show."""
     if values is None or len(values) == 0:
         return None
-    numbers = np.array([math.nan if each is None else each for each in values], np.float64)
+    numbers = np.array([math.nan if value is None else value for value in values], np.float64)
     return numbers if np.isfinite(numbers).any() else None

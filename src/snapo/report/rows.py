@@ -40,7 +40,9 @@ class Column(NamedTuple):
         of = self.of
         return [of(record) if callable(of) else getattr(record, of) for record in records]
 
-    def cells(self, values: Sequence[Any], places: Sequence[int] | None) -> list[tuple[Any, ...]]:
+    def cells(
+        self, values: Sequence[Any], positions: Sequence[int] | None
+    ) -> list[tuple[Any, ...]]:
         """The cells of each row: two for a number with an error, one for anything else.
 
         `places`: decimals by row; None: those of the column.
@@ -50,12 +52,12 @@ class Column(NamedTuple):
         if all(isinstance(x, bool) for x in values):
             return [(Mark(x, "holds" if x else "fails"),) for x in values]
         pairs = [x if isinstance(x, WithError) else WithError(x) for x in values]
-        if places is None:
+        if positions is None:
             digits = decimals([x.value for x in pairs], self.digits)
-            places = [digits if self.places is None else self.places] * len(pairs)
+            positions = [digits if self.places is None else self.places] * len(pairs)
         if any(isinstance(x, WithError) for x in values):
-            return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, places)]
-        return [(number(x.value, n, self.sign),) for x, n in zip(pairs, places)]
+            return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, positions)]
+        return [(number(x.value, n, self.sign),) for x, n in zip(pairs, positions)]
 
 
 def table(
@@ -96,11 +98,11 @@ class Bar(NamedTuple):
     strong: bool = False
 
 
-def ladder(anchor: str, bars: Sequence[Bar], caption: str, places: int | None = None) -> Chart:
+def ladder(anchor: str, bars: Sequence[Bar], caption: str, digits: int | None = None) -> Chart:
     """Horizontal bars with their numbers, the first on top, with their description."""
-    places = decimals([bar.value for bar in bars], 5) if places is None else places
+    digits = decimals([bar.value for bar in bars], 5) if digits is None else digits
     rungs = [
-        charts.Rung(bar.name, bar.value, number(bar.value, places), bar.error, bar.strong)
+        charts.Rung(bar.name, bar.value, number(bar.value, digits), bar.error, bar.strong)
         for bar in bars
     ]
     alt = "; ".join(f"{rung.name} {rung.text}" for rung in rungs)

@@ -12,13 +12,13 @@ Stamps = dict[str, tuple[int, int, int]]
 
 def stamps(folder: Path) -> Stamps:
     """What tells, without reading it, that a file of the folder or of its parts is another one."""
-    found: Stamps = {}
-    for each in (*folder.glob("*"), *folder.glob("parts/*")):
-        if each.is_file() and each.suffix != ".partial":
-            state = each.stat()
-            name = each.relative_to(folder).as_posix()
-            found[name] = (state.st_ino, state.st_mtime_ns, state.st_size)
-    return found
+    table: Stamps = {}
+    for item in (*folder.glob("*"), *folder.glob("parts/*")):
+        if item.is_file() and item.suffix != ".partial":
+            state = item.stat()
+            name = item.relative_to(folder).as_posix()
+            table[name] = (state.st_ino, state.st_mtime_ns, state.st_size)
+    return table
 
 
 def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[str, str]:
@@ -30,13 +30,15 @@ def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[
 
 def changed_files(folder: Path, files: Any) -> list[str]:
     """Those of {name: checksum} that are gone, or not what was written."""
-    known = files if isinstance(files, Mapping) else {}
-    return [name for name, wanted in known.items() if not _same(folder / str(name), wanted)]
+    available = files if isinstance(files, Mapping) else {}
+    return [
+        name for name, requested in available.items() if not _same(folder / str(name), requested)
+    ]
 
 
-def _same(file: Path, wanted: Any) -> bool:
+def _same(file: Path, requested: Any) -> bool:
     try:
-        return checksum(file.read_bytes()) == wanted
+        return checksum(file.read_bytes()) == requested
     except OSError:
         return False
 

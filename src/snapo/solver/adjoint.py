@@ -54,8 +54,8 @@ def value_and_gradient(
     **Raises:** `ValueError` for other `decisions`.
     """
     if decisions not in ("held", "reacting"):
-        what = "allowed is 'held' or 'reacting'"
-        raise ValueError(f"value_and_gradient: decisions is {decisions!r}; {what}.")
+        message = "allowed is 'held' or 'reacting'"
+        raise ValueError(f"value_and_gradient: decisions is {decisions!r}; {message}.")
     held = decisions == "held"
     bound = (engine or Xla(precision="float64")).bind(problem)
     source = problem.sources.evaluation

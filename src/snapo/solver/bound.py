@@ -78,10 +78,10 @@ class Bound:
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MOST_GAP * value and error <= MOST_ERROR * value:
             return ""
-        told = f"a gap of {gap:,.3g} ± {error:,.2g}"
+        summary = f"a gap of {gap:,.3g} ± {error:,.2g}"
         share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
         few = ", which a few paths of great hindsight decide" if self.few else ""
-        return f"says little: {told}{share}{few}"
+        return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
         """The bound of a policy whose value is known better from more paths: that, and the gap.
@@ -97,25 +97,25 @@ class Bound:
         low = top - float(independent(gap.value - gap.low, half))
         high = top + float(independent(gap.high - gap.value, half))
         upper = Between(top, wide, low, high)
-        sure = objective.sure(value), objective.sure(top)
-        return replace(self, lower=lower, upper=upper, sure=sure)
+        certain = objective.sure(value), objective.sure(top)
+        return replace(self, lower=lower, upper=upper, sure=certain)
 
     def row(self) -> dict[str, Any]:
         """As plain data."""
-        found = asdict(self) | {"says_little": self.says_little}
+        result = asdict(self) | {"says_little": self.says_little}
         for name in ("lower", "upper", "gap"):
-            found[name] = getattr(self, name)._asdict()
-        return found
+            result[name] = getattr(self, name)._asdict()
+        return result
 
     def _repr_html_(self) -> str:
         """The same in a notebook."""
         rows = [
-            (name, f"{each.value:,.7g}", f"± {each.standard_error:,.3g}", f"{each.low:,.7g}",
-             f"{each.high:,.7g}")
-            for name, each in self._named().items()
+            (name, f"{item.value:,.7g}", f"± {item.standard_error:,.3g}", f"{item.low:,.7g}",
+             f"{item.high:,.7g}")
+            for name, item in self._named().items()
         ]  # fmt: skip
-        little = f"It {self.says_little}. " if self.says_little else ""
-        below = html.paragraph(f"{little}{self.paths} paths; penalty: {self.words}")
+        small = f"It {self.says_little}. " if self.says_little else ""
+        below = html.paragraph(f"{small}{self.paths} paths; penalty: {self.words}")
         return html.table(("", "value", "", "95 % from", "to"), rows) + below
 
     def _named(self) -> dict[str, Between]:
@@ -123,9 +123,9 @@ class Bound:
 
     def __str__(self) -> str:
         lines = [
-            f"{name:<16}{each.value:>16,.7g} ± {each.standard_error:<10.3g}"
-            f"95 %: {each.low:,.7g} to {each.high:,.7g}"
-            for name, each in self._named().items()
+            f"{name:<16}{item.value:>16,.7g} ± {item.standard_error:<10.3g}"
+            f"95 %: {item.low:,.7g} to {item.high:,.7g}"
+            for name, item in self._named().items()
         ]
         if None not in self.sure:
             lines.append("as sure totals  {:>16,.7g} to {:,.7g}".format(*self.sure))
@@ -161,8 +161,8 @@ def bound(
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
-        what = "only a mean of what each path is worth is bounded from above"
-        raise ValueError(f"bound: the objective is {kind}; {what}.")
+        message = "only a mean of what each path is worth is bounded from above"
+        raise ValueError(f"bound: the objective is {kind}; {message}.")
     if relaxation is None:
         relaxation = relaxation_of(problem)
     fresh = _Paths(problem, policy, relaxation, engine or Xla(precision="float64"))
@@ -172,7 +172,7 @@ def bound(
     if penalty == "trained" and relaxation.terms:
         learning = _fresh(problem, seed, TRAINED)
         sample = fresh.rolled(learning, learning.available(training_paths))
-        scale = _descended(lambda each: float(np.mean(fresh.best(sample, each))), scale)
+        scale = _descended(lambda item: float(np.mean(fresh.best(sample, item))), scale)
     paths = source.available(paths)
     sample = fresh.rolled(source, paths)
     upper, lower = fresh.best(sample, scale), fresh.policy(sample, scale)
@@ -181,13 +181,13 @@ def bound(
     groups = source.groups(np.arange(paths))
     below, above = _between(lower[order], groups), _between(upper[order], groups)
     gap = skewed_mean((upper - lower)[order], groups)
-    words = relaxation.words if scale.any() else "none: each path knows its own future"
+    text = relaxation.words if scale.any() else "none: each path knows its own future"
     used: Penalty = penalty
     if not scale.any():
         used = "none"
-    sure = problem.objective.sure(below.value), problem.objective.sure(above.value)
+    certain = problem.objective.sure(below.value), problem.objective.sure(above.value)
     between = Between(gap.value, gap.standard_error, max(gap.low, 0.0), gap.high)
-    return Bound(below, above, between, used, words, tuple(scale.tolist()), paths, sure, gap.few)
+    return Bound(below, above, between, used, text, tuple(scale.tolist()), paths, certain, gap.few)
 
 
 def nested_mean(
@@ -218,12 +218,12 @@ class _Paths:
         self.bound = engine.bind(problem)
 
     def rolled(self, source: Scenarios, paths: int) -> Sample:
-        found: Sample = []
+        rows: Sample = []
         for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
             draws = source.draws(block, self.problem.simulator)
-            rolled = self.bound.values(self.policy_, draws, Exact(), record=COURSE)
-            found.append((block, draws, rolled))
-        return found
+            rollout = self.bound.values(self.policy_, draws, Exact(), record=COURSE)
+            rows.append((block, draws, rollout))
+        return rows
 
     def best(self, sample: Sample, scale: np.ndarray) -> np.ndarray:
         return np.concatenate([self.relaxation.best(r, d, scale) for _, d, r in sample])
@@ -244,16 +244,16 @@ def _fresh(problem: Problem, seed: int, use: int) -> Scenarios:
 
 def _descended(value: Callable[[np.ndarray], float], scale: np.ndarray) -> np.ndarray:
     """Scales at which the bound, convex in them, is lower: one at a time, by parabolas."""
-    least = value(scale)
+    minimum = value(scale)
     for sweep in range(SWEEPS):
         width = STEP / 2**sweep
         for i in range(len(scale)):
             left, right = (value(_moved(scale, i, side * width)) for side in (-1, 1))
-            bend = left - 2 * least + right
+            bend = left - 2 * minimum + right
             move = 0.5 * width * (left - right) / bend if bend > 0 else 0.0
-            tried = _moved(scale, i, float(np.clip(move, -2 * width, 2 * width)))
-            if (found := value(tried)) < least:
-                scale, least = tried, found
+            bumped = _moved(scale, i, float(np.clip(move, -2 * width, 2 * width)))
+            if (result := value(bumped)) < minimum:
+                scale, minimum = bumped, result
     return scale
 
 
@@ -268,10 +268,10 @@ def _check(gap: np.ndarray, size: float) -> None:
         raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is not finite.")
     if gap.min() < -1e-6 * size:
         path = int(np.argmin(gap))
-        what = "the inner problem earns less than the policy"
-        raise ValueError(f"bound: on path {path} {what} ({gap[path]:.6g}): it is no relaxation.")
+        message = "the inner problem earns less than the policy"
+        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): it is no relaxation.")
 
 
 def _between(values: np.ndarray, groups: np.ndarray) -> Between:
-    found = mean(values, groups)
-    return Between(found.value, found.standard_error, *found.interval())
+    result = mean(values, groups)
+    return Between(result.value, result.standard_error, *result.interval())

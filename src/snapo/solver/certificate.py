@@ -119,17 +119,19 @@ def certify_derivatives(
     Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """
     pathwise = set(problem.named) - set(problem.in_mean)
-    found = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
-    crowded = {bump.input for bump in found if bump.crossing > CROWDED}
+    results = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
+    crowded = {bump.input for bump in results if bump.crossing > CROWDED}
     if not crowded:
-        return found
-    again = bump_check(near(problem), policy, paths=paths, only=crowded, engine=engine)
-    decided = {bump.input for bump in again if bump.crossing < 1.0}
-    found = [
+        return results
+    repeated = bump_check(near(problem), policy, paths=paths, only=crowded, engine=engine)
+    decided = {bump.input for bump in repeated if bump.crossing < 1.0}
+    results = [
         bump._replace(judged=bump.crossing < 1.0 or bump.passed or bump.input not in decided)
-        for bump in found
+        for bump in results
     ]
-    return found + [bump._replace(direction=f"{bump.direction} nearby".strip()) for bump in again]
+    return results + [
+        bump._replace(direction=f"{bump.direction} nearby".strip()) for bump in repeated
+    ]
 
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
@@ -137,7 +139,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     a move of all their numbers by a hundredth, in four standard errors of the difference.
 
     A bump that is reported itself, where it refutes the held derivative, has no difference."""
-    found = []
+    results = []
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:
             continue
@@ -145,7 +147,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
         error, allowed = abs(verdict.reaction[0]), SIGNIFICANT * verdict.reaction[1]
         if verdict.source != HELD:
             error = 0.0
-        found.append(
+        results.append(
             {
                 "family": name,
                 "inputs": "all by 1 %, in the mean",
@@ -156,7 +158,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
                 "crossing": 0.0,
             }
         )
-    return found
+    return results
 
 
 @takes_problem
@@ -185,22 +187,22 @@ def bump_check(
     replay = _Replay.of(engine or Xla(precision="float64"), problem, policy, draws, smooth)
     gradient, random = replay.gradient(), np.random.default_rng(1)
     centre = replay.paths({})
-    found = []
-    for name, given in problem.named.items():
-        directions = _directions(given, every, random)
+    results = []
+    for name, values in problem.named.items():
+        directions = _directions(values, every, random)
         if only is not None and name not in only:
             continue
         scale = float(np.max(np.abs(gradient[name]), initial=0.0))
         for label, direction in directions:
             # Each number moves by its own step; `part` is relative to the largest of them.
-            moved = given.step() * direction
+            moved = values.step() * direction
             step = float(np.max(np.abs(moved)))
             part = moved / step
             if not every:
                 scale = float(np.sum(np.abs(gradient[name] * part)))
             along = _Along(replay, name, part, step, centre)
-            found.append(along.compare(label, gradient, scale))
-    return found
+            results.append(along.compare(label, gradient, scale))
+    return results
 
 
 class _Replay(NamedTuple):
@@ -225,21 +227,21 @@ class _Replay(NamedTuple):
 
     def paths(self, bumps: dict[str, np.ndarray]) -> np.ndarray:
         """The share of each path in the weighted value, [paths], with these inputs shifted."""
-        named = self.problem.named
-        moved = self.problem.at({name: named[name].value + bump for name, bump in bumps.items()})
+        by_name = self.problem.named
+        moved = self.problem.at({name: by_name[name].value + bump for name, bump in bumps.items()})
         bound = self.engine.bind(moved, controls=False)
-        found = bound.values(self.policy, self.draws, self.smooth, actions=self.actions)
-        totals = float64(found.totals)
+        result = bound.values(self.policy, self.draws, self.smooth, actions=self.actions)
+        totals = float64(result.totals)
         return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
 
     def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """The adjoint by every input, of all paths or of those to `keep`."""
         bound = self.engine.bind(self.problem, controls=False)
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
-        given = (self.policy, self.draws, self.smooth, weights)
-        passed = bound.adjoint(*given, actions=self.actions, wrt=("schedule",))
+        values = (self.policy, self.draws, self.smooth, weights)
+        passed = bound.adjoint(*values, actions=self.actions, wrt=("schedule",))
         moved = pull_back(self.problem.simulator, self.problem.inputs, [passed.schedule])
-        return {name: found[0] for name, found in moved.items()}
+        return {name: result[0] for name, result in moved.items()}
 
 
 class _Along:
@@ -260,12 +262,12 @@ class _Along:
 
     def compare(self, label: str, gradient: dict[str, np.ndarray], scale: float) -> Bump:
         every = np.ones(len(self.centre), bool)
-        found = self._bump(label, gradient, scale, every)
-        if found.passed:
-            return found
+        result = self._bump(label, gradient, scale, every)
+        if result.passed:
+            return result
         smooth = ~self._crossing(scale)
         if not smooth.any():
-            return found._replace(crossing=1.0, kink=True)
+            return result._replace(crossing=1.0, kink=True)
         if not smooth.all():
             gradient = self.replay.gradient(smooth)
         rest = self._bump(label, gradient, scale, smooth, extrapolated=True)
@@ -304,12 +306,12 @@ class _Along:
         return np.abs(wide - 4 * narrow) > limit
 
 
-def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np.ndarray]]:
-    shape = given.value.shape
-    if not every and given.value.size > 1:
+def _directions(values: inputs_.Input, every: bool, random) -> list[tuple[str, np.ndarray]]:
+    shape = values.value.shape
+    if not every and values.value.size > 1:
         return [("random direction", random.choice([-1.0, 1.0], shape))]
-    units = np.eye(given.value.size).reshape(-1, *shape)
-    return list(zip(given.names(), units))
+    units = np.eye(values.value.size).reshape(-1, *shape)
+    return list(zip(values.names(), units))
 
 
 @takes_problem(objective=False)
@@ -322,8 +324,8 @@ def feasibility(
     worst: dict[str, Feasibility] = {}
     for block in source.blocks(source.available(paths)):
         draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy, draws, Exact(), record=COURSE)
-        for name, slack in rolled.record["slack"].items():
+        rollout = bound.values(policy, draws, Exact(), record=COURSE)
+        for name, slack in rollout.record["slack"].items():
             slack = np.asarray(slack)
             step, path = np.unravel_index(np.argmin(slack), slack.shape)
             entry = Feasibility(name, float(slack[step, path]), int(block[path]), int(step))

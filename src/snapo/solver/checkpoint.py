@@ -76,9 +76,9 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    told = {"history": history, "growth": growth, "dual": dual, "raced": raced}
-    told |= {**steps, "alike": int(state.get("alike", 0))}
-    return replace(like, **trees, **plain, **told, scale=scale)
+    summary = {"history": history, "growth": growth, "dual": dual, "raced": raced}
+    summary |= {**steps, "alike": int(state.get("alike", 0))}
+    return replace(like, **trees, **plain, **summary, scale=scale)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:
@@ -108,19 +108,19 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     moving, fixed = eqx.partition(like, eqx.is_array)
     leaves, structure = jax.tree.flatten(moving)
     stored, both = _load(file)
-    header, words = _two(file, both, "header", "described")
-    found = list(stored.values())
-    shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in found]
+    header, text = _two(file, both, "header", "described")
+    result = list(stored.values())
+    shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in result]
     if shapes[0] != shapes[1]:
         raise CheckpointError(f"{file}: this file holds a policy of another shape.")
-    if words and (other := difference(words, described(_policies(like)))):
+    if text and (other := difference(text, described(_policies(like)))):
         raise CheckpointError(f"{file}: this file holds another policy: {other}.")
     # Tables in NumPy keep their precision, which JAX might not have.
-    kept = [
+    selected = [
         np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)
-        for new, old in zip(found, leaves)
+        for new, old in zip(result, leaves)
     ]
-    return eqx.combine(structure.unflatten(kept), fixed), header
+    return eqx.combine(structure.unflatten(selected), fixed), header
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:

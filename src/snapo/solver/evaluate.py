@@ -83,8 +83,8 @@ def path_totals(
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
-        rolled = bound.values(policy, source.draws(block, problem.simulator), smooth)
-        _keep(rolled, block, paths, totals)
+        rollout = bound.values(policy, source.draws(block, problem.simulator), smooth)
+        _keep(rollout, block, paths, totals)
     return totals
 
 
@@ -100,20 +100,20 @@ def totals_and_decisions(
     decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MOST_BYTES else None
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
-        own = block < (0 if decisions is None else shape[1])
-        record = DECIDED if own.any() else ()
+        local = block < (0 if decisions is None else shape[1])
+        record = DECIDED if local.any() else ()
         draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy, draws, Exact(), record=record)
-        _keep(rolled, block, paths, totals)
+        rollout = bound.values(policy, draws, Exact(), record=record)
+        _keep(rollout, block, paths, totals)
         if decisions is not None and record:
-            few = in_a_row(np.flatnonzero(own))
-            decisions[:, in_a_row(block[own])] = np.asarray(rolled.record["action"])[:, few]
+            few = in_a_row(np.flatnonzero(local))
+            decisions[:, in_a_row(block[local])] = np.asarray(rollout.record["action"])[:, few]
     return totals, decisions
 
 
-def _keep(rolled: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.ndarray]) -> None:
+def _keep(rollout: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.ndarray]) -> None:
     """Puts the totals of some paths among those of all."""
-    for name, total in float64(rolled.totals).items():
+    for name, total in float64(rollout.totals).items():
         totals.setdefault(name, np.full(paths, np.nan))[block] = total
 
 
@@ -137,13 +137,13 @@ def estimate(
     Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
     are not finite are left out and counted; more than a thousandth of them make the value NaN.
     """
-    _, false, found = _controlled(objective, totals, scenarios, controls)
+    _, false, result = _controlled(objective, totals, scenarios, controls)
     plain = statistics.of_shares(shares_of(objective, totals, scenarios))
     used, explained = len(controls) - len(false), 0.0
     if used and plain.standard_error > 0:
-        explained = 1 - (found.standard_error / plain.standard_error) ** 2
+        explained = 1 - (result.standard_error / plain.standard_error) ** 2
     dropped = int(np.sum(~finite(totals, objective.outputs)))
-    return Value(found.value, found.standard_error, explained, dropped, false)
+    return Value(result.value, result.standard_error, explained, dropped, false)
 
 
 def worth_of_groups(
@@ -158,9 +158,9 @@ def worth_of_groups(
 
 def kept(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
     """The totals of the paths that are finite; none where too many are not."""
-    good = finite(totals, objective.outputs)
-    few = np.sum(~good) <= DROPPED * good.size
-    return {name: np.asarray(total)[good if few else []] for name, total in totals.items()}
+    valid = finite(totals, objective.outputs)
+    few = np.sum(~valid) <= DROPPED * valid.size
+    return {name: np.asarray(total)[valid if few else []] for name, total in totals.items()}
 
 
 def worth(objective: Objective, totals: Totals) -> float:
@@ -181,8 +181,8 @@ def ruined(objective: Objective, totals: Totals) -> int:
 def _controlled(objective: Objective, totals: Totals, scenarios: Scenarios, controls):
     plain = shares_of(objective, totals, scenarios)
     taken = [of_groups(objective, totals, scenarios, totals[name]) for name in controls]
-    left, false, found = statistics.controlled(plain, taken)
-    return left, tuple(controls[i] for i in false), found
+    left, false, result = statistics.controlled(plain, taken)
+    return left, tuple(controls[i] for i in false), result
 
 
 def shares_of(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.ndarray:
@@ -197,9 +197,9 @@ def shares_of(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.
 
 def of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values) -> np.ndarray:
     """Shares of the groups in the mean over the paths that are finite."""
-    good = finite(totals, objective.outputs)
-    groups = scenarios.groups(np.arange(good.size))
-    return statistics.ratio_shares(np.where(good, values, 0.0), good, groups)
+    valid = finite(totals, objective.outputs)
+    groups = scenarios.groups(np.arange(valid.size))
+    return statistics.ratio_shares(np.where(valid, values, 0.0), valid, groups)
 
 
 CHUNK = 8192  # paths in one call of an engine

@@ -38,17 +38,17 @@ def adjoint_of_finite_paths(
     value, result = weighted_adjoint(bound, policy, draws, smooth, objective, **options)
     if not np.isnan(value) and all_finite(result, objective.outputs):
         return value, result, 0
-    good = _good(bound, policy, draws, smooth, objective.outputs, options)
-    bad = int(np.sum(~good))
-    if bad == 0 or bad == good.size:
-        return value, result, good.size
-    draws, options = _replaced(good, draws, options)
+    valid = _good(bound, policy, draws, smooth, objective.outputs, options)
+    invalid = int(np.sum(~valid))
+    if invalid == 0 or invalid == valid.size:
+        return value, result, valid.size
+    draws, options = _replaced(valid, draws, options)
     window = {key: options[key] for key in ("window", "start") if key in options}
     totals = float64(bound.values(policy, draws, smooth, **window).totals)
-    kept = {name: total[good] for name, total in totals.items()}
-    weights = _spread(objective.climb(kept), good)
+    selected = {name: total[valid] for name, total in totals.items()}
+    weights = _spread(objective.climb(selected), valid)
     result = bound.adjoint(policy, draws, smooth, weights, **options)
-    return objective.value(kept), result, bad
+    return objective.value(selected), result, invalid
 
 
 def adjoint_of_good_weights(
@@ -61,14 +61,14 @@ def adjoint_of_good_weights(
     result = bound.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):
         return result, 0
-    good = _good(bound, policy, draws, smooth, tuple(weights), options)
-    if good.all() or not good.any():
-        return result, good.size
-    draws, options = _replaced(good, draws, options)
+    valid = _good(bound, policy, draws, smooth, tuple(weights), options)
+    if valid.all() or not valid.any():
+        return result, valid.size
+    draws, options = _replaced(valid, draws, options)
     weights = _spread(
-        {name: np.asarray(weight)[..., good] for name, weight in weights.items()}, good
+        {name: np.asarray(weight)[..., valid] for name, weight in weights.items()}, valid
     )
-    return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~good))
+    return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~valid))
 
 
 def _good(bound: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
@@ -77,41 +77,41 @@ def _good(bound: BoundEngine, policy, draws, smooth, names, options) -> np.ndarr
     A forward sweep finds most of the others; only where the adjoint of the rest is not finite
     either, each path is looked at alone.
     """
-    given = {key: options[key] for key in ("window", "start", "actions") if key in options}
-    good = finite(float64(bound.values(policy, draws, smooth, **given).totals), names)
-    if not good.all() and good.any():
-        rest, given = _replaced(good, draws, options)
-        weights = {name: np.ones(good.size) for name in names}
-        if all_finite(bound.adjoint(policy, rest, smooth, weights, **given), names):
-            return good
+    values = {key: options[key] for key in ("window", "start", "actions") if key in options}
+    valid = finite(float64(bound.values(policy, draws, smooth, **values).totals), names)
+    if not valid.all() and valid.any():
+        rest, values = _replaced(valid, draws, options)
+        weights = {name: np.ones(valid.size) for name in names}
+        if all_finite(bound.adjoint(policy, rest, smooth, weights, **values), names):
+            return valid
     weights = {name: np.ones(1) for name in names}
-    for path in np.flatnonzero(good):
-        alone, given = _only(np.array([path]), draws, options)
-        good[path] = all_finite(bound.adjoint(policy, alone, smooth, weights, **given), names)
-    return good
+    for path in np.flatnonzero(valid):
+        alone, values = _only(np.array([path]), draws, options)
+        valid[path] = all_finite(bound.adjoint(policy, alone, smooth, weights, **values), names)
+    return valid
 
 
-def _replaced(good: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
+def _replaced(valid: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
     """Bad paths become copies of a good one: zero weight would not silence them (0 x inf)."""
-    return _only(np.where(good, np.arange(good.size), np.argmax(good)), draws, options)
+    return _only(np.where(valid, np.arange(valid.size), np.argmax(valid)), draws, options)
 
 
-def _spread(weights: Mapping[str, np.ndarray], good: np.ndarray) -> Weights:
+def _spread(weights: Mapping[str, np.ndarray], valid: np.ndarray) -> Weights:
     """Weights of the good paths, and zeros for the others."""
-    spread = {name: np.zeros((*weight.shape[:-1], good.size)) for name, weight in weights.items()}
+    spread = {name: np.zeros((*weight.shape[:-1], valid.size)) for name, weight in weights.items()}
     for name, weight in weights.items():
-        spread[name][..., good] = weight
+        spread[name][..., valid] = weight
     return spread
 
 
-def _only(chosen: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
+def _only(selected: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
     """The noise, the starting states and the recorded actions of chosen paths alone."""
-    given = dict(options)
+    values = dict(options)
     if options.get("start") is not None:
-        given["start"] = jax.tree.map(lambda leaf: leaf[chosen], options["start"])
+        values["start"] = jax.tree.map(lambda leaf: leaf[selected], options["start"])
     if options.get("actions") is not None:
-        given["actions"] = options["actions"][:, chosen]
-    return only(draws, chosen), given
+        values["actions"] = options["actions"][:, selected]
+    return only(draws, selected), values
 
 
 def all_finite(result: Adjoint, names: Iterable[str]) -> bool:

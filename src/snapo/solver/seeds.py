@@ -36,7 +36,7 @@ class Seeds:
     @property
     def values(self) -> dict[int, float]:
         """{seed: value}."""
-        return {seed: each.value for seed, each in self.solutions.items()}
+        return {seed: solution.value for seed, solution in self.solutions.items()}
 
     @property
     def best(self) -> int:
@@ -48,7 +48,7 @@ class Seeds:
         one, other = self.solutions[self.best], self.solutions[seed]
         assert one.problem is not None
         objective, source = one.problem.objective, one.problem.sources.evaluation
-        shares = [worth_of_groups(objective, each.totals, source) for each in (one, other)]
+        shares = [worth_of_groups(objective, item.totals, source) for item in (one, other)]
         return statistics.of_shares(shares[0] - shares[1])
 
     def __str__(self) -> str:
@@ -58,13 +58,14 @@ class Seeds:
             f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
             f"mean {values.mean():.6g}{spread}"
         ]
-        for seed, each in self.solutions.items():
+        for seed, solution in self.solutions.items():
             behind = self.behind(seed)
             below = f"{behind.value:.3g} ± {behind.standard_error:.2g} below the best"
             lines.append(
-                f"  seed {seed}: {each.value:.6g} ± {each.standard_error:.2g}, "
-                f"{'the best' if seed == self.best else below}; {each.status}, {each.convergence}, "
-                f"{each.seconds['total']:.1f} s"
+                f"  seed {seed}: {solution.value:.6g} ± {solution.standard_error:.2g}, "
+                f"{'the best' if seed == self.best else below}; {solution.status}, "
+                f"{solution.convergence}, "
+                f"{solution.seconds['total']:.1f} s"
             )
         return "\n".join(lines)
 
@@ -94,20 +95,20 @@ def solve_seeds(
     are those of `solve`.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
-        what = "the problem comes first, and seeds has a name: solve_seeds(problem, seeds=5)"
-        raise ValueError(f"solve_seeds: {what}; got seeds={seeds!r}.")
+        message = "the problem comes first, and seeds has a name: solve_seeds(problem, seeds=5)"
+        raise ValueError(f"solve_seeds: {message}; got seeds={seeds!r}.")
     training, evaluation = training or Training(), evaluation or Evaluation()
     if isinstance(seeds, int):
         seeds = range(training.seed, training.seed + seeds)
-    chosen = tuple(seeds)
-    if not chosen or len(set(chosen)) < len(chosen):
-        raise ValueError(f"solve_seeds: seeds is {chosen}; allowed is one or more, each once.")
+    selected = tuple(seeds)
+    if not selected or len(set(selected)) < len(selected):
+        raise ValueError(f"solve_seeds: seeds is {selected}; allowed is one or more, each once.")
     inputs, policy = in_order(problem, inputs, policy)
-    given, sources = (inputs, objective, scenarios, constraints), evaluation.sources(chosen[0])
-    problem = problem_of("solve_seeds", problem, *given, sources=sources, seed=chosen[0])
-    found = {}
-    for seed in chosen:
-        own = problem.on(problem.sources.reseeded(seed))
+    values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(selected[0])
+    problem = problem_of("solve_seeds", problem, *values, sources=sources, seed=selected[0])
+    table = {}
+    for seed in selected:
+        local = problem.on(problem.sources.reseeded(seed))
         settings = replace(training, seed=seed)
-        found[seed] = solve(own, policy=policy, training=settings, evaluation=evaluation, **more)
-    return Seeds(found)
+        table[seed] = solve(local, policy=policy, training=settings, evaluation=evaluation, **more)
+    return Seeds(table)

@@ -120,23 +120,23 @@ class Sensitivities(NamedTuple):
         """
         if self.reported is None:
             return self
-        capped = {name: each.capped(gap) for name, each in self.reported.items()}
+        capped = {name: item.capped(gap) for name, item in self.reported.items()}
         return self._replace(reported=capped)
 
     def rows(self) -> Iterator[Row]:
         """Every number of every input, in the order of the inputs."""
-        for name, given in self.inputs.items():
+        for name, values in self.inputs.items():
             columns = [
                 column
                 for table in (self.held, self.smooth, self.moved)
                 for column in _columns(table, name)
             ]
-            nothing = np.full(given.value.size, np.nan)
+            nothing = np.full(values.value.size, np.nan)
             numbers = zip(*(nothing if column is None else column for column in columns))
             derivative = self.of(name)
-            for label, interval, row in zip(given.names(), derivative.numbers(), numbers):
+            for label, interval, row in zip(values.names(), derivative.numbers(), numbers):
                 yield Row(
-                    name, label, given.unit, *interval, derivative.source, *map(float, row)
+                    name, label, values.unit, *interval, derivative.source, *map(float, row)
                 )  # fmt: skip
 
     def table(self) -> Any:
@@ -201,11 +201,11 @@ LEAST, MOST = 256, 64  # paths of a block where there are more than 32; blocks a
 DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
-def _columns(found: Mapping[str, Estimate] | None, name: str) -> tuple:
+def _columns(estimates: Mapping[str, Estimate] | None, name: str) -> tuple:
     """The derivatives by one input and their errors, flat; None where there are none."""
-    if found is None:
+    if estimates is None:
         return None, None
-    return found[name].value.ravel(), found[name].standard_error.ravel()
+    return estimates[name].value.ravel(), estimates[name].standard_error.ravel()
 
 
 def _figure(number: float) -> str:
@@ -275,8 +275,8 @@ def sensitivities_and_totals(
         few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
         before = Way(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
         moved = {
-            name: Estimate(held.inputs[name].blocks[: len(few)] - each.blocks)
-            for name, each in before.items()
+            name: Estimate(held.inputs[name].blocks[: len(few)] - item.blocks)
+            for name, item in before.items()
         }
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if isinstance(smooth, Exact):
@@ -287,11 +287,11 @@ def sensitivities_and_totals(
     result = result._replace(
         smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped
     )
-    found = soft.totals if not soft.dropped else None
-    if found is not None:
+    table = soft.totals if not soft.dropped else None
+    if table is not None:
         order = np.argsort(np.concatenate(blocks))
-        found = {name: total[order] for name, total in found.items()}
-    return _without(result, problem.lost), found
+        table = {name: total[order] for name, total in table.items()}
+    return _without(result, problem.lost), table
 
 
 def through_policy(problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None) -> Way:
@@ -300,15 +300,15 @@ def through_policy(problem: Problem, policy: Policy, smooth: Smooth, engine: Eng
     return Way(problem, bound, policy, smooth, held=False)
 
 
-def _without(found: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:
+def _without(result: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:
     """A table without adjoint derivatives of the inputs that lose theirs (`Problem.lost`)."""
 
     def known(table: dict[str, Estimate]) -> dict[str, Estimate]:
         unknown = {name: Estimate(np.full_like(table[name].blocks, np.nan)) for name in lost}
         return table | unknown
 
-    smooth = None if found.smooth is None else known(found.smooth)
-    return found._replace(held=known(found.held), smooth=smooth)
+    smooth = None if result.smooth is None else known(result.smooth)
+    return result._replace(held=known(result.held), smooth=smooth)
 
 
 @takes_problem(objective=False)
@@ -326,8 +326,8 @@ def held_of_several(
     block of paths has a column of cotangents for each objective.
     """
     bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
-    way = Way(problem, bound, policy, Exact(), held=True)
-    return [found.inputs for found in way.of(objectives, source.blocks(source.available(paths)))]
+    path = Way(problem, bound, policy, Exact(), held=True)
+    return [result.inputs for result in path.of(objectives, source.blocks(source.available(paths)))]
 
 
 @takes_problem

@@ -71,22 +71,24 @@ def simulate(
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)
     bound = (engine or Xla("float64")).bind(problem)
-    found = bound.values(policy, draws, smooth, record=("state", "action", "outputs"))
-    states = _series(found.record["state"], "state")
-    ends = _series(jax.tree.map(lambda leaf: np.asarray(leaf)[None], found.state), "state")
+    result = bound.values(policy, draws, smooth, record=("state", "action", "outputs"))
+    states = _series(result.record["state"], "state")
+    endpoints = _series(jax.tree.map(lambda leaf: np.asarray(leaf)[None], result.state), "state")
     states = {
-        name: each if len(each) > problem.simulator.horizon else np.concatenate([each, ends[name]])
-        for name, each in states.items()
+        name: state
+        if len(state) > problem.simulator.horizon
+        else np.concatenate([state, endpoints[name]])
+        for name, state in states.items()
     }
-    actions, outputs = (_series(found.record[kind], kind) for kind in ("action", "outputs"))
-    return Simulation(float64(found.totals), states, actions, outputs)
+    actions, outputs = (_series(result.record[kind], kind) for kind in ("action", "outputs"))
+    return Simulation(float64(result.totals), states, actions, outputs)
 
 
 def _series(tree: PyTree, kind: str) -> Series:
     """{name: [T, N]} of every number of a tree of arrays [T, N, …]."""
     series: Series = {}
-    for way, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
-        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in path)
         values = np.asarray(leaf, np.float64)
         values = values.reshape(*values.shape[:2], -1)
         for i in range(values.shape[2]):

@@ -105,9 +105,9 @@ class Solution:
 
     def _repr_html_(self) -> str:
         """The same in a notebook."""
-        found = self.sensitivities
+        sensitivities = self.sensitivities
         text = "".join(map(html.paragraph, self.lines()))
-        return text if found is None else text + found._repr_html_()
+        return text if sensitivities is None else text + sensitivities._repr_html_()
 
     @property
     def plot(self) -> Figures:
@@ -126,12 +126,12 @@ class Solution:
         if table == "sensitivities" and self.sensitivities is not None:
             return self.sensitivities.frame(backend)
         if table == "totals":
-            return frame({name: np.asarray(each) for name, each in self.totals.items()}, backend)
+            return frame({name: np.asarray(total) for name, total in self.totals.items()}, backend)
         if table == "history":
             columns = zip(*self.history) if self.history else ((),) * len(Record._fields)
             return frame(dict(zip(Record._fields, map(list, columns))), backend)
-        what = "allowed is 'totals', 'history', or 'sensitivities' where there are some"
-        raise ValueError(f"frame: {table!r}; {what}.")
+        message = "allowed is 'totals', 'history', or 'sensitivities' where there are some"
+        raise ValueError(f"frame: {table!r}; {message}.")
 
     def write_table(self, file: Path | str) -> None:
         """Writes the results as a workbook (.xlsx): a sheet for each table, with native charts.
@@ -185,7 +185,7 @@ class Solution:
             "clip": self.clip,
             "keep": self.keep,
             "adjoints": "" if self.growth is None else self.growth.words(),
-            "limits": [each._asdict() for each in self.constraints],
+            "limits": [constraint._asdict() for constraint in self.constraints],
         }
 
     def save(self, folder: Path | str) -> None:
@@ -196,27 +196,27 @@ class Solution:
         if self.sensitivities is not None:
             write_csv(folder / SENSITIVITIES, Row._fields, self.sensitivities.rows())
             verdicts = (self.sensitivities.verdicts or {}).items()
-            write_csv(folder / VERDICTS, COLUMNS, (each.row(name) for name, each in verdicts))
+            write_csv(folder / VERDICTS, COLUMNS, (item.row(name) for name, item in verdicts))
         write_csv(folder / HISTORY, Record._fields, self.history)
         if self.growth is not None:
             write_csv(folder / GROWTH, self.growth.columns, self.growth.table())
         policies = {"policy": self.policy, "halfway": self.halfway}
         checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})
-        found = self.sensitivities
+        sensitivities = self.sensitivities
         header = (
             self.summary()
             | self._beside()
             | {
                 "history": self.history,
                 "growth": self.growth,
-                "inputs": {} if found is None else _described(found.inputs),
-                "policy_gradient": None if found is None else found.policy_gradient,
-                "left_out": 0 if found is None else found.dropped,
-                "verdicts": None if found is None else found.verdicts,
-                "reported": None if found is None else _about(found.reported),
+                "inputs": {} if sensitivities is None else _described(sensitivities.inputs),
+                "policy_gradient": None if sensitivities is None else sensitivities.policy_gradient,
+                "left_out": 0 if sensitivities is None else sensitivities.dropped,
+                "verdicts": None if sensitivities is None else sensitivities.verdicts,
+                "reported": None if sensitivities is None else _about(sensitivities.reported),
             }
         )
-        checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, found), header)
+        checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, sensitivities), header)
 
     @classmethod
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
@@ -231,8 +231,8 @@ class Solution:
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            what = f"{folder / SOLUTION}: this is another kind of file ({error})."
-            raise checkpoint.CheckpointError(what) from None
+            message = f"{folder / SOLUTION}: this is another kind of file ({error})."
+            raise checkpoint.CheckpointError(message) from None
 
     @classmethod
     def _read(cls, folder: Path, like: Policy | None) -> "Solution":
@@ -242,17 +242,17 @@ class Solution:
             shapes = {"policy": like, "halfway": like if header["halfway"] else None}
             policies = checkpoint.load_arrays(folder / POLICY, shapes)[0]
         totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
-        found = _sensitivities(arrays, header) if header["inputs"] else None
+        sensitivities = _sensitivities(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
-        plain["constraints"] = tuple(LimitFound(**each) for each in header["limits"])
+        plain["constraints"] = tuple(LimitFound(**limit) for limit in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
         plain |= {
             name: header[name] for name in ("window", "clip", "keep", "maximised") if name in header
         }
         plain["gain"] = (header["gain"], header["gain_error"])
-        return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
+        return cls(**plain, **policies, totals=totals, sensitivities=sensitivities, history=history)
 
     def _beside(self) -> dict[str, Any]:
         """Plain data that is not in the summary."""
@@ -277,25 +277,27 @@ def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
     """All that is said about every input, without its numbers."""
     return {
         name: {
-            each.name: getattr(given, each.name) for each in fields(given) if each.name != "value"
+            item.name: getattr(values, item.name) for item in fields(values) if item.name != "value"
         }
-        for name, given in inputs.items()
+        for name, values in inputs.items()
     }
 
 
-def _arrays(totals: Mapping[str, np.ndarray], found: Sensitivities | None) -> dict:
+def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | None) -> dict:
     """{(kind, name): array} of everything that is an array."""
     arrays = {("total", name): np.asarray(total) for name, total in totals.items()}
-    if found is not None:
-        arrays |= {("input", name): given.value for name, given in found.inputs.items()}
+    if sensitivities is not None:
+        arrays |= {("input", name): values.value for name, values in sensitivities.inputs.items()}
         for kind in KINDS:
-            table = getattr(found, kind) or {}
-            arrays |= {(kind, name): each.blocks for name, each in table.items()}
-        arrays |= {("moved", name): each.blocks for name, each in (found.moved or {}).items()}
-        for name, each in (found.reported or {}).items():
-            arrays |= {(part, name): getattr(each, part) for part in REPORTED}
-            arrays |= {("estimate", name): each.estimate.blocks}
-            arrays |= {(part, name): getattr(each.curvature, part) for part in CURVATURE}
+            table = getattr(sensitivities, kind) or {}
+            arrays |= {(kind, name): entry.blocks for name, entry in table.items()}
+        arrays |= {
+            ("moved", name): value.blocks for name, value in (sensitivities.moved or {}).items()
+        }
+        for name, item in (sensitivities.reported or {}).items():
+            arrays |= {(part, name): getattr(item, part) for part in REPORTED}
+            arrays |= {("estimate", name): item.estimate.blocks}
+            arrays |= {(part, name): getattr(item.curvature, part) for part in CURVATURE}
     return arrays
 
 
@@ -303,25 +305,25 @@ REPORTED = ("by", "whole", "unseen", "slopes", "others")
 CURVATURE = ("inverse", "covariance")
 
 
-def _about(found: Mapping[str, Reported] | None) -> dict[str, Any] | None:
+def _about(result: Mapping[str, Reported] | None) -> dict[str, Any] | None:
     """All of the reported derivatives that is no array."""
-    if found is None:
+    if result is None:
         return None
-    return {name: [each.source, each.curvature.gap, each.sides] for name, each in found.items()}
+    return {name: [item.source, item.curvature.gap, item.sides] for name, item in result.items()}
 
 
 def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
     """The inverse of `_about` and of the arrays beside it."""
     if stored is None:
         return None
-    found = {}
+    table = {}
     for name, (source, gap, sides) in stored.items():
         parts = {part: arrays[part, name] for part in REPORTED}
         curvature = Curvature(arrays["inverse", name], arrays["covariance", name], gap)
         estimate = Estimate(arrays["estimate", name])
         sides = sides and tuple(sides)
-        found[name] = Reported(source, estimate, **parts, curvature=curvature, sides=sides)
-    return found
+        table[name] = Reported(source, estimate, **parts, curvature=curvature, sides=sides)
+    return table
 
 
 def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
@@ -330,7 +332,10 @@ def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
     def table(kind: str) -> dict[str, Any]:
         return {name: array for (which, name), array in arrays.items() if which == kind}
 
-    inputs = {name: Input(arrays["input", name], **said) for name, said in header["inputs"].items()}
+    inputs = {
+        name: Input(arrays["input", name], **metadata)
+        for name, metadata in header["inputs"].items()
+    }
     held, smooth = ({n: Estimate(x) for n, x in table(kind).items()} for kind in KINDS)
     gradient, verdicts = header["policy_gradient"], header["verdicts"]
     if verdicts is not None:

@@ -83,37 +83,37 @@ def solve(
     """
     training = _settings("training", training, Training)
     evaluation = _settings("evaluation", evaluation, Evaluation)
-    with Clock() as clock:
+    with Clock() as timer:
         seed = training.seed
         inputs, policy = in_order(problem, inputs, policy)
-        given, sources = (inputs, objective, scenarios, constraints), evaluation.sources(seed)
-        found = _refused(_of_simulator(problem, inputs)) if check else ()
-        problem = problem_of("solve", problem, *given, sources=sources, seed=seed)
+        values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(seed)
+        result = _refused(_of_simulator(problem, inputs)) if check else ()
+        problem = problem_of("solve", problem, *values, sources=sources, seed=seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
-            found += _refused(problem_mistakes(problem, policy))
+            result += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
         plan = fitted(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
             if progress is None:
                 progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
-            clock.stage("evaluate")
+            timer.stage("evaluate")
             fresh = _fresh_starts(policy, plan) if drawn else None
             progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
             progress = recorded(problem, progress, plan)
-            clock.stage("train")
+            timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = Run(problem, start, progress, plan, evaluation, engines)
         measured = measure(run)
-        measured["notes"] = (*found, *measured["notes"])
-        clock.stage("evaluate")
+        measured["notes"] = (*result, *measured["notes"])
+        timer.stage("evaluate")
     return Solution(
         **measured,
         halfway=progress.halfway,
         history=progress.history,
-        seconds=clock.total(),
+        seconds=timer.total(),
         engine=engines.name,
         reason=engines.reason,
         seed=training.seed,
@@ -123,15 +123,15 @@ def solve(
     )
 
 
-def _settings(name: str, given: Given | None, kind: type[Given]) -> Given:
+def _settings(name: str, values: Given | None, kind: type[Given]) -> Given:
     """The settings given, or the usual ones.
 
     **Raises:** `ValueError` where they are of another kind, such as a dictionary.
     """
-    found = kind() if given is None else given
-    if not isinstance(found, kind):
-        raise ValueError(f"solve: {name} is {given!r}; give snapo.{kind.__name__}(…).")
-    return found
+    settings = kind() if values is None else values
+    if not isinstance(settings, kind):
+        raise ValueError(f"solve: {name} is {values!r}; give snapo.{kind.__name__}(…).")
+    return settings
 
 
 def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
@@ -163,13 +163,13 @@ def _begun(
     starts = others(policy, training.starts, training.seed)
     scale = scale_of(policy, problem) if fresh else None
     if scale is not None:
-        starts = [scale.plain(each) for each in starts]
-    begun = [replace(begin(each, training, problem), scale=scale) for each in starts]
+        starts = [scale.plain(start) for start in starts]
+    started = [replace(begin(item, training, problem), scale=scale) for item in starts]
 
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)
 
-    left, rounds = race(begun, training.steps, run)
+    left, rounds = race(started, training.steps, run)
     return replace(left, raced=rounds)
 
 
@@ -195,9 +195,9 @@ def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
     return Findings("", (), "")  # `problem_of` says what it is
 
 
-def _refused(found: Findings) -> tuple[str, ...]:
+def _refused(findings: Findings) -> tuple[str, ...]:
     """Raises where there are errors; the warnings, as notes."""
-    if found.errors:
-        lines = "\n".join(map(str, found.errors))
+    if findings.errors:
+        lines = "\n".join(map(str, findings.errors))
         raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
-    return tuple(each.sentence() for each in found.warnings)
+    return tuple(warning.sentence() for warning in findings.warnings)

@@ -35,9 +35,9 @@ def with_error(value: float, error: float) -> str:
         return f"({with_error(*scaled)})e{exponent:+03d}"
     if not (np.isfinite(error) and error > ROUND_OFF * abs(value)):
         return f"{value:,.12g} ± {error:.2g}"
-    places = 1 - int(np.floor(np.log10(error)))
-    shown = round(value, places) + 0.0
-    return f"{shown:,.{max(places, 0)}f} ± {error:,.{max(places, 0)}f}"
+    positions = 1 - int(np.floor(np.log10(error)))
+    displayed = round(value, positions) + 0.0
+    return f"{displayed:,.{max(positions, 0)}f} ± {error:,.{max(positions, 0)}f}"
 
 
 class Sampled(NamedTuple):
@@ -72,11 +72,11 @@ class Estimate(NamedTuple):
     def __str__(self) -> str:
         """ "2,732 ± 21"; of an array the first three."""
         numbers = zip(np.ravel(self.value).tolist(), np.ravel(self.standard_error).tolist())
-        told = [with_error(*each) for each in islice(numbers, SHOWN)]
+        summary = [with_error(*number) for number in islice(numbers, SHOWN)]
         if self.blocks.ndim == 1:
-            return told[0]
+            return summary[0]
         count = self.blocks[0].size
-        return f"[{', '.join([*told, *[f'… ({count} numbers)'] * (count > SHOWN)])}]"
+        return f"[{', '.join([*summary, *[f'… ({count} numbers)'] * (count > SHOWN)])}]"
 
     @property
     def value(self) -> np.ndarray:
@@ -130,21 +130,21 @@ def ratio_shares(
     top, bottom = np.asarray(top, np.float64), np.asarray(bottom, np.float64)
     if groups is not None:
         top, bottom = np.bincount(groups, top), np.bincount(groups, bottom)
-    whole = bottom.sum()
+    complete = bottom.sum()
     with np.errstate(invalid="ignore", divide="ignore"):
-        value = top.sum() / whole
+        value = top.sum() / complete
         if not np.isfinite(value):
             return np.full(len(top), value)
-        return value + (top - value * bottom) * (len(top) / whole)
+        return value + (top - value * bottom) * (len(top) / complete)
 
 
-def of_shares(found: np.ndarray, fitted: int = 0) -> Sampled:
+def of_shares(result: np.ndarray, fit: int = 0) -> Sampled:
     """The estimate of shares [G]; `fitted` coefficients cost as many degrees of freedom."""
-    degrees = len(found) - 1 - fitted
+    degrees = len(result) - 1 - fit
     with np.errstate(invalid="ignore"):
-        error = float(_error(found)) if degrees > 0 else np.nan
-        value = float(np.mean(found))
-    error *= float(np.sqrt((len(found) - 1) / max(degrees, 1)))
+        error = float(_error(result)) if degrees > 0 else np.nan
+        value = float(np.mean(result))
+    error *= float(np.sqrt((len(result) - 1) / max(degrees, 1)))
     return Sampled(value, error, max(degrees, 0))
 
 
@@ -174,32 +174,38 @@ def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
     the bootstrap-t: t-values of resampled means in place of Student's (Efron and Tibshirani, An
     Introduction to the Bootstrap, 1993, section 12.5).
     """
-    found = shares(values, groups)
-    spread = np.std(found)
-    few = len(found) > 2 and spread > 0 and np.mean((found - found.mean()) ** 3) > SKEW * spread**3
+    block_means = shares(values, groups)
+    spread = np.std(block_means)
+    few = (
+        len(block_means) > 2
+        and spread > 0
+        and np.mean((block_means - block_means.mean()) ** 3) > SKEW * spread**3
+    )
     if not few:
-        blocks = found if len(found) < 2 * BLOCKS else _block_means(found, BLOCKS)
-        sampled = of_shares(blocks)._replace(value=float(found.mean()))
+        blocks = block_means if len(block_means) < 2 * BLOCKS else _block_means(block_means, BLOCKS)
+        sampled = of_shares(blocks)._replace(value=float(block_means.mean()))
         low, high = sampled.interval()
         return Skewed(sampled.value, sampled.standard_error, low, high, False)
-    found = _block_means(found, RESAMPLED)
-    value, error = found.mean(), _error(found)
-    chosen = np.random.default_rng(0).integers(len(found), size=(RESAMPLES, len(found)))
-    again = found[chosen]
-    errors = np.std(again, axis=1, ddof=1) / np.sqrt(len(found))
+    block_means = _block_means(block_means, RESAMPLED)
+    value, error = block_means.mean(), _error(block_means)
+    selected = np.random.default_rng(0).integers(
+        len(block_means), size=(RESAMPLES, len(block_means))
+    )
+    repeated = block_means[selected]
+    errors = np.std(repeated, axis=1, ddof=1) / np.sqrt(len(block_means))
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (again.mean(axis=1) - value) / errors
-    least, most = np.quantile(t[np.isfinite(t)], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    low, high = float(value - most * error), float(value - least * error)
+        t = (repeated.mean(axis=1) - value) / errors
+    minimum, maximum = np.quantile(t[np.isfinite(t)], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = float(value - maximum * error), float(value - minimum * error)
     return Skewed(float(value), (high - low) / (2 * critical()), low, high, True)
 
 
-def _block_means(found: np.ndarray, count: int) -> np.ndarray:
+def _block_means(result: np.ndarray, count: int) -> np.ndarray:
     """At most `count` means of neighbours; their mean is that of all to rounding, where they are
     of equal size."""
-    count = min(count, len(found))
-    whole = found[: len(found) // count * count].reshape(count, -1).mean(1)
-    return whole + (found.mean() - whole.mean())
+    count = min(count, len(result))
+    complete = result[: len(result) // count * count].reshape(count, -1).mean(1)
+    return complete + (result.mean() - complete.mean())
 
 
 SKEW, BLOCKS = 3.0, 32
@@ -218,13 +224,13 @@ def tail(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> 
 
 def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
     """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
-    found = float(np.quantile(values, level))
-    below = mean(np.asarray(values) <= found, groups)
+    result = float(np.quantile(values, level))
+    below = mean(np.asarray(values) <= result, groups)
     half = critical(below.degrees) * below.standard_error
     if not np.isfinite(half):
-        return Sampled(found, np.nan, below.degrees)
+        return Sampled(result, np.nan, below.degrees)
     low, high = np.quantile(values, np.clip([level - half, level + half], 0.0, 1.0))
-    return Sampled(found, float(high - low) / (2 * critical(below.degrees)), below.degrees)
+    return Sampled(result, float(high - low) / (2 * critical(below.degrees)), below.degrees)
 
 
 def proportion(count, of: int):
@@ -239,7 +245,7 @@ def proportion(count, of: int):
 
 
 def controlled(
-    found: np.ndarray, controls: list[np.ndarray]
+    result: np.ndarray, controls: list[np.ndarray]
 ) -> tuple[np.ndarray, list[int], Sampled]:
     """Shares [G] less what controls of mean zero explain by regression, and the estimate of it.
 
@@ -249,15 +255,15 @@ def controlled(
     false = []
     for i, control in enumerate(controls):
         low, high = of_shares(control).interval(1 - CHANCE, len(controls))
-        none = ROUND_OFF * (np.max(np.abs(control)) + np.max(np.abs(found)))
+        none = ROUND_OFF * (np.max(np.abs(control)) + np.max(np.abs(result)))
         if not low - none <= 0 <= high + none:
             false.append(i)
-    used = [each for i, each in enumerate(controls) if i not in false]
-    if not used or len(found) < len(used) + 3 or not np.isfinite(found).all():
-        return found, false, of_shares(found)
+    used = [item for i, item in enumerate(controls) if i not in false]
+    if not used or len(result) < len(used) + 3 or not np.isfinite(result).all():
+        return result, false, of_shares(result)
     design = np.stack(used, 1)
-    beta = np.linalg.lstsq(design - design.mean(0), found - found.mean(), rcond=None)[0]
-    left = found - design @ beta
+    beta = np.linalg.lstsq(design - design.mean(0), result - result.mean(), rcond=None)[0]
+    left = result - design @ beta
     return left, false, of_shares(left, len(used))
 
 

@@ -113,14 +113,14 @@ def train(
 
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> Loop:
     """That of a training as it stands: one that did nothing draws a part of its decisions."""
-    own = remembering(problem, progress.policy)
-    practice = practised(
+    local = remembering(problem, progress.policy)
+    perturbed = practised(
         problem, idle.exploring(plan, problem.action) if progress.redrawn else plan
     )
-    seen = own if practice is problem else remembering(practice, progress.policy)
-    bound = engine.bind(seen, controls=False)
-    exact = bound if seen is own else engine.bind(own, controls=False)
-    return Loop(seen, plan, bound, own, exact, *_updaters(plan, progress))
+    observed = local if perturbed is problem else remembering(perturbed, progress.policy)
+    bound = engine.bind(observed, controls=False)
+    exact = bound if observed is local else engine.bind(local, controls=False)
+    return Loop(observed, plan, bound, local, exact, *_updaters(plan, progress))
 
 
 def _updaters(training: TrainingPlan, progress: Progress) -> tuple[Callable, Callable]:
@@ -146,22 +146,22 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     loop = loop._replace(problem=problem.priced(dual.prices))
     progress = _chosen(loop, progress, smooth)
     if progress.window is None:
-        moved, value, bad = _climbed(loop, progress, draws, smooth)
+        moved, value, invalid = _climbed(loop, progress, draws, smooth)
     else:
-        moved, value, bad = _climbed_by_windows(loop, progress, draws, smooth, progress.window)
-    lost = bad + sum(record.bad_paths for record in progress.history[progress.restarted :])
+        moved, value, invalid = _climbed_by_windows(loop, progress, draws, smooth, progress.window)
+    lost = invalid + sum(record.bad_paths for record in progress.history[progress.restarted :])
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
     back = {"window": progress.window or 0, "clip": progress.clip or 0.0, "keep": progress.keep}
-    record = Record(step + 1, value, moved.norm, temperature, bad, exact, best, seconds, **back)
-    broken = bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training)
+    record = Record(step + 1, value, moved.norm, temperature, invalid, exact, best, seconds, **back)
+    broken = invalid > DIVERGED_SHARE * training.paths or lost > most_dropped(training)
     if broken or not np.isfinite(moved.norm):
         # The policy is that of the step before; the step that broke is written down.
         ended = replace(progress, history=(*progress.history, record), status="diverged")
         slower = may_be_slower(training, progress)
         return go_slower(problem, training, ended) if slower else ended
-    kept = (progress.recent, moved.average) if marks(step + 1, training.steps) else ()
-    halfway, recent = kept or (progress.halfway, progress.recent)
+    selected = (progress.recent, moved.average) if marks(step + 1, training.steps) else ()
+    halfway, recent = selected or (progress.halfway, progress.recent)
     return replace(
         progress,
         step=step + 1,
@@ -205,11 +205,11 @@ def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[Moved, floa
     """One update over the whole horizon; its objective, and the number of bad paths."""
     policy, objective = progress.policy, loop.problem.objective
     options = _options(progress)
-    found = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, objective, **options)
-    value, result, bad = found
+    adjoint = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, objective, **options)
+    value, result, invalid = adjoint
     number = np.float32(progress.step)
     *moved, norm = loop.update(policy, progress.average, progress.optimiser, result.policy, number)
-    return Moved(*moved, norm=float(norm)), value, bad
+    return Moved(*moved, norm=float(norm)), value, invalid
 
 
 def _climbed_by_windows(
@@ -217,7 +217,7 @@ def _climbed_by_windows(
 ) -> tuple[Moved, float, int]:
     """Updates on several windows of one sweep, whose objective is that of the whole horizon."""
     assert progress.critic is not None
-    problem, step, bad = loop.problem, progress.step, 0
+    problem, step, invalid = loop.problem, progress.step, 0
     moved = Moved(progress.policy, progress.average, progress.optimiser)
     swept = sweep(problem, loop.bound, progress.critic, moved.policy, draws, smooth, length, step)
     for number in range(UPDATES):
@@ -225,8 +225,8 @@ def _climbed_by_windows(
         window = (problem, loop.bound, swept, moved.policy, draws, smooth, length, turn)
         _, result, lost = window_adjoint(*window, **_options(progress))
         *after, norm = loop.update_by_windows(*moved[:3], result.policy, np.float32(step))
-        moved, bad = Moved(*after, norm=float(norm), critic=swept.known), max(bad, lost)
-    return moved, swept.objective, bad
+        moved, invalid = Moved(*after, norm=float(norm), critic=swept.known), max(invalid, lost)
+    return moved, swept.objective, invalid
 
 
 def _options(progress: Progress) -> dict:
@@ -254,8 +254,8 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     held_down = clipping.held_down(norms, since, memory(progress.scale))
     # A bound that an early leap has brought hides chaos: the steps before it tell.
     free = [record.gradient_norm for record in progress.history if not record.clip]
-    own = since if progress.clip is None else 0
-    wild = step == horizon.FIRST and horizon.wild(free[own:], paths)
+    local = since if progress.clip is None else 0
+    wild = step == horizon.FIRST and horizon.wild(free[local:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
@@ -345,12 +345,12 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
     history = progress.history
     if history:
         error = estimate(problem.objective, totals, source).standard_error
-        known = {"exact": value, "best": best_value, "exact_error": error}
-        history = (*history[:-1], history[-1]._replace(**known))
+        available = {"exact": value, "best": best_value, "exact_error": error}
+        history = (*history[:-1], history[-1]._replace(**available))
     stale = 0 if better else progress.stale + 1
-    alike = progress.alike + 1 if idle.equal_on_all_paths(problem, totals) else 0
-    found = {"best": best, "best_value": best_value, "stale": stale, "alike": alike}
-    return replace(progress, history=history, **found)
+    same = progress.alike + 1 if idle.equal_on_all_paths(problem, totals) else 0
+    table = {"best": best, "best_value": best_value, "stale": stale, "alike": same}
+    return replace(progress, history=history, **table)
 
 
 def _conclude(loop: Loop, progress: Progress, seconds: float) -> Progress:

@@ -19,11 +19,11 @@ def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, A
     **Raises:** `CaseError` where the copy in the run folder is gone.
     """
     recorded = record["decides"]["case"]
-    found = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
-    if not found:
-        what = "the copy of the case is gone: solve the case again"
-        raise CaseError(str(out / CASE), "", None, what)
-    file, data = min(found, key=lambda each: len(list(differences(_plain(each[1]), recorded))))
+    results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
+    if not results:
+        message = "the copy of the case is gone: solve the case again"
+        raise CaseError(str(out / CASE), "", None, message)
+    file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
     return file, _as_recorded(data, recorded)
 
 

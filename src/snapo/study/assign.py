@@ -31,46 +31,46 @@ def _parsed(text: str) -> tuple[str, Any]:
     """The path and the value of one assignment."""
     path, sign, written = (part.strip() for part in text.partition("="))
     if not sign or not path or "" in path.split("."):
-        what = "write it like contract.inventory=2000: a key of the case, =, and a value"
-        raise CaseError(OPTION, "", text, what)
+        message = "write it like contract.inventory=2000: a key of the case, =, and a value"
+        raise CaseError(OPTION, "", text, message)
     try:
-        found = tomllib.loads(f"value = {written}")
+        data = tomllib.loads(f"value = {written}")
     except (tomllib.TOMLDecodeError, RecursionError):
-        found = {}
-    if path.count(".") >= DEEPEST or is_deep(found):
+        data = {}
+    if path.count(".") >= DEEPEST or is_deep(data):
         raise CaseError(OPTION, "", path, TOO_DEEP)
-    if list(found) != ["value"]:
-        what = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
+    if list(data) != ["value"]:
+        message = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
         if written and not set(written) & set("\"'\n[]{}"):
-            what = f"text needs quotation marks; in a shell: {OPTION} '{path}=\"{written}\"'"
-        raise CaseError(OPTION, path, Unquoted(written or "nothing"), what)
-    return path, found["value"]
+            message = f"text needs quotation marks; in a shell: {OPTION} '{path}=\"{written}\"'"
+        raise CaseError(OPTION, path, Unquoted(written or "nothing"), message)
+    return path, data["value"]
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
     """Sets one key; tables that are not there are made on the way."""
-    *way, last = path.split(".")
-    place: Any = data
-    for i, key in enumerate(way):
-        index, here = _index(place, key, path), ".".join(way[: i + 1])
-        if isinstance(place, dict):
-            place.setdefault(index, {})
-        place = place[index]
-        if not isinstance(place, dict | list):
-            raise CaseError(OPTION, path, place, f"{here} is a value, not a table with keys")
-    place[_index(place, last, path)] = value
+    *key_path, last = path.split(".")
+    position: Any = data
+    for i, key in enumerate(key_path):
+        index, here = _index(position, key, path), ".".join(key_path[: i + 1])
+        if isinstance(position, dict):
+            position.setdefault(index, {})
+        position = position[index]
+        if not isinstance(position, dict | list):
+            raise CaseError(OPTION, path, position, f"{here} is a value, not a table with keys")
+    position[_index(position, last, path)] = value
 
 
-def _index(place: dict | list, key: str, path: str) -> Any:
+def _index(position: dict | list, key: str, path: str) -> Any:
     """The key of a table; of an array the number of the element that `key` means."""
-    if isinstance(place, dict):
+    if isinstance(position, dict):
         return key
-    names = [each.get("name") if isinstance(each, dict) else None for each in place]
+    names = [item.get("name") if isinstance(item, dict) else None for item in position]
     if key in names:
         return names.index(key)
-    if key.isascii() and key.isdigit() and int(key) < len(place):
+    if key.isascii() and key.isdigit() and int(key) < len(position):
         return int(key)
-    numbers = f"the array has {len(place)} elements, numbered from 0"
-    known = [str(name) for name in names if name is not None]
-    what = f"{numbers}; {nearest(key, known)}" if known else numbers
-    raise CaseError(OPTION, path, Unquoted(f"element {key}"), what)
+    numbers = f"the array has {len(position)} elements, numbered from 0"
+    available = [str(name) for name in names if name is not None]
+    message = f"{numbers}; {nearest(key, available)}" if available else numbers
+    raise CaseError(OPTION, path, Unquoted(f"element {key}"), message)

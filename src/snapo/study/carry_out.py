@@ -36,9 +36,9 @@ def carry_out(
     out: Path,
     decides: Mapping[str, Any],
     resume: bool,
-    tell: Tell,
+    progress: Tell,
     preparing: float = 0.0,
-    beside: Mapping[str, float] | None = None,
+    adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Does the parts of a study one after another, and returns what result.json says.
 
@@ -48,11 +48,11 @@ def carry_out(
     caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
-    run = StudyRun(study, out, tell, resume, mark=run_folder.mark(record["decides"]))
+    run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
     record["about"] = run_folder.plain_json(study.about)
     run.found |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
-    record["beside"] |= beside or {}
+    record["beside"] |= adjacent or {}
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:
@@ -65,7 +65,7 @@ def carry_out(
 
 
 def certify(
-    domain: Domain, study: Study, out: Path, tell: Tell, paths: int, penalty: Penalty
+    domain: Domain, study: Study, out: Path, progress: Tell, paths: int, penalty: Penalty
 ) -> dict[str, Any]:
     """The bounds of a run that was carried out, kept with it: what its result.json says now.
 
@@ -77,7 +77,7 @@ def certify(
     if record["parts"].get(TRAINING.name, {}).get("state") != DONE:
         raise no_policy(out, record)
     run_folder.check_whole(out, record, (POLICY, SOLUTION))
-    run = StudyRun(study, out, tell, True, mark=run_folder.mark(record["decides"]))
+    run = StudyRun(study, out, progress, True, mark=run_folder.mark(record["decides"]))
     run.found |= record["about"]
     for part in study.parts:
         state = record["parts"].get(part.name, {})
@@ -97,11 +97,13 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         if tables is not None:
             run.found |= tables
             return
-        what = changed[0] if changed else f"parts/{part.file}"
-        run.tell(f"{part.name} is done again: {what} was changed or damaged since it was written")
-    lacking = [name for name in part.needs if states.get(name, {}).get("state") != DONE]
-    if lacking:
-        note = f"it needs {', '.join(lacking)}"
+        message = changed[0] if changed else f"parts/{part.file}"
+        run.tell(
+            f"{part.name} is done again: {message} was changed or damaged since it was written"
+        )
+    missing = [name for name in part.needs if states.get(name, {}).get("state") != DONE]
+    if missing:
+        note = f"it needs {', '.join(missing)}"
         states[part.name] = {"state": SKIPPED, "note": note, "seconds": 0.0}
         return
     run.tell(part.name)
@@ -173,8 +175,8 @@ class _Writer:
 
 def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
     """Adds to the time that a run took beside its parts, in this session and in earlier ones."""
-    beside = record.setdefault("beside", {})
-    beside[name] = beside.get(name, 0.0) + seconds
+    adjacent = record.setdefault("beside", {})
+    adjacent[name] = adjacent.get(name, 0.0) + seconds
 
 
 def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:

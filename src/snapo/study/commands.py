@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
     """(kind, its words, its sizes) of every domain that is installed and can be loaded."""
-    found = []
+    rows = []
     for kind in installed():
         try:
             domain = find(kind, "KIND", "")
         except CaseError as error:
-            found.append((kind, error.allowed, ()))
+            rows.append((kind, error.allowed, ()))
         else:
-            found.append((kind, domain.words, tuple(domain.templates)))
-    return found
+            rows.append((kind, domain.words, tuple(domain.templates)))
+    return rows
 
 
 def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]:
@@ -40,19 +40,19 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
 
     with TemporaryDirectory() as made:
         written = new(kind, Path(made), size)
-        others = [each for each in written if each.suffix not in (".csv", ".toml")]
-        targets = [folder / "case.xlsx", *(folder / each.name for each in others)]
+        others = [item for item in written if item.suffix not in (".csv", ".toml")]
+        targets = [folder / "case.xlsx", *(folder / entry.name for entry in others)]
         for target in targets:
             if target.exists():
                 raise CaseError(str(target), "", None, "this file exists; nothing was written")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             write_workbook(Path(made), load_tables(Path(made))[1], targets[0])
-            for each in others:
-                (folder / each.name).write_bytes(each.read_bytes())
+            for other in others:
+                (folder / other.name).write_bytes(other.read_bytes())
         except OSError as error:
-            what = f"the folder cannot be written ({error.strerror})"
-            raise CaseError(str(folder), "", None, what) from None
+            message = f"the folder cannot be written ({error.strerror})"
+            raise CaseError(str(folder), "", None, message) from None
     return targets
 
 
@@ -66,10 +66,10 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     sizes = list(templates)
     if size is not None and size not in templates:
         one = "this kind has one example only"
-        what = one if len(sizes) == 1 else f"allowed is one of {', '.join(sizes)}"
-        raise CaseError("--size", "", size, what)
+        message = one if len(sizes) == 1 else f"allowed is one of {', '.join(sizes)}"
+        raise CaseError("--size", "", size, message)
     source = templates[size or sizes[0]]
-    contents = {each.name: each.read_bytes() for each in source.iterdir() if each.is_file()}
+    contents = {file.name: file.read_bytes() for file in source.iterdir() if file.is_file()}
     for name in contents:
         if (folder / name).exists():
             raise CaseError(str(folder / name), "", None, "this file exists; nothing was written")
@@ -78,8 +78,8 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
         for name, content in contents.items():
             (folder / name).write_bytes(content)
     except OSError as error:
-        what = f"the folder cannot be written ({error.strerror})"
-        raise CaseError(str(folder), "", None, what) from None
+        message = f"the folder cannot be written ({error.strerror})"
+        raise CaseError(str(folder), "", None, message) from None
     return sorted(folder / name for name in contents)
 
 
@@ -90,15 +90,15 @@ def next_command(kind: str, folder: Path) -> str:
     return f"snapo check {folder}{code}"
 
 
-def check(asked: Asked, tell: "Tell") -> list[str]:
+def check(request: Asked, progress: "Tell") -> list[str]:
     """The case in a few lines; nothing is trained."""
-    loaded = load(asked)
-    remarks(loaded.case.notes, tell)
+    loaded = load(request)
+    remarks(loaded.case.notes, progress)
     return loaded.domain.check(loaded.case)
 
 
 def solve(
-    asked: Asked,
+    request: Asked,
     tell: "Tell",
     *,
     out: Path | None = None,
@@ -119,22 +119,22 @@ def solve(
     """
     from .solving.prepare import Wanted, carried_out, made_ready, place
 
-    began, wanted = time.perf_counter(), Wanted(engine, reference, resume, policy)
+    began, requested = time.perf_counter(), Wanted(engine, reference, resume, policy)
     if seeds is not None:
         from .solving.seeds import solve_seeds
 
-        return solve_seeds(asked, tell, out, wanted, seeds)
-    loaded = load(asked)
+        return solve_seeds(request, tell, out, requested, seeds)
+    loaded = load(request)
     remarks(loaded.case.notes, tell)
     out = place(loaded, out)
-    ready = made_ready(loaded, out, wanted)
+    ready = made_ready(loaded, out, requested)
     remarks(ready.study.about["notes"], tell, known=loaded.case.notes)
     return carried_out(ready, resume, tell, began)
 
 
 def certify(
     run: Path,
-    tell: "Tell",
+    progress: "Tell",
     *,
     paths: int | None = None,
     penalty: "Penalty" = "value",
@@ -152,14 +152,14 @@ def certify(
     record = run_folder.read(run)
     domain = domain_of_run(run, record, simulator)
     file, data = case_of_run(run, record)
-    tell(f"reading {file}")
+    progress(f"reading {file}")
     use_every_core()
     from .carry_out import certify as certified
     from .chapters.bound import PATHS
 
     case = domain.read(file, data)
     study = domain.study(case, options_of_run(domain, case, record, engine))
-    return certified(domain, study, run, tell, paths or PATHS, penalty)
+    return certified(domain, study, run, progress, paths or PATHS, penalty)
 
 
 def domain_of_run(
@@ -174,8 +174,8 @@ def domain_of_run(
     domain = find(record.get("kind"), str(run / run_folder.RUN))
     code = record["decides"].get("options", {}).get("simulator")
     if simulator is None and code:
-        what = f"the run's simulator is code of its owner; name it again: --simulator {code}"
-        raise CaseError(str(run), "", None, what)
+        message = f"the run's simulator is code of its owner; name it again: --simulator {code}"
+        raise CaseError(str(run), "", None, message)
     if simulator is not None and isinstance(domain, RunsCode):
         return domain.with_simulator(*simulator)
     return domain
@@ -191,8 +191,8 @@ def report(run: Path) -> Path:
     try:
         return write_report(domain, run)
     except OSError as error:
-        what = f"the report cannot be written ({error.strerror})"
-        raise CaseError(str(run), "", None, what) from None
+        message = f"the report cannot be written ({error.strerror})"
+        raise CaseError(str(run), "", None, message) from None
 
 
 def printed(run: Path) -> Path:
@@ -204,13 +204,13 @@ def printed(run: Path) -> Path:
 
     from . import run_folder
 
-    found, file = browser(), run / run_folder.PDF
-    if found is None:
+    result, file = browser(), run / run_folder.PDF
+    if result is None:
         names = ", ".join(BROWSERS[:3])
-        what = f"no browser was found that prints it ({names}); {VARIABLE} may name one"
-        raise CaseError("--pdf", "", None, what)
+        message = f"no browser was found that prints it ({names}); {VARIABLE} may name one"
+        raise CaseError("--pdf", "", None, message)
     try:
-        print_page(run / run_folder.REPORT, file, found)
+        print_page(run / run_folder.REPORT, file, result)
     except OSError as error:
         raise CaseError("--pdf", "", None, str(error)) from None
     return file
@@ -230,26 +230,26 @@ def tables(run: Path) -> Path:
     except ModuleNotFoundError as error:
         raise CaseError("--xlsx", "", None, str(error)) from None
     except OSError as error:
-        what = f"the workbook cannot be written ({error.strerror})"
-        raise CaseError(str(run), "", None, what) from None
+        message = f"the workbook cannot be written ({error.strerror})"
+        raise CaseError(str(run), "", None, message) from None
 
 
-def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
+def bench(kind: str | None, engine: str, progress: "Tell") -> dict[str, str]:
     """{kind: table of times} of one kind, or of all that can be timed.
 
     **Raises:** `CaseError` where the kind that was asked for has nothing to time.
     """
     from .solving.prepare import use_every_core
 
-    wanted: Sequence[str] = list(installed()) if kind is None else [kind]
-    found = {}
-    for each in wanted:
-        domain = find(each, "KIND", "")
+    requested: Sequence[str] = list(installed()) if kind is None else [kind]
+    table = {}
+    for item in requested:
+        domain = find(item, "KIND", "")
         use_every_core()
         try:
-            found[each] = domain.bench(engine, tell)
+            table[item] = domain.bench(engine, progress)
         except CaseError as error:
             if kind is not None:
                 raise
-            tell(f"{each}: {error.allowed}")
-    return found
+            progress(f"{item}: {error.allowed}")
+    return table

@@ -75,8 +75,8 @@ class Comparison:
             "standard_error": self.standard_error,
             "paired": self.paired,
             "why": self.why,
-            "settings": [each._asdict() for each in self.settings],
-            "sensitivities": [each._asdict() for each in self.sensitivities],
+            "settings": [setting._asdict() for setting in self.settings],
+            "sensitivities": [sensitivity._asdict() for sensitivity in self.sensitivities],
         }
 
     def __str__(self) -> str:
@@ -101,12 +101,12 @@ class Comparison:
             yield "no sensitivity of an input that both have differs"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
-        for each in self.sensitivities[:MOST]:
-            name = f"{each.input} {each.label}".strip()
-            numbers = f"{_figure(each.first):>14}{_figure(each.second):>14}"
-            last = f"{_figure(each.difference):>14} {_error(each.standard_error)}"
-            room = f" and {each.policy:,.2g}" if each.policy > 0 else ""
-            yield f"  {name:<32}{numbers}{last}{room} per {each.unit or '1'}"
+        for sensitivity in self.sensitivities[:MOST]:
+            name = f"{sensitivity.input} {sensitivity.label}".strip()
+            numbers = f"{_figure(sensitivity.first):>14}{_figure(sensitivity.second):>14}"
+            last = f"{_figure(sensitivity.difference):>14} {_error(sensitivity.standard_error)}"
+            room = f" and {sensitivity.policy:,.2g}" if sensitivity.policy > 0 else ""
+            yield f"  {name:<32}{numbers}{last}{room} per {sensitivity.unit or '1'}"
         if len(self.sensitivities) > MOST:
             yield f"  and {len(self.sensitivities) - MOST} smaller differences"
 
@@ -119,15 +119,15 @@ def compare(first: Path, second: Path) -> Comparison:
     records = [run_folder.read(run) for run in (first, second)]
     kinds = [record["kind"] for record in records]
     if kinds[0] != kinds[1]:
-        what = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
-        raise CaseError(str(second), "kind", kinds[1], what)
+        message = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
+        raise CaseError(str(second), "kind", kinds[1], message)
     for run, record in zip((first, second), records, strict=True):
         run_folder.check_whole(run, record, (GROUPS, SOLUTION))
         if changed_files(run, {run_folder.RESULT: record["result"]} if "result" in record else {}):
-            what = (
+            message = (
                 "this file was changed or damaged since it was written: solve with --resume again"
             )
-            raise CaseError(str(run / run_folder.RESULT), "", None, what)
+            raise CaseError(str(run / run_folder.RESULT), "", None, message)
     results = [_result(run) for run in (first, second)]
     values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
     groups, why = _groups(first, second)
@@ -156,23 +156,23 @@ def _less(value: float | None, other: float | None) -> float | None:
 
 def _result(run: Path) -> dict[str, Any]:
     file = run / run_folder.RESULT
-    found = run_folder.read_table(file)
-    if found is None:
-        what = "the run has no result yet; `snapo solve --resume` goes on with it"
-        raise CaseError(str(file), "", None, what)
-    return found
+    table = run_folder.read_table(file)
+    if table is None:
+        message = "the run has no result yet; `snapo solve --resume` goes on with it"
+        raise CaseError(str(file), "", None, message)
+    return table
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
     """Differences of what each group of paths is worth, where the scenarios are the same."""
     try:
-        found = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
+        results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
     except checkpoint.CheckpointError:
         return None, "independent: no values by group of paths are kept in one of the runs"
-    (one, ours), (other, theirs) = found
-    for key, words in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
+    (one, ours), (other, theirs) = results
+    for key, text in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
         if ours[key] != theirs[key]:
-            return None, f"independent: the runs have different {words}"
+            return None, f"independent: the runs have different {text}"
     return other["groups",] - one["groups",], "paired: both runs have the same scenarios"
 
 
@@ -194,14 +194,14 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
         return []
     if one is None or other is None:
         return []
-    found: list[Moved] = []
+    results: list[Moved] = []
     for name in one.held:
         if name in other.held:
-            found += _of_input(one.inputs[name], name, one.of(name), other.of(name), paired)
-    return sorted(found, key=lambda each: -abs(each.effect))
+            results += _of_input(one.inputs[name], name, one.of(name), other.of(name), paired)
+    return sorted(results, key=lambda item: -abs(item.effect))
 
 
-def _of_input(given, name: str, first: Reported, second: Reported, paired: bool) -> list[Moved]:
+def _of_input(inputs, name: str, first: Reported, second: Reported, paired: bool) -> list[Moved]:
     """One input, entry by entry; nothing where it has another shape in the other run."""
     one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
@@ -213,12 +213,12 @@ def _of_input(given, name: str, first: Reported, second: Reported, paired: bool)
     numbers = [Interval(*np.transpose(run.numbers())) for run in (first, second)]
     values = [run.value for run in numbers]
     difference, policy = values[1] - values[0], numbers[0].policy + numbers[1].policy
-    moves = np.ravel(np.abs(given.value) * SHARE) if given.move is None else given.move
+    moves = np.ravel(np.abs(inputs.value) * SHARE) if inputs.move is None else inputs.move
     sources = first.source, second.source
     columns = (*values, difference, np.ravel(errors), policy, difference * moves)
-    rows = zip(given.names(), *(np.ravel(each).tolist() for each in columns))
+    rows = zip(inputs.names(), *(np.ravel(column).tolist() for column in columns))
     return [
-        Moved(name, label, given.unit, a, b, change, error, policy, effect, sources)
+        Moved(name, label, inputs.unit, a, b, change, error, policy, effect, sources)
         for label, a, b, change, error, policy, effect in rows
         if np.isfinite(change) and change != 0
     ]

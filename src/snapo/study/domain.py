@@ -95,7 +95,7 @@ class Domain(Protocol):
         """How a run is told."""
         ...
 
-    def bench(self, engine: str, tell: "Tell") -> str:
+    def bench(self, engine: str, progress: "Tell") -> str:
         """Times of values and gradients on this machine, as a table in text."""
         ...
 
@@ -124,36 +124,39 @@ def installed() -> dict[str, EntryPoint]:
 
     **Raises:** `CaseError` where two packages bring the same kind.
     """
-    found: dict[str, EntryPoint] = {}
-    for each in entry_points(group=GROUP):
-        if each.name in found and each.value != found[each.name].value:
-            what = f"two packages bring this kind: {found[each.name].value} and {each.value}"
-            raise CaseError("kind", "", each.name, what)
-        found[each.name] = each
-    return dict(sorted(found.items()))
+    table: dict[str, EntryPoint] = {}
+    for entry_point in entry_points(group=GROUP):
+        if entry_point.name in table and entry_point.value != table[entry_point.name].value:
+            message = (
+                f"two packages bring this kind: {table[entry_point.name].value} "
+                f"and {entry_point.value}"
+            )
+            raise CaseError("kind", "", entry_point.name, message)
+        table[entry_point.name] = entry_point
+    return dict(sorted(table.items()))
 
 
 def find(kind: Any, file: str, where: str = "kind") -> Domain:
     """The domain of a kind, which stands in `file` under the key `where`."""
-    known = installed()
-    if not known:
-        what = "no kind of case is installed: install snapo with pip"
-        raise CaseError(file, where, kind, what)
-    if not isinstance(kind, str) or kind not in known:
-        kinds = ", ".join(f'"{each}"' for each in known)
+    available = installed()
+    if not available:
+        message = "no kind of case is installed: install snapo with pip"
+        raise CaseError(file, where, kind, message)
+    if not isinstance(kind, str) or kind not in available:
+        kinds = ", ".join(f'"{item}"' for item in available)
         if kind is None:
             raise CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
-        close = f"; {nearest(kind, known)}" if isinstance(kind, str) else ""
+        close = f"; {nearest(kind, available)}" if isinstance(kind, str) else ""
         raise CaseError(file, where, kind, f"allowed is one of {kinds}{close}")
     try:
-        domain = known[kind].load()
+        domain = available[kind].load()
     except (ImportError, AttributeError) as error:
-        what = f"{known[kind].value} cannot be loaded ({error})"
-        raise CaseError(file, where, kind, what) from error
+        message = f"{available[kind].value} cannot be loaded ({error})"
+        raise CaseError(file, where, kind, message) from error
     if not isinstance(domain, Domain):
         missing = [name for name in _MEMBERS if not hasattr(domain, name)]
-        what = f"{known[kind].value} is not a domain: it has no {', '.join(missing)}"
-        raise CaseError(file, where, kind, what)
+        message = f"{available[kind].value} is not a domain: it has no {', '.join(missing)}"
+        raise CaseError(file, where, kind, message)
     return domain
 
 
@@ -182,32 +185,34 @@ class Loaded(NamedTuple):
     case: Any
 
 
-def load(asked: Asked) -> Loaded:
+def load(request: Asked) -> Loaded:
     """Reads a case with the domain that its `kind` names."""
     from snapo.case.table import load as load_tables
 
     from .assign import OPTION, assigned
 
-    file, tables = load_tables(asked.path)
-    data, paths = assigned(tables, asked.assignments)
+    file, tables = load_tables(request.path)
+    data, paths = assigned(tables, request.assignments)
     domain = find(data.get("kind"), str(file))
-    if asked.simulator is not None:
+    if request.simulator is not None:
         if not isinstance(domain, RunsCode):
-            got = Unquoted(":".join(asked.simulator))
-            what = f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
-            raise CaseError("--simulator", "", got, what + '"own"')
-        domain = domain.with_simulator(*asked.simulator)
+            got = Unquoted(":".join(request.simulator))
+            message = (
+                f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
+            )
+            raise CaseError("--simulator", "", got, message + '"own"')
+        domain = domain.with_simulator(*request.simulator)
     try:
         return Loaded(domain, file, data, domain.read(file, data))
     except CaseError as error:
-        for each in (error, *error.others):
-            if each.where in paths:
-                each.file = f"{each.file} with {OPTION}"
+        for item in (error, *error.others):
+            if item.where in paths:
+                item.file = f"{item.file} with {OPTION}"
         raise
 
 
-def remarks(notes: Iterable[str], tell: "Tell", known: Collection[str] = ()) -> None:
+def remarks(notes: Iterable[str], progress: "Tell", known: Collection[str] = ()) -> None:
     """Prints the remarks that the owner of a case should see, without those `known` already."""
     for note in notes:
         if note not in known:
-            tell(f"note: {note}")
+            progress(f"note: {note}")

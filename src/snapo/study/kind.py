@@ -64,13 +64,13 @@ class Kind:
         tables: Any = self.loaded(self.tables)
         return tables() if isfunction(tables) else tables
 
-    def bench(self, engine: str, tell: "Tell") -> str:
+    def bench(self, engine: str, progress: "Tell") -> str:
         if not self.timer:
             allowed = (
                 "nothing of this kind is timed by itself; `snapo solve` reports the times of a case"
             )
             raise CaseError("KIND", "", self.kind, allowed)
-        return self.loaded(self.timer)(engine, tell)
+        return self.loaded(self.timer)(engine, progress)
 
     def loaded(self, name: str) -> Any:
         """The object "MODULE:NAME" of the package."""

@@ -33,11 +33,11 @@ def same_program(problem: Problem, other: Simulator) -> bool:
     """
     with jax.enable_x64(True):
         version = of_preparation(problem.simulator, problem.inputs), problem.version
-        known = problem.__dict__.get(PROGRAM)
-        if known is None or known[0] != version:
-            known = version, _traced(problem, problem.simulator)
-            problem.__dict__[PROGRAM] = known
-        return known[1] == _traced(problem, other)
+        available = problem.__dict__.get(PROGRAM)
+        if available is None or available[0] != version:
+            available = version, _traced(problem, problem.simulator)
+            problem.__dict__[PROGRAM] = available
+        return available[1] == _traced(problem, other)
 
 
 def _traced(problem: Problem, simulator: Simulator) -> Text:
@@ -50,25 +50,25 @@ def _traced(problem: Problem, simulator: Simulator) -> Text:
         schedule = jax.tree.map(jnp.asarray, schedule)
         now = at(schedule.steps, 0)
         state = simulator.initial(schedule.constants, noise[1])
-        seen = simulator.observe(schedule.constants, now, state)
+        observed = simulator.observe(schedule.constants, now, state)
         after = simulator.step(schedule.constants, now, state, action, noise[0], Exact())
         end = simulator.terminal(schedule.constants, state, Exact())
-        return eqx.filter((schedule, seen, after, end), eqx.is_array)
+        return eqx.filter((schedule, observed, after, end), eqx.is_array)
 
     action = jnp.zeros(simulator.action.size)
     return text(path, values, noise, action)
 
 
-def engines_for(wanted: EngineName, problem: Problem, policy: Policy) -> Engines:
+def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
     **Raises:** `CaseError` where the wanted one cannot take the problem; it says why.
     """
     try:
-        return choose(wanted, problem, policy)
+        return choose(requested, problem, policy)
     except ValueError as error:
-        what = str(error).removeprefix("engine: ")
-        raise CaseError("--engine", "", wanted, what) from None
+        message = str(error).removeprefix("engine: ")
+        raise CaseError("--engine", "", requested, message) from None
 
 
 def following(
@@ -86,7 +86,7 @@ def following(
 
 
 def at_values(
-    setup: Setup, simulator: Simulator, values: dict[str, Any], anew: Callable[[], Setup]
+    setup: Setup, simulator: Simulator, values: dict[str, Any], rebuilt: Callable[[], Setup]
 ) -> Setup:
     """The setup at other `values` of its inputs, with the code that is compiled already.
 
@@ -94,5 +94,5 @@ def at_values(
     program, and the setup is made `anew`.
     """
     if not same_program(setup.problem, simulator):
-        return anew()
+        return rebuilt()
     return setup._replace(problem=setup.problem.at(values))

@@ -16,14 +16,14 @@ def write_report(domain: Domain, folder: Path) -> Path:
     Where a file or a key is missing, the section says so in a sentence. The same files give the
     same page, byte for byte.
     """
-    told = domain.report()
-    run = told.folder.read(folder)
-    sections = [section(run) for section in told.sections]
+    summary = domain.report()
+    run = summary.folder.read(folder)
+    sections = [section(run) for section in summary.sections]
     if run.get("by_seed"):
         sections.insert(1, seeds(run))
     page = Page(
-        title=str(run.get("title") or told.title),
-        about=[(name, value) for name, value in told.about(run) if value],
+        title=str(run.get("title") or summary.title),
+        about=[(name, value) for name, value in summary.about(run) if value],
         sections=sections,
         footer=_footer(run.get("versions.snapo")),
     )
@@ -32,6 +32,6 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 
 def _footer(version: str | None) -> str:
-    known = version and version[:1].isdigit()  # else it says that it is not installed
-    made = f"Made by snapo {version}" if known else "Made by snapo"
+    available = version and version[:1].isdigit()  # else it says that it is not installed
+    made = f"Made by snapo {version}" if available else "Made by snapo"
     return f"{made} from the files of one run folder; the page needs and sends nothing."

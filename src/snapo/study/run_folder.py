@@ -50,20 +50,22 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 def check_writable(out: Path) -> None:
     """An unwritable folder or a full disk is found before training, not after."""
-    place = out
-    while not os.path.lexists(place) and place != place.parent:  # a link to nowhere is no folder
-        place = place.parent
-    if not place.is_dir():
-        raise CaseError(str(out), "", None, f"{place} is not a folder")
+    position = out
+    while (
+        not os.path.lexists(position) and position != position.parent
+    ):  # a link to nowhere is no folder
+        position = position.parent
+    if not position.is_dir():
+        raise CaseError(str(out), "", None, f"{position} is not a folder")
     try:
-        with tempfile.TemporaryFile(dir=place):
+        with tempfile.TemporaryFile(dir=position):
             pass
     except OSError as error:
         raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
-    free = shutil.disk_usage(place).free
+    free = shutil.disk_usage(position).free
     if free < ENOUGH_SPACE:
-        what = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
-        raise CaseError(str(out), "", None, what)
+        message = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
+        raise CaseError(str(out), "", None, message)
 
 
 def case_files(folder: Path) -> list[Path]:
@@ -75,9 +77,9 @@ def copy_case(file: Path, out: Path) -> None:
     """A copy of the case beside its results, with the files that may belong to it."""
     target = out / CASE
     target.mkdir(parents=True, exist_ok=True)
-    for each in case_files(file.parent):
-        if each.parent.resolve() != target.resolve():
-            shutil.copyfile(each, target / each.name)
+    for case_file in case_files(file.parent):
+        if case_file.parent.resolve() != target.resolve():
+            shutil.copyfile(case_file, target / case_file.name)
 
 
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,9 +89,9 @@ def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) ->
     options of the command, the versions of the libraries and the machine.
     """
     files = {
-        each.name: hashlib.sha256(each.read_bytes()).hexdigest()
-        for each in case_files(file.parent)
-        if each != file
+        case_file.name: hashlib.sha256(case_file.read_bytes()).hexdigest()
+        for case_file in case_files(file.parent)
+        if case_file != file
     }
     return {
         "case": json.loads(json.dumps(data, default=str)),
@@ -109,8 +111,8 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     if resume and (old := check_same(out, decides)):
         return old
-    for each in _written(out):
-        each.unlink(missing_ok=True)
+    for item in _written(out):
+        item.unlink(missing_ok=True)
     new = {"layout": LAYOUT, "kind": kind, "decides": dict(decides), "parts": {}}
     save(out, new)
     return new
@@ -125,8 +127,8 @@ def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     old = read(out)
     if difference := changed(_numbers(old["decides"]), _numbers(decides)):
-        what = f"this run was started with {difference}; resume with the same, or solve into "
-        raise CaseError(str(out / RUN), "", None, what + "another folder")
+        message = f"this run was started with {difference}; resume with the same, or solve into "
+        raise CaseError(str(out / RUN), "", None, message + "another folder")
     return old | {"decides": plain_json(decides)}
 
 
@@ -139,12 +141,12 @@ def become(out: Path, source: Path) -> None:
     """Puts the run of another folder in the place of the one that is here; its report is not
     taken."""
     (out / PARTS).mkdir(parents=True, exist_ok=True)
-    for each in _written(out):
-        each.unlink(missing_ok=True)
+    for file in _written(out):
+        file.unlink(missing_ok=True)
     shutil.copytree(source / CASE, out / CASE, dirs_exist_ok=True)
-    for each in [*source.iterdir(), *(source / PARTS).glob("*.json")]:
-        if each.is_file() and each.name not in (REPORT, PDF, TABLES):
-            shutil.copyfile(each, out / each.relative_to(source))
+    for file in [*source.iterdir(), *(source / PARTS).glob("*.json")]:
+        if file.is_file() and file.name not in (REPORT, PDF, TABLES):
+            shutil.copyfile(file, out / file.relative_to(source))
 
 
 def save(out: Path, record: Mapping[str, Any]) -> None:
@@ -166,11 +168,13 @@ def read(out: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise _no_run(out) from None
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        what = f"this file cannot be read ({error}); solve the case again"
-        raise CaseError(str(file), "", None, what) from None
+        message = f"this file cannot be read ({error}); solve the case again"
+        raise CaseError(str(file), "", None, message) from None
     if layout != LAYOUT:
-        what = f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
-        raise CaseError(str(file), "layout", layout, what)
+        message = (
+            f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
+        )
+        raise CaseError(str(file), "layout", layout, message)
     return record
 
 
@@ -178,7 +182,7 @@ def _check_record(record: Mapping[str, Any]) -> None:
     """**Raises:** `ValueError` where a record of this layout lacks something, or was changed."""
     states = record["parts"]
     plain = (record["kind"], str), (record["decides"], dict), (record.get("about", {}), dict)
-    if not all(isinstance(each, kind) for each, kind in (*plain, (states, dict))):
+    if not all(isinstance(item, kind) for item, kind in (*plain, (states, dict))):
         raise ValueError("its tables are of other kinds")
     for state in states.values():
         if not isinstance(state["state"], str) or not isinstance(state["note"], str):
@@ -197,18 +201,18 @@ def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
     """Without the list of the parts that are wanted: a run of few parts goes on with more."""
     case = dict(decides.get("case", {}))
     if isinstance(case.get("report"), dict):
-        case["report"] = {key: each for key, each in case["report"].items() if key != "parts"}
-        case = {key: each for key, each in case.items() if (key, each) != ("report", {})}
+        case["report"] = {key: item for key, item in case["report"].items() if key != "parts"}
+        case = {key: entry for key, entry in case.items() if (key, entry) != ("report", {})}
     return {**decides, "case": case}
 
 
 def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) -> None:
     """**Raises:** `CaseError` where one of these files of the run is not what was written."""
-    files = {name: each for state in record["parts"].values() for name, each in files_of(state)}
-    wanted = {name: files[name] for name in names if name in files}
-    for name in changed_files(out, wanted):
-        what = "this file was changed or damaged since it was written: solve with --resume again"
-        raise CaseError(str(out / name), "", None, what)
+    files = {name: item for state in record["parts"].values() for name, item in files_of(state)}
+    requested = {name: files[name] for name in names if name in files}
+    for name in changed_files(out, requested):
+        message = "this file was changed or damaged since it was written: solve with --resume again"
+        raise CaseError(str(out / name), "", None, message)
 
 
 def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -219,13 +223,13 @@ def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _no_run(out: Path) -> CaseError:
     if (out / RESULT).exists() or (out / CHECKPOINT).exists():
-        what = (
+        message = (
             "an earlier version of snapo wrote this run, and its files are laid out in another "
             f"way; solve its case again: snapo solve {out / CASE} --out NEW"
         )
-        return CaseError(str(out), "", None, what)
-    what = "this is not the folder of a run: `snapo solve` writes run.json into it"
-    return CaseError(str(out), "", None, what)
+        return CaseError(str(out), "", None, message)
+    message = "this is not the folder of a run: `snapo solve` writes run.json into it"
+    return CaseError(str(out), "", None, message)
 
 
 class Difference(NamedTuple):
@@ -248,12 +252,13 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
 
 def changed(old: Any, new: Any) -> str:
     """The first difference of two tables as a clause, "training.steps = 240, and now it is 300"."""
-    found = next(differences(old, new), None)
-    if found is None:
+    difference = next(differences(old, new), None)
+    if difference is None:
         return ""
-    if found.name.startswith("files."):
-        return f"another {found.name.removeprefix('files.')}"
-    return f"{found.name} = {in_words(found.first)}, and now it is {in_words(found.second)}"
+    if difference.name.startswith("files."):
+        return f"another {difference.name.removeprefix('files.')}"
+    first, second = in_words(difference.first), in_words(difference.second)
+    return f"{difference.name} = {first}, and now it is {second}"
 
 
 def in_words(value: Any) -> str:
@@ -277,18 +282,18 @@ def read_part(out: Path, part: Part) -> dict[str, Any] | None:
 def read_table(file: Path) -> dict[str, Any] | None:
     """The object in a JSON file; None where it is not there or damaged."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return data if isinstance(data, dict) else None
 
 
 def plain_json(value: Any) -> Any:
     """Plain JSON data: NumPy becomes lists, numbers that are not finite become null."""
     if isinstance(value, Mapping):
-        return {str(key): plain_json(each) for key, each in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain_json(each) for each in value]
+        return [plain_json(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain_json(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):

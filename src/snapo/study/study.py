@@ -80,13 +80,13 @@ class Measured(NamedTuple):
 
     def mean(self, values: Any) -> tuple[float, float]:
         """Mean of numbers [N] by path, and its standard error."""
-        found = statistics.mean(np.asarray(values, np.float64), self.groups)
-        return found.value, found.standard_error
+        average = statistics.mean(np.asarray(values, np.float64), self.groups)
+        return average.value, average.standard_error
 
     def ratio(self, top: str, bottom: str) -> tuple[float, float]:
         """One output's mean over another's, and its standard error."""
-        found = statistics.ratio(self.totals[top], self.totals[bottom], self.groups)
-        return found.value, found.standard_error
+        ratio = statistics.ratio(self.totals[top], self.totals[bottom], self.groups)
+        return ratio.value, ratio.standard_error
 
 
 class Recalculated(Protocol):

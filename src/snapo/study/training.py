@@ -38,8 +38,8 @@ def train(run: StudyRun) -> dict[str, Any]:
     solution.save(run.folder)
     _keep_groups(run, solution)
     # Whether to train on is said with the bound, where one follows.
-    follows = any(part.name == "bound" for part in run.study.parts)
-    run.tell("\n".join(without_advice(solution.lines()) if follows else solution.lines()))
+    automatic = any(part.name == "bound" for part in run.study.parts)
+    run.tell("\n".join(without_advice(solution.lines()) if automatic else solution.lines()))
     return {
         "solution": solution.summary(),
         "engine": {"name": solution.engine, "reason": solution.reason},
@@ -67,35 +67,35 @@ def trained(
     has a bound from above or an `exact` value. `leads` over classical rules, on the same paths: of
     one that does better the notes tell, and the verdict in the place of the other.
     """
-    found = dict(run.get("solution", {}))
-    if not found:
+    result = dict(run.get("solution", {}))
+    if not result:
         return {}
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
-    first = {key: found.pop(key) for key in head}
+    first = {key: result.pop(key) for key in head}
     if left := room(first["value"], first["standard_error"], run.get("bound"), exact):
-        found |= _with_room(found, left)
+        result |= _with_room(result, left)
     if beaten := _beaten(leads):
-        found |= {"notes": [*found.get("notes", ()), beaten], "verdict": beaten}
-    return first | {"references": dict(references or {})} | found
+        result |= {"notes": [*result.get("notes", ()), beaten], "verdict": beaten}
+    return first | {"references": dict(references or {})} | result
 
 
-def _with_room(found: Mapping[str, Any], left: Room) -> dict[str, Any]:
+def _with_room(result: Mapping[str, Any], left: Room) -> dict[str, Any]:
     """Word and notes where it is known how much can be gained; next to a bound none asks for
     more steps."""
-    notes, word = found.get("notes", ()), found.get("convergence", "")
+    notes, word = result.get("notes", ()), result.get("convergence", "")
     if left.near:
         notes = without_advice(notes)
         word = CONVERGED if word in UNDECIDED else word
     return {"notes": [left.words, *notes], "convergence": word, "verdict": left.words}
 
 
-def _beaten(leads: Iterable[Lead]) -> str:
+def _beaten(advantages: Iterable[Lead]) -> str:
     """The rule that is furthest above the trained policy, in a sentence; empty where none is."""
-    known = [(name, -lead, error) for name, lead, error in leads if lead is not None]
-    sure = [each for each in known if each[1] > SURE * (each[2] or 0.0)]
-    if not sure:
+    available = [(name, -lead, error) for name, lead, error in advantages if lead is not None]
+    certain = [item for item in available if item[1] > SURE * (item[2] or 0.0)]
+    if not certain:
         return ""
-    name, more, error = max(sure, key=lambda each: each[1])
+    name, more, error = max(certain, key=lambda entry: entry[1])
     return (
         f"The classical rule “{name}” does better than the trained policy, by {more:,.3g} ± "
         f"{error or 0.0:,.2g} on the same paths: take that rule, or train for longer "
@@ -108,10 +108,10 @@ def _keep_groups(run: StudyRun, solution: Solution) -> None:
     problem = run.setup.problem
     source, simulator = problem.sources.evaluation, problem.simulator
     controls = simulator.control_variates()
-    worth = worth_of_groups(problem.objective, solution.totals, source, controls)
+    value = worth_of_groups(problem.objective, solution.totals, source, controls)
     noise = (simulator.horizon, simulator.initial_noise_size, simulator.noise_size)
     scenarios = {"source": fingerprint(source), "noise": noise, "paths": solution.paths["evaluate"]}
-    checkpoint.save_named(run.folder / GROUPS, {("groups",): worth}, scenarios)
+    checkpoint.save_named(run.folder / GROUPS, {("groups",): value}, scenarios)
 
 
 def fingerprint(source: Scenarios) -> str:
@@ -127,14 +127,14 @@ def fingerprint(source: Scenarios) -> str:
 def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
     """The state of the checkpoint, where one is asked for and there is one; else None."""
     file, training = run.folder / CHECKPOINT, setup.training
-    if found := refused(setup.problem, training):
-        key, why = found
+    if result := refused(setup.problem, training):
+        key, why = result
         raise CaseError("case.toml", f"training.{key}", getattr(training, key), why)
     try:
         fresh = begin(setup.policy, training, setup.problem)
     except ValueError as error:
-        what = str(error).removeprefix("Training: window ").rstrip(".")
-        raise CaseError("case.toml", "training.window", training.window, what) from None
+        message = str(error).removeprefix("Training: window ").rstrip(".")
+        raise CaseError("case.toml", "training.window", training.window, message) from None
     if not (run.resume and file.exists()):
         return None
     state = load_checkpoint(file, fresh, run.mark)
@@ -150,9 +150,9 @@ def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
     try:
         return checkpoint.load(file, fresh, mark)
     except checkpoint.CheckpointError as error:
-        what = str(error).removeprefix(f"{file}: ").rstrip(".")
-        what = f"{what}; solve without --resume, or remove this file"
-        raise CaseError(str(file), "", None, what) from None
+        message = str(error).removeprefix(f"{file}: ").rstrip(".")
+        message = f"{message}; solve without --resume, or remove this file"
+        raise CaseError(str(file), "", None, message) from None
 
 
 def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:

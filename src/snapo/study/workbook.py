@@ -30,34 +30,34 @@ def write_run(run: Path) -> Path:
     """Writes a run's workbook; returns its path."""
     result = run_folder.read_table(run / run_folder.RESULT) or {}
     tables = {"result": Table(("what", "value"), list(flat(result)))}
-    places = {"result": run_folder.RESULT}
+    positions = {"result": run_folder.RESULT}
     for file in sorted(run.glob("*.csv")):
         header, *rows = list(_rows(file)) or [[]]
         if header:
             tables[file.stem] = Table(header, rows, _picture(file.stem, header, rows))
-            places[file.stem] = file.name
+            positions[file.stem] = file.name
     for file in sorted((run / run_folder.PARTS).glob("*.json")):
-        for found in tables_in(run_folder.read_table(file) or {}):
-            name = _name(found.way or (file.stem,), tables)
-            single = found.header == SINGLE  # values that have nothing in common
-            picture = None if single else _picture(name, found.header, _floats(found.rows))
-            tables[name] = Table(found.header, found.rows, picture)
-            places[name] = ", ".join((f"parts/{file.name}", *found.way))
-    contents = Table(("sheet", "of"), list(places.items()))
+        for results in tables_in(run_folder.read_table(file) or {}):
+            name = _name(results.way or (file.stem,), tables)
+            single = results.header == SINGLE  # values that have nothing in common
+            picture = None if single else _picture(name, results.header, _floats(results.rows))
+            tables[name] = Table(results.header, results.rows, picture)
+            positions[name] = ", ".join((f"parts/{file.name}", *results.way))
+    contents = Table(("sheet", "of"), list(positions.items()))
     write_tables(run / run_folder.TABLES, {"contents": contents, **tables})
     return run / run_folder.TABLES
 
 
-def _name(way: Sequence[str], taken: Mapping[str, Any]) -> str:
+def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
     """A name for a sheet that is not taken, as much of the way as there is room for."""
-    whole = re.sub(r"[\[\]:*?/\\']", " ", " ".join(way)).strip() or "table"
-    used = {each.lower() for each in (*taken, "contents")}
-    short = whole[:MOST_NAME].strip()
+    complete = re.sub(r"[\[\]:*?/\\']", " ", " ".join(path)).strip() or "table"
+    used = {item.lower() for item in (*taken, "contents")}
+    short = complete[:MOST_NAME].strip()
     for number in count(2):
         if short.lower() not in used:
             return short
         end = f" {number}"
-        short = whole[: MOST_NAME - len(end)].strip() + end
+        short = complete[: MOST_NAME - len(end)].strip() + end
     raise AssertionError
 
 
@@ -87,12 +87,12 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
         for i, column in enumerate(header)
         if i and rows and all(len(row) == len(header) and type(row[i]) is float for row in rows)
     ]
-    kept = [column for column in numbers if column not in LEFT][:MOST_LINES]
-    if not kept or not 2 <= len(rows) <= MOST_DRAWN:
+    selected = [column for column in numbers if column not in LEFT][:MOST_LINES]
+    if not selected or not 2 <= len(rows) <= MOST_DRAWN:
         return None
     if {"value", "label", "input"} <= set(header):
         return sensitivities(list(rows))
-    return Picture("line", header[0], kept)
+    return Picture("line", header[0], selected)
 
 
 class Part(NamedTuple):
@@ -103,85 +103,85 @@ class Part(NamedTuple):
     rows: Sequence[Sequence[Any]]
 
 
-def tables_in(data: Mapping[str, Any], way: tuple[str, ...] = ()) -> Iterator[Part]:
+def tables_in(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[Part]:
     """Every table in nested plain data, the outer ones first."""
-    single = {key: each for key, each in data.items() if not isinstance(each, Mapping | list)}
+    single = {key: entry for key, entry in data.items() if not isinstance(entry, Mapping | list)}
     if single:
-        yield Part(way, SINGLE, list(single.items()))
-    lists = {key: each for key, each in data.items() if isinstance(each, list) and each}
-    yield from _side_by_side(lists, way)
-    for key, each in lists.items():
-        if all(isinstance(row, Mapping) for row in each):
-            yield from _records(each, (*way, key))
-        elif not _flat(each):
-            yield from _matrix(each, (*way, key))
+        yield Part(path, SINGLE, list(single.items()))
+    lists = {key: value for key, value in data.items() if isinstance(value, list) and value}
+    yield from _side_by_side(lists, path)
+    for key, item in lists.items():
+        if all(isinstance(row, Mapping) for row in item):
+            yield from _records(item, (*path, key))
+        elif not _flat(item):
+            yield from _matrix(item, (*path, key))
     nested = {key: each for key, each in data.items() if isinstance(each, Mapping)}
     if len(nested) > 1 and all(map(_record, nested.values())):
-        yield from _records([{NAME: key, **each} for key, each in nested.items()], way)
+        yield from _records([{NAME: key, **each} for key, each in nested.items()], path)
         return
-    for key, each in nested.items():
-        yield from tables_in(each, (*way, key))
+    for key, item in nested.items():
+        yield from tables_in(item, (*path, key))
 
 
 def _flat(values: list) -> bool:
-    return not any(isinstance(each, Mapping | list) for each in values)
+    return not any(isinstance(value, Mapping | list) for value in values)
 
 
-def _record(each: Mapping[str, Any]) -> bool:
+def _record(item: Mapping[str, Any]) -> bool:
     """Whether a table has single values alone."""
-    return bool(each) and not any(isinstance(value, Mapping | list) for value in each.values())
+    return bool(item) and not any(isinstance(value, Mapping | list) for value in item.values())
 
 
-def _side_by_side(lists: Mapping[str, list], way: tuple[str, ...]) -> Iterator[Part]:
+def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[Part]:
     """Lists of single values, those of one length in one table."""
     by_length: dict[int, list[str]] = {}
-    for key, each in lists.items():
-        if _flat(each):
-            by_length.setdefault(len(each), []).append(key)
+    for key, item in lists.items():
+        if _flat(item):
+            by_length.setdefault(len(item), []).append(key)
     for length, keys in by_length.items():
-        labelled = all(isinstance(each, str) for each in lists[keys[0]])
+        labelled = all(isinstance(entry, str) for entry in lists[keys[0]])
         columns = [lists[key] for key in keys]
         if not labelled:
             columns = [list(range(1, length + 1)), *columns]
         header = tuple(keys) if labelled else (ROW, *keys)
-        named = (*way, keys[0]) if len(by_length) > 1 and len(keys) == 1 else way
-        yield Part(named, header, list(zip(*columns)))
+        by_name = (*path, keys[0]) if len(by_length) > 1 and len(keys) == 1 else path
+        yield Part(by_name, header, list(zip(*columns)))
 
 
-def _records(rows: list[Mapping[str, Any]], way: tuple[str, ...]) -> Iterator[Part]:
+def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[Part]:
     """Records as rows; of records that hold arrays, these are tables of their own."""
     header = list(dict.fromkeys(key for row in rows for key in _plain(row)))
     if header:
         values: list[Sequence[Any]] = [[_plain(row).get(key) for key in header] for row in rows]
-        yield Part(way, tuple(header), values)
-    if len(way) >= DEEPEST:
+        yield Part(path, tuple(header), values)
+    if len(path) >= DEEPEST:
         return
     for i, row in enumerate(rows, 1):
-        inner = {key: each for key, each in row.items() if isinstance(each, Mapping | list)}
-        label = next((each for each in row.values() if isinstance(each, str) and each), str(i))
-        yield from tables_in({k: v for k, v in inner.items() if not _in_words(v)}, (*way, label))
+        inner = {key: item for key, item in row.items() if isinstance(item, Mapping | list)}
+        label = next((entry for entry in row.values() if isinstance(entry, str) and entry), str(i))
+        yield from tables_in({k: v for k, v in inner.items() if not _in_words(v)}, (*path, label))
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
     """The values of a record that a row can hold: a list of words is joined."""
     return {
-        key: "; ".join(each) if _in_words(each) else each
-        for key, each in row.items()
-        if _in_words(each) or not isinstance(each, Mapping | list)
+        key: "; ".join(item) if _in_words(item) else item
+        for key, item in row.items()
+        if _in_words(item) or not isinstance(item, Mapping | list)
     }
 
 
 def _in_words(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(each, str) for each in value)
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
 
 
-def _matrix(rows: list, way: tuple[str, ...]) -> Iterator[Part]:
+def _matrix(rows: list, path: tuple[str, ...]) -> Iterator[Part]:
     """A list of lists of single values; deeper ones layer by layer."""
-    rows = [each if isinstance(each, list) else [each] for each in rows]
+    rows = [entry if isinstance(entry, list) else [entry] for entry in rows]
     if all(_flat(row) for row in rows):
         wide = max(map(len, rows))
         header = (ROW, *map(str, range(1, wide + 1)))
-        yield Part(way, header, [[i, *row] for i, row in enumerate(rows, 1)])
-    elif len(way) < DEEPEST:
-        for i, each in enumerate(rows, 1):
-            yield from tables_in({str(i): each}, way)
+        yield Part(path, header, [[i, *row] for i, row in enumerate(rows, 1)])
+    elif len(path) < DEEPEST:
+        for i, item in enumerate(rows, 1):
+            yield from tables_in({str(i): item}, path)

@@ -22,12 +22,12 @@ def wrong_derivatives(
     The other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
     recorded decisions are held, with `every` each number is bumped alone.
     """
-    found = bump_check(
+    result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine
     )
     return [
         f"{bump.input} ({bump.direction}): {bump.adjoint:.10g} by the adjoint, "
         f"{bump.central:.10g} by differences; {bump.allowed:.2g} is allowed"
-        for bump in found
+        for bump in result
         if not bump.passed
     ]

@@ -94,41 +94,41 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
     """
     _, data = load(folder)
     free = set(free)
-    for way, value in _keys((), data):
-        place = _place(way)
+    for path, value in _keys((), data):
+        position = _place(path)
         if isinstance(value, dict):
-            if place not in free:
-                yield Mistake(f"{place}: unknown key", _put((*way, UNKNOWN), 1), (UNKNOWN,))
-            if way:
-                yield Mistake(f"{place}: a number for a table", _put(way, 1.5), (_named(way),))
-        for kind, wrong, sure in _wrong(value):
-            named = (_named(way),) if sure else ()
-            yield Mistake(f"{place}: {kind}", _put(way, wrong), named)
-        if way and not isinstance(way[-1], int):
-            yield Mistake(f"{place}: left out", _leave_out(way))
+            if position not in free:
+                yield Mistake(f"{position}: unknown key", _put((*path, UNKNOWN), 1), (UNKNOWN,))
+            if path:
+                yield Mistake(f"{position}: a number for a table", _put(path, 1.5), (_named(path),))
+        for kind, wrong, certain in _wrong(value):
+            by_name = (_named(path),) if certain else ()
+            yield Mistake(f"{position}: {kind}", _put(path, wrong), by_name)
+        if path and not isinstance(path[-1], int):
+            yield Mistake(f"{position}: left out", _leave_out(path))
 
 
-def _keys(way: Way, value: Any) -> Iterator[tuple[Way, Any]]:
+def _keys(path: Way, value: Any) -> Iterator[tuple[Way, Any]]:
     """Every table, key and entry with its place, from the top down."""
-    yield way, value
+    yield path, value
     if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _keys((*way, key), each)
+        for key, item in value.items():
+            yield from _keys((*path, key), item)
     elif isinstance(value, list):
-        for index, each in enumerate(value):
-            yield from _keys((*way, index), each)
+        for index, item in enumerate(value):
+            yield from _keys((*path, index), item)
 
 
 def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
     """(kind of mistake, the spoilt value, whether it is wrong in every place)."""
     if isinstance(value, dict | list):
         return [] if isinstance(value, dict) else [("a table for a list", {UNKNOWN: 1}, True)]
-    found = [("a table", {UNKNOWN: 1}, True), ("an empty list", [], False)]
+    results = [("a table", {UNKNOWN: 1}, True), ("an empty list", [], False)]
     if isinstance(value, bool):
-        return [*found, ("text", "yes, please", True)]
+        return [*results, ("text", "yes, please", True)]
     if isinstance(value, int | float):
         return [
-            *found,
+            *results,
             ("text", "no such thing", True),
             ("not a number", math.nan, True),
             ("infinite", -math.inf, True),
@@ -138,34 +138,34 @@ def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
             ("a fraction", value + 0.5, False),
             ("huge", 10**12 * (value or 1), False),
         ]
-    return [*found, ("a number", 12.5, False), ("no text", "", False)]
+    return [*results, ("a number", 12.5, False), ("no text", "", False)]
 
 
-def _place(way: Way) -> str:
-    return ".".join(map(str, way)) or "the case"
+def _place(path: Way) -> str:
+    return ".".join(map(str, path)) or "the case"
 
 
-def _named(way: Way) -> str:
+def _named(path: Way) -> str:
     """The word that a message must contain: the last key, or the key of the list."""
-    return str(next((each for each in reversed(way) if isinstance(each, str)), ""))
+    return str(next((item for item in reversed(path) if isinstance(item, str)), ""))
 
 
-def _put(way: Way, value: Any) -> Callable[[Path, dict[str, Any]], None]:
+def _put(path: Way, value: Any) -> Callable[[Path, dict[str, Any]], None]:
     def spoil(folder: Path, data: dict[str, Any]) -> None:
-        _inside(data, way)[way[-1]] = copy.deepcopy(value)
+        _inside(data, path)[path[-1]] = copy.deepcopy(value)
 
     return spoil
 
 
-def _leave_out(way: Way) -> Callable[[Path, dict[str, Any]], None]:
+def _leave_out(path: Way) -> Callable[[Path, dict[str, Any]], None]:
     def spoil(folder: Path, data: dict[str, Any]) -> None:
-        del _inside(data, way)[way[-1]]
+        del _inside(data, path)[path[-1]]
 
     return spoil
 
 
-def _inside(data: Any, way: Way) -> Any:
-    for key in way[:-1]:
+def _inside(data: Any, path: Way) -> Any:
+    for key in path[:-1]:
         data = data[key]
     return data
 
@@ -192,23 +192,23 @@ def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
             renamed = _line(lines, head, column, UNKNOWN)
             yield Mistake(f"{name}: unknown column for {title}", _write(name, renamed), (name,))
             for row in sorted({rows[0], rows[-1]}):
-                place = f"{name}, line {row + 1}, {title}"
-                for kind, cell, sure in _wrong_cells(lines[row].split(",")[column]):
-                    sure = sure and (title not in labels or kind == "one cell more")
-                    named = (name,) if sure else ()
+                position = f"{name}, line {row + 1}, {title}"
+                for kind, cell, certain in _wrong_cells(lines[row].split(",")[column]):
+                    certain = certain and (title not in labels or kind == "one cell more")
+                    by_name = (name,) if certain else ()
                     spoilt = _line(lines, row, column, cell)
-                    yield Mistake(f"{place}: {kind}", _write(name, spoilt), named)
+                    yield Mistake(f"{position}: {kind}", _write(name, spoilt), by_name)
 
 
 def _wrong_cells(cell: str) -> list[tuple[str, str, bool]]:
-    found = [("an empty cell", "", False), ("one cell more", cell + ",1", True)]
+    results = [("an empty cell", "", False), ("one cell more", cell + ",1", True)]
     try:
         value = float(cell)
     except ValueError:
-        return [*found, ("another text", "no such thing", False)]
-    found += [("text", "no such thing", True), ("not a number", "nan", True)]
-    found += [("infinite", "1e999", True), ("a size", "1e300", True)]
-    return [*found, ("another sign", f"{-value}", False)]
+        return [*results, ("another text", "no such thing", False)]
+    results += [("text", "no such thing", True), ("not a number", "nan", True)]
+    results += [("infinite", "1e999", True), ("a size", "1e300", True)]
+    return [*results, ("another sign", f"{-value}", False)]
 
 
 def _line(lines: list[str], row: int, column: int, cell: str) -> bytes:

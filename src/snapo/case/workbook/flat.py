@@ -25,17 +25,17 @@ def lines(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
         yield from _lines(_quoted(key), value)
 
 
-def _lines(place: str, value: Any) -> Iterator[tuple[str, Any, str]]:
+def _lines(position: str, value: Any) -> Iterator[tuple[str, Any, str]]:
     if isinstance(value, Mapping) and value:
-        for key, each in value.items():
-            yield from _lines(f"{place}.{_quoted(key)}", each)
+        for key, item in value.items():
+            yield from _lines(f"{position}.{_quoted(key)}", item)
     elif isinstance(value, list) and value and all(isinstance(x, Mapping) and x for x in value):
-        for i, each in enumerate(value):
-            yield from _lines(f"{place}[{i}]", each)
+        for i, item in enumerate(value):
+            yield from _lines(f"{position}[{i}]", item)
     elif _is_plain(value):
-        yield place, value, ""
+        yield position, value, ""
     else:
-        yield place, one_value(value), TEXT
+        yield position, one_value(value), TEXT
 
 
 def _quoted(key: str) -> str:
@@ -60,35 +60,35 @@ def _is_plain(value: Any) -> bool:
     return day and value.year >= 1901
 
 
-def tables(found: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
+def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
     """The inverse of `lines`.
 
     **Raises:** `Unreadable` for a key that is none, stands there twice, or contradicts another.
     """
     data: dict[str, Any] = {}
-    for key, value, kind in found:
+    for key, value, kind in result:
         if kind:
             try:
                 (value,) = tomllib.loads(f"x = [{value}]")["x"]
             except (tomllib.TOMLDecodeError, ValueError, RecursionError):
-                what = f"{str(value)[:60]!r} is not a value as TOML writes it"
-                raise Unreadable(f"{key}: {what}") from None
+                message = f"{str(value)[:60]!r} is not a value as TOML writes it"
+                raise Unreadable(f"{key}: {message}") from None
         _put(data, key, value)
     return data
 
 
 def _steps(key: str) -> list[str | int]:
     steps: list[str | int] = []
-    place = 0
-    while place < len(key):
-        match = PART.match(key, place)
+    position = 0
+    while position < len(key):
+        match = PART.match(key, position)
         if not match or (match[3] == "." and match.end() == len(key)):
             raise Unreadable(
                 f"{key!r} is not a key; write it like indexation.cap or reactions[0].name"
             )
         steps.append(next(iter(tomllib.loads(f"{match[1]} = 0"))))
-        steps += [int(each) for each in re.findall(r"\d+", match[2])]
-        place = match.end()
+        steps += [int(item) for item in re.findall(r"\d+", match[2])]
+        position = match.end()
     return steps
 
 

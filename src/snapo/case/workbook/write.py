@@ -35,13 +35,13 @@ def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     assert first is not None
     first.title = TOP
     notes = _notes(folder / "case.toml")
-    nested = {key: each for key, each in data.items() if isinstance(each, dict | list)}
-    _sheet(first, {key: each for key, each in data.items() if key not in nested}, notes)
-    for key, each in nested.items():
-        _sheet(book.create_sheet(_name(key, book.sheetnames)), {key: each}, notes)
-    for each in sorted(folder.glob("*.csv")):
-        sheet = book.create_sheet(_name(each.name, book.sheetnames))
-        for row in _rows(each):
+    nested = {key: entry for key, entry in data.items() if isinstance(entry, dict | list)}
+    _sheet(first, {key: value for key, value in data.items() if key not in nested}, notes)
+    for key, item in nested.items():
+        _sheet(book.create_sheet(_name(key, book.sheetnames)), {key: item}, notes)
+    for item in sorted(folder.glob("*.csv")):
+        sheet = book.create_sheet(_name(item.name, book.sheetnames))
+        for row in _rows(item):
             sheet.append(row)
     for sheet in book:
         sheet.freeze_panes = "A2"
@@ -52,15 +52,17 @@ def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     book.save(file)
 
 
-def _name(wanted: str, taken: list[str]) -> str:
+def _name(requested: str, taken: list[str]) -> str:
     if (
-        len(wanted) > 31
-        or re.search(r"[\[\]:*?/\\']", wanted)
-        or wanted.lower() in map(str.lower, taken)
+        len(requested) > 31
+        or re.search(r"[\[\]:*?/\\']", requested)
+        or requested.lower() in map(str.lower, taken)
     ):
-        what = "a sheet cannot have this name; rename the table or the file, at most 31 characters"
-        raise CaseError(wanted, "", None, what)
-    return wanted
+        message = (
+            "a sheet cannot have this name; rename the table or the file, at most 31 characters"
+        )
+        raise CaseError(requested, "", None, message)
+    return requested
 
 
 def _sheet(sheet: Any, data: Mapping[str, Any], notes: Mapping[str, str]) -> None:
@@ -83,15 +85,15 @@ def _notes(file: Path) -> dict[str, str]:
     """The comment behind each key of a TOML file, by the key's last word."""
     if not file.is_file():
         return {}
-    found = map(NOTE.match, file.read_text(encoding="utf-8").splitlines())
-    return {each[1]: each[2] for each in found if each}
+    result = map(NOTE.match, file.read_text(encoding="utf-8").splitlines())
+    return {item[1]: item[2] for item in result if item}
 
 
 def _rows(file: Path) -> list[list[Any]]:
     text = file.read_bytes().decode("utf-8-sig")
-    kept = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    mark = separator(kept[0]) if kept else ","
-    head, *rows = list(csv.reader(kept, delimiter=mark)) or [[]]
+    selected = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    mark = separator(selected[0]) if selected else ","
+    head, *rows = list(csv.reader(selected, delimiter=mark)) or [[]]
     plain = mark == ","  # other dialects keep their texts, which are read as they stand
     return [head, *([_native(cell.strip()) if plain else cell for cell in row] for row in rows)]
 
@@ -105,7 +107,7 @@ def _native(cell: str) -> Any:
             return cell
     if NUMBER.fullmatch(cell):
         number = float(cell)
-        whole = number.is_integer() and abs(number) < 1e15
+        complete = number.is_integer() and abs(number) < 1e15
         if is_kept(number):
-            return int(number) if whole else number
+            return int(number) if complete else number
     return cell or None

@@ -38,27 +38,27 @@ def within(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedul
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name):
                 closed = method.traced()
-            found = _beyond(closed.jaxpr, closed.consts, method.labels())
-            for each in dict.fromkeys(found):
+            result = _beyond(closed.jaxpr, closed.consts, method.labels())
+            for item in dict.fromkeys(result):
                 # A negative index was written before JAX added the length to it.
-                index = each.index - each.length * (each.index < 0)
+                index = item.index - item.length * (item.index < 0)
                 notes.error(
-                    f"{notes.method(method.name)}: {each.label or 'an array'}[{index}]",
-                    f"It has {each.length} entries; JAX reads the nearest one, or drops a write, "
-                    f"without an error. In: {each.line}",
+                    f"{notes.method(method.name)}: {item.label or 'an array'}[{index}]",
+                    f"It has {item.length} entries; JAX reads the nearest one, or drops a write, "
+                    f"without an error. In: {item.line}",
                     CORRECT,
                 )
     notes.stop_on_errors()
 
 
-def _beyond(jaxpr, consts, labels=(), given=(), caller: str = "") -> Iterator[Beyond]:
+def _beyond(jaxpr, consts, labels=(), inputs=(), caller: str = "") -> Iterator[Beyond]:
     """Walks a program with the integers that are known in it."""
-    known = {v: np.asarray(c) for v, c in zip(jaxpr.constvars, consts)}
-    known |= {v: x for v, x in zip(jaxpr.invars, given) if x is not None}
+    available = {v: np.asarray(c) for v, c in zip(jaxpr.constvars, consts)}
+    available |= {v: x for v, x in zip(jaxpr.invars, inputs) if x is not None}
     name = dict(zip(jaxpr.invars, labels))
 
     def read(atom):
-        return np.asarray(atom.val) if isinstance(atom, jex.Literal) else known.get(atom)
+        return np.asarray(atom.val) if isinstance(atom, jex.Literal) else available.get(atom)
 
     for eqn in jaxpr.eqns:
         values = [read(atom) for atom in eqn.invars]
@@ -73,7 +73,7 @@ def _beyond(jaxpr, consts, labels=(), given=(), caller: str = "") -> Iterator[Be
         if eqn.primitive.name in _ARITHMETIC and all(x is not None for x in values):
             result = _ARITHMETIC[eqn.primitive.name](eqn, *values)
             if result is not None and result.size <= MOST and result.dtype.kind in "iub":
-                known[eqn.outvars[0]] = result
+                available[eqn.outvars[0]] = result
         elif eqn.primitive.name == "convert_element_type" and not isinstance(
             eqn.invars[0], jex.Literal
         ):
@@ -122,8 +122,8 @@ def _inner(eqn, values):
     if kind == "scan":
         fixed, _ = arguments_of_scan(params)
         return [(params["jaxpr"], values[:fixed])]
-    found = [x for x in params.values() if isinstance(x, jex.ClosedJaxpr)]
-    return [(x, values if len(x.jaxpr.invars) == len(values) else []) for x in found]
+    results = [x for x in params.values() if isinstance(x, jex.ClosedJaxpr)]
+    return [(x, values if len(x.jaxpr.invars) == len(values) else []) for x in results]
 
 
 def _iota(eqn):

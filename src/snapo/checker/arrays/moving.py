@@ -13,10 +13,10 @@ FEW = 32  # points outside at which the entry that is read is looked at
 
 def moving_indices(notes: Notes, points: Points) -> None:
     """Reads past an end that move a result, and writes past it, which JAX drops."""
-    watched, told = points.watched, set()
-    if not watched.reads:
+    monitored, summary = points.watched, set()
+    if not monitored.reads:
         return
-    sites = zip(watched.reads, points.met.outside)
+    sites = zip(monitored.reads, points.met.outside)
     for number, (site, (index, axis, is_outside)) in enumerate(sites):
         which = np.flatnonzero(is_outside)
         if not which.size or (site.line is not None and site.line.own):
@@ -24,8 +24,8 @@ def moving_indices(notes: Notes, points: Points) -> None:
         if not site.writes and not _matters(points, number, which):
             continue
         met, length, size = _met(site, index[which], axis[which])
-        if (site.line, length) not in told:
-            told.add((site.line, length))
+        if (site.line, length) not in summary:
+            summary.add((site.line, length))
             _write(notes, points.method.name, site, _said(met, length, size))
 
 
@@ -60,7 +60,7 @@ def _said(met: int, length: int, size: int) -> str:
     return f"an index is {met} and the array has {length} entries"
 
 
-def _write(notes: Notes, method: str, site: Site, said: str) -> None:
+def _write(notes: Notes, method: str, site: Site, metadata: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
     met = "With these inputs" if method == "prepare" else "On a path"
@@ -68,6 +68,6 @@ def _write(notes: Notes, method: str, site: Site, said: str) -> None:
     note = notes.warning if site.writes else notes.error
     note(
         where,
-        f"{met} {said}: JAX {done}, without an error.{text}",
+        f"{met} {metadata}: JAX {done}, without an error.{text}",
         CORRECT if site.writes else f"{CORRECT} {MEANT}",
     )

@@ -34,13 +34,13 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
     """Every slice of every method asks for entries that there are."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
-            with notes.during(method.name), _asked() as found:
+            with notes.during(method.name), _asked() as result:
                 method.traced()
-            for each in dict.fromkeys(found):
+            for item in dict.fromkeys(result):
                 notes.warning(
-                    f"{method.name}, {each.line}",
-                    f"The slice [{each.asked}] is taken of {each.length} entries: it is shorter "
-                    f"than it says, without an error. In: {each.line.text}",
+                    f"{method.name}, {item.line}",
+                    f"The slice [{item.asked}] is taken of {item.length} entries: it is shorter "
+                    f"than it says, without an error. In: {item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )
 
@@ -48,17 +48,17 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
 @contextmanager
 def _asked() -> Iterator[list[Short]]:
     """The slices past an end that this thread's code takes of traced arrays."""
-    found: list[Short] = []
+    shorts: list[Short] = []
     mine, before = threading.get_ident(), Tracer.__getitem__
 
     def getitem(self, index):
         if threading.get_ident() == mine and (line := _users_line(sys._getframe(1))):
-            found.extend(Short(*each, line) for each in _past(index, self.shape))
+            shorts.extend(Short(*item, line) for item in _past(index, self.shape))
         return before(self, index)
 
     Tracer.__getitem__ = getitem
     try:
-        yield found
+        yield shorts
     finally:
         Tracer.__getitem__ = before
 
@@ -87,11 +87,11 @@ def _past(index: Any, shape: tuple[int, ...]) -> Iterator[tuple[str, int]]:
 
 def beyond(part: slice, length: int) -> bool:
     """Whether an end that a slice names lies outside of an axis."""
-    ends = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
+    endpoints = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
     backwards = isinstance(part.step, int) and part.step < 0
     # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] says how far to go.
     low = -length - 1 if backwards else -length
-    return any(not low <= end <= length for end in ends)
+    return any(not low <= end <= length for end in endpoints)
 
 
 def _written(part: slice) -> str:

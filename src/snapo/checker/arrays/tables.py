@@ -35,7 +35,7 @@ class Table(NamedTuple):
 def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
     """Every method as training traces it, and then as evaluation does; stops at errors."""
     # JAX keeps a table's conversion as long as a program holds it, as compiled ones do.
-    kept: list[Any] = []
+    selected: list[Any] = []
     for precision in ("float32", "float64", "float32"):
         dtype = np.dtype(precision)
         with jax.enable_x64(precision == "float64"):
@@ -43,21 +43,21 @@ def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
                 try:
                     closed = method.traced()
                 except Exception as error:
-                    where, what, _ = notes.explained(error, method.name)
-                    notes.error(where, f"It fails in {precision}. {what}", TABLE)
+                    where, message, _ = notes.explained(error, method.name)
+                    notes.error(where, f"It fails in {precision}. {message}", TABLE)
                     continue
-                kept.append(closed)
-                for found in dict.fromkeys(_others(closed, dtype)):
-                    _write(notes, method.name, found, precision)
+                selected.append(closed)
+                for result in dict.fromkeys(_others(closed, dtype)):
+                    _write(notes, method.name, result, precision)
         notes.stop_on_errors()
 
 
-def _write(notes: Notes, method: str, found: Table, precision: str) -> None:
-    where = f"{method}, {found.line}" if found.line else notes.method(method)
-    text = f" In: {found.line.text}" if found.line else ""
+def _write(notes: Notes, method: str, result: Table, precision: str) -> None:
+    where = f"{method}, {result.line}" if result.line else notes.method(method)
+    text = f" In: {result.line.text}" if result.line else ""
     notes.error(
         where,
-        f"A table of shape {found.shape} is {found.dtype} where all else is {precision}.{text}",
+        f"A table of shape {result.shape} is {result.dtype} where all else is {precision}.{text}",
         TABLE,
     )
 

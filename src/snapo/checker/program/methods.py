@@ -81,9 +81,9 @@ def methods(
 
 def preparation(simulator: Simulator, inputs: PyTree) -> Method:
     """`prepare` as a function of the inputs' values, by their names."""
-    named = inputs_.named(inputs)
+    by_name = inputs_.named(inputs)
     values = inputs_.values(inputs)
-    if len(named) != len(values):
+    if len(by_name) != len(values):
         return Method(
             "prepare",
             lambda v: simulator.prepare(inputs_.replace(inputs, v)),
@@ -92,7 +92,7 @@ def preparation(simulator: Simulator, inputs: PyTree) -> Method:
     return Method(
         "prepare",
         lambda *v: simulator.prepare(inputs_.replace(inputs, list(v))),
-        {entry.name: value for entry, value in zip(named, values)},
+        {entry.name: value for entry, value in zip(by_name, values)},
     )
 
 
@@ -111,7 +111,7 @@ class Line(NamedTuple):
 def line_of(eqn) -> Line | None:
     """The line that an equation came from."""
     frames = source_info_util.user_frames(eqn.source_info.traceback)
-    return line_among([(each.file_name, each.start_line) for each in frames])
+    return line_among([(frame.file_name, frame.start_line) for frame in frames])
 
 
 def said_by_user(eqn) -> bool:
@@ -131,5 +131,5 @@ def line_among(frames: list[tuple[str, int]]) -> Line | None:
     if not frames:
         return None
     file, number = (users or frames)[0]
-    own = frames[0][0].startswith(_OWN)
-    return Line(file, number, linecache.getline(file, number).strip(), own)
+    local = frames[0][0].startswith(_OWN)
+    return Line(file, number, linecache.getline(file, number).strip(), local)

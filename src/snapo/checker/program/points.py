@@ -78,9 +78,9 @@ def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterat
 
     by_inputs = _tainted(made, run.schedule)
     recorded = {
-        "state": _joined([each.states for each in runs], times, paths),
-        "action": _joined([each.actions for each in runs], times, paths),
-        "noise": _joined([each.draws.step_noise for each in runs], times, paths),
+        "state": _joined([item.states for item in runs], times, paths),
+        "action": _joined([entry.actions for entry in runs], times, paths),
+        "noise": _joined([value.draws.step_noise for value in runs], times, paths),
         "now": jax.tree.map(
             lambda x: jnp.repeat(jnp.asarray(x)[times], len(runs) * paths, 0), run.schedule.steps
         ),
@@ -92,15 +92,15 @@ def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterat
     last = np.arange((len(times) - 1) * len(runs) * paths, len(times) * len(runs) * paths)
     leaves, tree = jax.tree.flatten(step.given["state"])
     after = stepped.seen(stepped.some(last)).results
-    ends = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
-    yield Points(terminal, {"state": ends}, 1, by_inputs)
+    endpoints = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
+    yield Points(terminal, {"state": endpoints}, 1, by_inputs)
 
 
 def _tainted(made: Method, schedule: Any) -> dict[str, list[bool]]:
     """Of the leaves of `constants` and `now`, whether inputs move them."""
-    found = iter(tainted_by(made.function, *made.given.values()))
+    result = iter(tainted_by(made.function, *made.given.values()))
     parts = (("constants", schedule.constants), ("now", schedule.steps))
-    return {name: [next(found) for _ in jax.tree.leaves(tree)] for name, tree in parts}
+    return {name: [next(result) for _ in jax.tree.leaves(tree)] for name, tree in parts}
 
 
 def _times(horizon: int) -> np.ndarray:

@@ -79,7 +79,7 @@ class Watched:
 
     def __call__(self, arguments: Sequence[Any], change: Change | None) -> Seen:
         walk = _Walk(change)
-        marks = [TAINTED if each else GIVEN for each in self.tainted]
+        marks = [TAINTED if item else GIVEN for item in self.tainted]
         results, _ = walk.run(self.closed.jaxpr, self.closed.consts, arguments, marks, None)
         self.comparisons, self.reads = walk.comparisons, walk.reads
         return Seen(results, walk.truths, walk.outside)
@@ -107,41 +107,41 @@ class _Walk:
             return KNOWN if isinstance(atom, jex.Literal) else marks.get(atom, KNOWN)
 
         for eqn in jaxpr.eqns:
-            given, dirty = [read(x) for x in eqn.invars], [marked(x) for x in eqn.invars]
+            inputs, dirty = [read(x) for x in eqn.invars], [marked(x) for x in eqn.invars]
             line = line_of(eqn) or caller
             if eqn.primitive.name in _CALLS and (inner := _program(eqn)) is not None:
-                found, dirty = self.run(inner.jaxpr, inner.consts, given, dirty, line)
+                result, dirty = self.run(inner.jaxpr, inner.consts, inputs, dirty, line)
             else:
-                found = jax_private.apply(eqn, given, eqn.source_info.traceback)
-                found = self._watched(eqn, given, found, line, dirty)
-                dirty = [max(dirty, default=KNOWN)] * len(found)
-            values.update(zip(eqn.outvars, found))
+                result = jax_private.apply(eqn, inputs, eqn.source_info.traceback)
+                result = self._watched(eqn, inputs, result, line, dirty)
+                dirty = [max(dirty, default=KNOWN)] * len(result)
+            values.update(zip(eqn.outvars, result))
             marks.update(zip(eqn.outvars, dirty))
         return [read(x) for x in jaxpr.outvars], [marked(x) for x in jaxpr.outvars]
 
-    def _watched(self, eqn, given, found, line, dirty: list[int]):
+    def _watched(self, eqn, values, results, line, dirty: list[int]):
         """An equation's results, with its site's change."""
         kind = eqn.primitive.name
         if (
             kind in COMPARISONS
             and TAINTED in dirty
-            and jnp.issubdtype(given[0].dtype, jnp.floating)
+            and jnp.issubdtype(values[0].dtype, jnp.floating)
         ):
             number = len(self.comparisons)
             self.comparisons.append(Site(kind, line))
             if self.change is not None:
                 here = self.change.comparison == number
-                found = [jnp.where(here, self.change.truths[number], found[0])]
-            self.truths.append(found[0])
-        elif (indices := _indices(eqn, given, dirty)) is not None and not said_by_user(eqn):
+                results = [jnp.where(here, self.change.truths[number], results[0])]
+            self.truths.append(results[0])
+        elif (indices := _indices(eqn, values, dirty)) is not None and not said_by_user(eqn):
             index, ranges = indices
             number = len(self.reads)
             self.reads.append(Site(kind, line, tuple(ranges)))
             self.outside.append(_first_outside(index, ranges))
             if self.change is not None and not self.reads[-1].writes:
                 here = (self.change.read == number) & self.outside[-1][2]
-                found = [jnp.where(here, _shifted(found[0], self.change.shift), found[0])]
-        return found
+                results = [jnp.where(here, _shifted(results[0], self.change.shift), results[0])]
+        return results
 
 
 def _program(eqn) -> Any:
@@ -157,7 +157,7 @@ def _shifted(x: Array, shift: Any) -> Array:
     return x + (shift * (1 + abs(x))).astype(x.dtype)
 
 
-def _indices(eqn, given, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
+def _indices(eqn, values, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
     """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
 
     None where they are known as a method is traced, and where the program itself says how to
@@ -168,16 +168,16 @@ def _indices(eqn, given, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]
     if kind in ("dynamic_slice", "dynamic_update_slice"):
         if not any(dirty[first:]):
             return None
-        sizes = params["slice_sizes"] if first == 1 else given[1].shape
-        starts = jnp.stack([jnp.asarray(x, int) for x in given[first:]], -1)
-        return starts, list(zip(given[0].shape, sizes))
+        sizes = params["slice_sizes"] if first == 1 else values[1].shape
+        starts = jnp.stack([jnp.asarray(x, int) for x in values[first:]], -1)
+        return starts, list(zip(values[0].shape, sizes))
     if kind.startswith(("gather", "scatter")) and dirty[1] != KNOWN:
-        shape, numbers = given[0].shape, params["dimension_numbers"]
+        shape, numbers = values[0].shape, params["dimension_numbers"]
         if kind != "gather" and params["mode"] != GatherScatterMode.CLIP:
-            return given[1], [(shape[a], 1) for a in numbers.scatter_dims_to_operand_dims]
+            return values[1], [(shape[a], 1) for a in numbers.scatter_dims_to_operand_dims]
         if params["mode"] == GatherScatterMode.PROMISE_IN_BOUNDS:
             sizes = params["slice_sizes"]
-            return given[1], [(shape[a], sizes[a]) for a in numbers.start_index_map]
+            return values[1], [(shape[a], sizes[a]) for a in numbers.start_index_map]
     return None
 
 
@@ -209,8 +209,8 @@ def tainted_results(jaxpr, tainted: Sequence[bool]) -> list[bool]:
         dirty = [marked(x) for x in eqn.invars]
         inner = _program(eqn) if eqn.primitive.name in _CALLS else None
         if inner is None:
-            found = [any(dirty)] * len(eqn.outvars)
+            count = [any(dirty)] * len(eqn.outvars)
         else:
-            found = tainted_results(inner.jaxpr, dirty)
-        marks.update(zip(eqn.outvars, found))
+            count = tainted_results(inner.jaxpr, dirty)
+        marks.update(zip(eqn.outvars, count))
     return [marked(x) for x in jaxpr.outvars]

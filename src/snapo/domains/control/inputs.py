@@ -34,57 +34,59 @@ def make_inputs(
 
     **Raises:** `KeyError` for a name that the plant does not have.
     """
-    starts = {name: each.start or {} for name, each in plant.states.items()} | dict(start or {})
-    shaken, blurred = noise or {}, measurement or {}
-    for given in (starts, shaken, blurred):
-        if unknown := set(given) - set(plant.states):
-            known = list(plant.states)
-            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {known}.")
-    if silent := [name for name, each in starts.items() if not each]:
-        raise KeyError(f"{plant.type}: give the start of {', '.join(silent)}.")
+    starts = {name: state.start or {} for name, state in plant.states.items()} | dict(start or {})
+    disturbed, noisy = noise or {}, measurement or {}
+    for values in (starts, disturbed, noisy):
+        if unknown := set(values) - set(plant.states):
+            available = list(plant.states)
+            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {available}.")
+    if defaulted := [name for name, item in starts.items() if not item]:
+        raise KeyError(f"{plant.type}: give the start of {', '.join(defaulted)}.")
     return {
         "plant": _each(plant.type, plant.parameters, parameters or {}, "plant"),
         "cost": _each(plant.type, plant.weights, cost or {}, "cost"),
         "start": {name: _start(plant.states[name], starts[name]) for name in plant.states},
-        "noise": {name: _noise(plant.states[name], shaken[name]) for name in shaken},
-        MEASURED: {name: _error(plant.states[name], blurred[name]) for name in blurred},
+        "noise": {name: _noise(plant.states[name], disturbed[name]) for name in disturbed},
+        MEASURED: {name: _error(plant.states[name], noisy[name]) for name in noisy},
     }
 
 
-def _each(plant: str, known: Mapping[str, Parameter], given: Mapping[str, Any], group: str):
-    if unknown := set(given) - set(known):
-        raise KeyError(f"{plant}: no {sorted(unknown)}; there are {list(known)}.")
-    missing = [name for name, each in known.items() if each.value is None and name not in given]
+def _each(plant: str, parameters: Mapping[str, Parameter], inputs: Mapping[str, Any], group: str):
+    if unknown := set(inputs) - set(parameters):
+        raise KeyError(f"{plant}: no {sorted(unknown)}; there are {list(parameters)}.")
+    missing = [
+        name for name, item in parameters.items() if item.value is None and name not in inputs
+    ]
     if missing:
         raise KeyError(f"{plant}: give {', '.join(missing)}.")
-    values = {name: given.get(name, each.value) for name, each in known.items()}
+    values = {name: inputs.get(name, entry.value) for name, entry in parameters.items()}
     return {
         name: Input(
-            values[name], each.unit, words=each.words, group=group, move=_move(values[name])
+            values[name], value.unit, words=value.words, group=group, move=_move(values[name])
         )
-        for name, each in known.items()
+        for name, value in parameters.items()
         if np.all(np.isfinite(values[name]))
     }
 
 
-def _start(state: Variable, given: Mapping[str, Any]) -> dict[str, Input]:
+def _start(state: Variable, values: Mapping[str, Any]) -> dict[str, Input]:
     return {
         key: Input(
             value, state.unit, words=START_WORDS[key].format(state.words), group="start",
             move=_move(value),
         )
-        for key, value in given.items()
+        for key, value in values.items()
     }  # fmt: skip
 
 
 def _noise(state: Variable, value: Any) -> Input:
-    words = f"standard deviation of a step's disturbance of the {state.words}"
-    return Input(value, state.unit, words=words, group="disturbance", move=_move(value))
+    text = f"standard deviation of a step's disturbance of the {state.words}"
+    return Input(value, state.unit, words=text, group="disturbance", move=_move(value))
 
 
 def _error(state: Variable, value: Any) -> Input:
-    words = f"standard deviation of the error with which the {state.words} is measured"
-    return Input(value, state.unit, words=words, group=MEASURED, move=_move(value))
+    text = f"standard deviation of the error with which the {state.words} is measured"
+    return Input(value, state.unit, words=text, group=MEASURED, move=_move(value))
 
 
 def _move(value: Any) -> float | None:

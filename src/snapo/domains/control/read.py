@@ -63,14 +63,14 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     """Reads all tables, then looks whether their numbers fit together."""
     table, name = parse(CaseTable, data, str(file), ""), str(file)
     plant = _plant(table.plant, name)
-    chosen = parse(plant_table(plant), table.plant, name, "plant")
+    selected = parse(plant_table(plant), table.plant, name, "plant")
     cost = parse(cost_table(plant), table.cost, name, "cost")
     training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
     recipe = _recipe(parse(PolicyTable, table.policy, name, "policy"), name)
-    parameters = {key: getattr(chosen, key) for key in plant.parameters}
+    parameters = {key: getattr(selected, key) for key in plant.parameters}
     weights = {key: getattr(cost, key) for key in plant.weights}
     starts = read_starts(plant, table.start, name)
     noise = read_noise(plant, table.noise, name)
@@ -82,13 +82,13 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         for key, entry in _flat(entries)
     ]
     slips = implausible(entries, RANGES, CaseFiles(file, data)).values()
-    for key, value, what in plant.faults(_values(inputs)):
-        raise CaseError(name, key, value, what)
+    for key, value, message in plant.faults(_values(inputs)):
+        raise CaseError(name, key, value, message)
     return ControlCase(
         file=file,
         notes=(*([BLIND] if blur and not isinstance(recipe, Memory) else []), *slips),
         title=table.title or plant.words,
-        plant=plant(inputs, chosen.horizon, chosen.clock),
+        plant=plant(inputs, selected.horizon, selected.clock),
         inputs=inputs,
         objective=make_objective(objective, "reward"),
         objective_words=_words(objective),
@@ -107,12 +107,12 @@ def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[t
             value = data.get(group, {}).get(first)
             if group == "start" and value is None:
                 continue
-            places = positions((group, first, *rest), np.shape(entry.value))
+            locations = positions((group, first, *rest), np.shape(entry.value))
             if group == "noise" and np.ndim(value) < np.ndim(entry.value):  # a list: the diagonal
                 size = len(entry.value)
                 pairs = [(i, j) for i in range(size) for j in range(size)]
-                places = tuple((group, first, i) if i == j else None for i, j in pairs)
-            yield f"{group}.{name}", places
+                locations = tuple((group, first, i) if i == j else None for i, j in pairs)
+            yield f"{group}.{name}", locations
 
 
 def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -128,15 +128,15 @@ def _recipe(table: PolicyTable, name: str) -> Policy:
     """The policy of `[policy]`, with or without a memory."""
     hidden = None if table.hidden is None else tuple(table.hidden)
     if table.steps is not None and table.memory != "Recent":
-        what = 'only memory = "Recent" has a number of steps'
-        raise CaseError(name, "policy.steps", table.steps, what)
+        message = 'only memory = "Recent" has a number of steps'
+        raise CaseError(name, "policy.steps", table.steps, message)
     if table.memory == "Recent":
         return LastObservations(table.steps or WINDOW, MLP(hidden=hidden))
     if table.memory is None:
         return MLP(hidden=hidden)
     if hidden is not None and len(hidden) != 1:
-        what = 'a "GRU" has one layer: allowed is a list of one width, [16], or left out'
-        raise CaseError(name, "policy.hidden", list(hidden), what)
+        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or left out'
+        raise CaseError(name, "policy.hidden", list(hidden), message)
     return GRU(hidden=None if hidden is None else hidden[0])
 
 
@@ -144,11 +144,11 @@ def _plant(data: Mapping[str, Any], name: str) -> type[Plant]:
     kind = data.get("type")
     if isinstance(kind, str) and kind in TYPES:
         return TYPES[kind]
-    words = ", ".join(f'"{each}"' for each in TYPES)
+    text = ", ".join(f'"{item}"' for item in TYPES)
     if kind is None:
-        raise CaseError(name, "plant.type", None, f"this key is missing; it is one of {words}")
+        raise CaseError(name, "plant.type", None, f"this key is missing; it is one of {text}")
     hint = f"; {nearest(kind, TYPES)}" if isinstance(kind, str) else ""
-    raise CaseError(name, "plant.type", kind, f"allowed is one of {words}{hint}")
+    raise CaseError(name, "plant.type", kind, f"allowed is one of {text}{hint}")
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,7 +159,7 @@ def _values(inputs: Mapping[str, Any]) -> dict[str, Any]:
     """Plain arrays in place of inputs."""
     if not isinstance(inputs, Mapping):
         return np.asarray(inputs.value)  # pyright: ignore[reportReturnType]
-    return {key: _values(each) for key, each in inputs.items()}
+    return {key: _values(item) for key, item in inputs.items()}
 
 
 def _words(objective: ObjectiveTable) -> str:

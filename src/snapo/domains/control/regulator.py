@@ -84,13 +84,13 @@ def linearised(plant: Plant, p: Values, w: Values) -> Linear:
         zero = jnp.zeros_like(origin), jnp.zeros_like(rest)
         A, B = jax.jacobian(move, (0, 1))(*zero)
         (Q, N), (_, R) = jax.hessian(cost, (0, 1))(*zero)
-        found = (A, B, Q / 2, R / 2, N / 2, jax.hessian(last)(zero[0]) / 2)
-        return Linear(*(np.asarray(each) for each in found))
+        result = (A, B, Q / 2, R / 2, N / 2, jax.hessian(last)(zero[0]) / 2)
+        return Linear(*(np.asarray(item) for item in result))
 
 
 def estimation_cost(
     plant: Linear,
-    found: Riccati,
+    result: Riccati,
     start: Float[np.ndarray, "n n"],
     shocks: Float[np.ndarray, "*T n n"],
     errors: Float[np.ndarray, "n n"],
@@ -101,13 +101,13 @@ def estimation_cost(
     of them normal.
     """
     total, prior = 0.0, start
-    every = np.broadcast_to(shocks, found.P[1:].shape)
-    for gain, ahead, shock in zip(found.K, found.P[1:], every):
+    every = np.broadcast_to(shocks, result.P[1:].shape)
+    for gain, ahead, shock in zip(result.K, result.P[1:], every):
         # Where a state is measured exactly, or known, the sum may have no inverse.
-        known = prior - prior @ np.linalg.pinv(prior + errors, hermitian=True) @ prior
-        worth = gain.T @ (plant.R + plant.B.T @ ahead @ plant.B) @ gain
-        total += float(np.sum(known * worth))
-        prior = plant.A @ known @ plant.A.T + shock
+        available = prior - prior @ np.linalg.pinv(prior + errors, hermitian=True) @ prior
+        value = gain.T @ (plant.R + plant.B.T @ ahead @ plant.B) @ gain
+        total += float(np.sum(available * value))
+        prior = plant.A @ available @ plant.A.T + shock
     return total
 
 
@@ -120,10 +120,10 @@ def solved(plant: Plant, values: Mapping[str, Any]) -> Riccati | None:
 
 def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
     """The largest mean reward that any rule can have; None where it is not known."""
-    found = solved(plant, values)
-    if found is None:
+    result = solved(plant, values)
+    if result is None:
         return None
-    start, size = values["start"]["x"], found.P.shape[-1]
+    start, size = values["start"]["x"], result.P.shape[-1]
     spread = np.zeros((size, size))
     mean = start.get("at", start.get("mean"))
     if "low" in start:
@@ -133,12 +133,12 @@ def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
         spread = np.diag(start["deviation"] ** 2)
     shocks = np.zeros((size, size))
     if "x" in values["noise"]:
-        given = values["noise"]["x"]
-        shocks = given @ np.swapaxes(given, -1, -2)
-    best = expected_cost(found, np.asarray(mean), spread, shocks)
+        inputs = values["noise"]["x"]
+        shocks = inputs @ np.swapaxes(inputs, -1, -2)
+    best = expected_cost(result, np.asarray(mean), spread, shocks)
     if not plant.measured:
         return -best
     if "low" in start:  # not normal: Kalman's filter is the best linear one alone
         return None
     linear, errors = linearised(plant, values["plant"], values["cost"]), values[MEASURED]["x"]
-    return -best - estimation_cost(linear, found, spread, shocks, np.diag(errors**2))
+    return -best - estimation_cost(linear, result, spread, shocks, np.diag(errors**2))

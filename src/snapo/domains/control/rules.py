@@ -63,18 +63,18 @@ def rivals(plant: Plant, inputs) -> dict[str, Policy]:
     """{name: rule} of all classical rules that the plant has."""
     values = plain(inputs)
     p, w = values["plant"], values["cost"]
-    found: dict[str, Policy] = dict(plant.hand_rules(p))
+    policies: dict[str, Policy] = dict(plant.hand_rules(p))
     if not plant.rests:
-        return {"no action": Constant(np.zeros(plant.action.size, np.float32)), **found}
+        return {"no action": Constant(np.zeros(plant.action.size, np.float32)), **policies}
     size = sum(n for _, n in plant.sizes)
-    found["no action"] = Feedback(plant, p, np.zeros((1, plant.action.size, size)))
+    policies["no action"] = Feedback(plant, p, np.zeros((1, plant.action.size, size)))
     if gains := plant.proportional(p):
         nothing = {name: np.zeros((plant.action.size, n)) for name, n in plant.sizes}
-        each = {name: gains[name][:, None] if name in gains else nothing[name] for name in nothing}
-        rows = np.concatenate([each[name] for name in sorted(each)], axis=1)
-        found["proportional"] = Feedback(plant, p, rows[None])
-    found["linear regulator"] = Feedback(plant, p, regulator(plant, p, w))
-    return found
+        item = {name: gains[name][:, None] if name in gains else nothing[name] for name in nothing}
+        rows = np.concatenate([item[name] for name in sorted(item)], axis=1)
+        policies["proportional"] = Feedback(plant, p, rows[None])
+    policies["linear regulator"] = Feedback(plant, p, regulator(plant, p, w))
+    return policies
 
 
 def regulator(plant: Plant, p: Values, w: Values) -> np.ndarray:

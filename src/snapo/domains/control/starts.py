@@ -17,12 +17,12 @@ FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 
 def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: {"at"}, {"low", "high"} or {"mean", "deviation"}} of the states that are named."""
     _known(plant, data, name, "start")
-    found = {key: _start(value, name, f"start.{key}") for key, value in data.items()}
-    for key, each in plant.states.items():
-        if each.start is None and key not in found:
-            what = f"this key is missing; it is {FORMS}, or lists of numbers"
-            raise CaseError(name, f"start.{key}", None, what)
-    return found
+    starts = {key: _start(value, name, f"start.{key}") for key, value in data.items()}
+    for key, state in plant.states.items():
+        if state.start is None and key not in starts:
+            message = f"this key is missing; it is {FORMS}, or lists of numbers"
+            raise CaseError(name, f"start.{key}", None, message)
+    return starts
 
 
 def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -31,34 +31,34 @@ def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[s
     Of a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """
     _known(plant, data, name, "noise")
-    found = {}
+    diags = {}
     for key, value in data.items():
         numbers = _numbers(value, name, f"noise.{key}")
         if numbers.ndim < 2 and np.any(numbers < 0):
             raise CaseError(name, f"noise.{key}", value, "a standard deviation is at least 0")
-        found[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
-    return found
+        diags[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
+    return diags
 
 
 def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: standard deviations of the errors with which it is seen} of the states named."""
     _known(plant, data, name, "measurement")
-    found = {}
+    numbers = {}
     for key, value in data.items():
-        found[key] = _numbers(value, name, f"measurement.{key}")
-        if found[key].ndim > 1 or np.any(found[key] < 0):
-            what = (
+        numbers[key] = _numbers(value, name, f"measurement.{key}")
+        if numbers[key].ndim > 1 or np.any(numbers[key] < 0):
+            message = (
                 "allowed is a standard deviation of at least 0, or a list with one for each number"
             )
-            raise CaseError(name, f"measurement.{key}", value, what)
-    return found
+            raise CaseError(name, f"measurement.{key}", value, message)
+    return numbers
 
 
 def _known(plant: type[Plant], data: Mapping[str, Any], name: str, table: str) -> None:
     for key, value in data.items():
         if key not in plant.states:
-            what = f"the plant has no such state; {nearest(key, plant.states)}"
-            raise CaseError(name, f"{table}.{key}", value, what)
+            message = f"the plant has no such state; {nearest(key, plant.states)}"
+            raise CaseError(name, f"{table}.{key}", value, message)
 
 
 def _start(value: Any, name: str, where: str) -> dict[str, Any]:
@@ -67,30 +67,30 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     keys = set(value)
     table = Normal if keys & {"mean", "deviation"} else At if "at" in keys else Uniform
     read = parse(table, value, name, where)
-    found = {
+    numbers = {
         key: _numbers(getattr(read, key), name, f"{where}.{key}") for key in table.model_fields
     }
     if isinstance(read, At):
-        return found
-    first, second = found.values()
+        return numbers
+    first, second = numbers.values()
     if first.shape != second.shape:
         raise CaseError(name, where, dict(value), "both must have the same number of numbers")
     if isinstance(read, Uniform) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
-    if isinstance(read, Normal) and np.any(found["deviation"] <= 0):
-        what = "allowed are numbers above 0; a first state without spread is { at = 1 }"
-        raise CaseError(name, f"{where}.deviation", value["deviation"], what)
-    return found
+    if isinstance(read, Normal) and np.any(numbers["deviation"] <= 0):
+        message = "allowed are numbers above 0; a first state without spread is { at = 1 }"
+        raise CaseError(name, f"{where}.deviation", value["deviation"], message)
+    return numbers
 
 
 def _numbers(value: Any, name: str, where: str) -> np.ndarray:
     """A number, a list or a matrix, as float64."""
     try:
-        found = np.asarray(value)
+        result = np.asarray(value)
     except ValueError:
         raise CaseError(name, where, value, "all rows must have the same length") from None
-    if found.dtype.kind not in "fi" or found.ndim > 2 or not found.size:
+    if result.dtype.kind not in "fi" or result.ndim > 2 or not result.size:
         raise CaseError(name, where, value, "allowed are numbers, a list or rows of them")
-    if not np.all(np.isfinite(found)) or np.max(np.abs(found)) > LARGEST:
+    if not np.all(np.isfinite(result)) or np.max(np.abs(result)) > LARGEST:
         raise CaseError(name, where, value, f"allowed are finite numbers of at most {LARGEST:g}")
-    return found.astype(np.float64)
+    return result.astype(np.float64)

@@ -28,9 +28,9 @@ from .records import ControlCase
 
 def lines(case: ControlCase) -> list[str]:
     """The case in a few lines."""
-    plant, numbers = case.plant, [each.input.value.size for each in named(case.inputs)]
-    states = ", ".join(f"{name} ({unit(each.unit)})" for name, each in plant.states.items())
-    actions = ", ".join(f"{name} ({unit(each.unit)})" for name, each in plant.actions.items())
+    plant, numbers = case.plant, [item.input.value.size for item in named(case.inputs)]
+    states = ", ".join(f"{name} ({unit(state.unit)})" for name, state in plant.states.items())
+    actions = ", ".join(f"{name} ({unit(action.unit)})" for name, action in plant.actions.items())
     return [
         f"{case.title}: {plant.words}",
         f"{plant.horizon} steps; states {states}; actions {actions}",
@@ -46,9 +46,9 @@ def unit(text: str) -> str:
 
 def units(plant: Plant) -> dict[str, str]:
     """{state or action: unit}; an action is told as the share of its limit, as it is trained."""
-    found = {name: each.unit for name, each in plant.states.items() if each.unit != "1"}
-    found |= {f"{MEASURED}.{name}": found[name] for name in plant.measured if name in found}
-    return found | {"action": "share of its limit"} if _bounded(plant) else found
+    table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}
+    table |= {f"{MEASURED}.{name}": table[name] for name in plant.measured if name in table}
+    return table | {"action": "share of its limit"} if _bounded(plant) else table
 
 
 def _bounded(plant: Plant) -> bool:
@@ -61,8 +61,8 @@ def study(case: ControlCase, options: Options) -> Study:
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
         if not plant.twin:
-            what = f'no environment of Gymnasium is known for the plant "{plant.type}"'
-            raise CaseError("--reference", "", None, what)
+            message = f'no environment of Gymnasium is known for the plant "{plant.type}"'
+            raise CaseError("--reference", "", None, message)
         chapters.append(GYMNASIUM)
     parts = [TRAINING, *(chapter.part for chapter in [*chapters, CERTIFICATE])]
     about = {
@@ -79,7 +79,7 @@ def study(case: ControlCase, options: Options) -> Study:
     }
 
     def moved(before: Setup, other: ControlCase) -> Setup:
-        values = {each.name: each.input.value for each in named(other.inputs)}
+        values = {item.name: item.input.value for item in named(other.inputs)}
         return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
 
     return Study(
@@ -89,7 +89,7 @@ def study(case: ControlCase, options: Options) -> Study:
         _result,
         lambda: setup,
         moved=moved,
-        inputs=lambda other: {each.name: each.input for each in named(other.inputs)},
+        inputs=lambda other: {entry.name: entry.input for entry in named(other.inputs)},
         shown=reward_and_costs,
         today=today,
     )
@@ -102,8 +102,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
     references = {rule.name: rule.value for rule in rules}
     if played:
         references[played.name] = played.mean
-    leads = [(rule.name, rule.less, rule.less_error) for rule in rules]
-    return trained(run, references, leads)
+    advantages = [(rule.name, rule.less, rule.less_error) for rule in rules]
+    return trained(run, references, advantages)
 
 
 def make_setup(case: ControlCase, engine: str) -> Setup:

@@ -71,23 +71,27 @@ def cost_table(plant: type[Plant]) -> type[Table]:
     return pydantic.create_model("CostTable", __base__=Table, **_fields(plant.weights))
 
 
-def _fields(known: Mapping[str, Parameter]) -> dict[str, Any]:
-    return {name: (_kind(each), _field(each)) for name, each in known.items()}
+def _fields(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    return {name: (_kind(item), _field(item)) for name, item in parameters.items()}
 
 
-def _kind(each: Parameter) -> Any:
-    if each.value is None:
+def _kind(parameter: Parameter) -> Any:
+    if parameter.value is None:
         return Matrix
-    return PositiveOrNone if each.positive else float | None
+    return PositiveOrNone if parameter.positive else float | None
 
 
-def _field(each: Parameter) -> Any:
-    words = f"{each.words}, {each.unit}" if each.unit not in ("", "1") else each.words
-    if each.value is None:
-        return Field(description=f"a list of rows: {each.words}")
-    above = " above 0" if each.positive else ""
-    usual = "none" if math.isinf(each.value) else f"{each.value:g}"
-    return Field(None, description=f"a number{above} ({words}; by default {usual})")
+def _field(parameter: Parameter) -> Any:
+    text = (
+        f"{parameter.words}, {parameter.unit}"
+        if parameter.unit not in ("", "1")
+        else parameter.words
+    )
+    if parameter.value is None:
+        return Field(description=f"a list of rows: {parameter.words}")
+    above = " above 0" if parameter.positive else ""
+    usual = "none" if math.isinf(parameter.value) else f"{parameter.value:g}"
+    return Field(None, description=f"a number{above} ({text}; by default {usual})")
 
 
 class At(Table):

@@ -19,23 +19,23 @@ from .setup import OUTPUT, make_setup
 PATHS, ROUNDS = 1024, 5
 
 
-def bench(engine: str, tell: Tell) -> str:
+def bench(engine: str, progress: Tell) -> str:
     """A table of medians in milliseconds, from alternating runs; `engine` "auto" times both."""
     case = read_case(*load(Path(str(files(__package__ or "") / "template"))))
     setup = make_setup(case)
     problem, smooth = setup.problem, Smooth(np.float32(0.01))
     draws = Pseudo(1).draws(np.arange(PATHS), problem.simulator)
     weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
-    given = (setup.policy, draws, smooth)
+    values = (setup.policy, draws, smooth)
     engines = {"native": Native("float32"), "xla": Xla("float32")}
     jobs = {}
-    for name, each in engines.items():
+    for name, item in engines.items():
         if engine in ("auto", name):
-            bound = each.bind(problem)
-            jobs[name, "value"] = lambda bound=bound: bound.values(*given).totals
-            jobs[name, "value and gradients"] = lambda bound=bound: bound.adjoint(*given, weights)
-    for (name, what), job in jobs.items():
-        tell(f"compiling {name}, {what}")
+            bound = item.bind(problem)
+            jobs[name, "value"] = lambda bound=bound: bound.values(*values).totals
+            jobs[name, "value and gradients"] = lambda bound=bound: bound.adjoint(*values, weights)
+    for (name, message), job in jobs.items():
+        progress(f"compiling {name}, {message}")
         jax.block_until_ready(job())
     seconds = {job: [] for job in jobs}
     for _ in range(ROUNDS):
@@ -44,6 +44,6 @@ def bench(engine: str, tell: Tell) -> str:
             jax.block_until_ready(job())
             seconds[key].append(time.perf_counter() - started)
     lines = [f"{problem.simulator.horizon} days, {PATHS} paths, float32, median of {ROUNDS}"]
-    for (name, what), taken in seconds.items():
-        lines.append(f"{name:<8}{what:<22}{1000 * np.median(taken):>10.1f} ms")
+    for (name, message), taken in seconds.items():
+        lines.append(f"{name:<8}{message:<22}{1000 * np.median(taken):>10.1f} ms")
     return "\n".join(lines)

@@ -39,17 +39,17 @@ SECTIONS = (
 
 
 def _about(run: StorageRun) -> list[tuple[str, str]]:
-    found = []
+    pairs = []
     if run.get("valuation_date"):
-        found.append(("Valuation date", long_date(run.get("valuation_date"))))
+        pairs.append(("Valuation date", long_date(run.get("valuation_date"))))
     if run.get("start") and run.get("end"):
         dates = f"{long_date(run.get('start'))} to {long_date(run.get('end'))}"
-        found.append(("Contract, end not included", dates))
+        pairs.append(("Contract, end not included", dates))
     if run.days:
-        found.append(("Decision days left", f"{len(run.days):,}"))
+        pairs.append(("Decision days left", f"{len(run.days):,}"))
     if run.currency:
-        found.append(("Units", f"{run.currency}, {run.volume}"))
-    return found
+        pairs.append(("Units", f"{run.currency}, {run.volume}"))
+    return pairs
 
 
 REPORT = Report("Gas storage", StorageRun, _about, SECTIONS)

@@ -45,14 +45,14 @@ def bare_problem(case: StorageCase) -> Problem:
 
 
 def make_setup(
-    case: StorageCase, engine: EngineName = "auto", fitted: FittedValue | None = None
+    case: StorageCase, engine: EngineName = "auto", fit: FittedValue | None = None
 ) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
     training = TrainingPlan.given(case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
-    problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fitted)
+    problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fit)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))
@@ -76,7 +76,7 @@ def rebuilt(problem: Problem) -> Problem:
     The hedge, a control variate that no value depends on, is set to zero.
     """
     problem = _bare(problem)
-    values = {name: given.value for name, given in problem.named.items()}
+    values = {name: inputs.value for name, inputs in problem.named.items()}
     problem = replace(problem, simulator=simulator_of(problem).scaled(values))
     return _guided(problem, fitted_value(problem))
 
@@ -87,20 +87,20 @@ def _bare(problem: Problem) -> Problem:
     return replace(problem, simulator=bare)
 
 
-def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
+def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
     # No hedge yet, but its place: what is compiled serves before and after.
-    beside = {"surprises": _surprises(problem, fitted), "hedge": np.zeros(simulator.horizon)}
-    return replace(problem, simulator=replace(simulator, guide=guide(problem, fitted), **beside))
+    adjacent = {"surprises": _surprises(problem, fit), "hedge": np.zeros(simulator.horizon)}
+    return replace(problem, simulator=replace(simulator, guide=guide(problem, fit), **adjacent))
 
 
-def _surprises(problem: Problem, fitted: FittedValue | None) -> Surprises | None:
+def _surprises(problem: Problem, fit: FittedValue | None) -> Surprises | None:
     """Those of the fitted value, where prices have no other risks than its factors'."""
-    found = factors(problem)
-    if fitted is None or found is None or not found.exact or len(fitted.basis.kept) > MOST_FACTORS:
+    result = factors(problem)
+    if fit is None or result is None or not result.exact or len(fit.basis.kept) > MOST_FACTORS:
         return None
-    return Surprises.of(surprises(fitted))
+    return Surprises.of(surprises(fit))
 
 
 def _hedged(setup: Setup) -> Setup:
@@ -114,17 +114,17 @@ def _hedged(setup: Setup) -> Setup:
 
 def fitted_value(problem: Problem) -> FittedValue | None:
     """The value for guide and control variate, where the prices have Gaussian factors."""
-    found, kind = factors(problem), simulator_of(problem).interpolation
-    return None if found is None else fit_guide(problem.schedule, found, kind)
+    result, kind = factors(problem), simulator_of(problem).interpolation
+    return None if result is None else fit_guide(problem.schedule, result, kind)
 
 
-def guide(problem: Problem, fitted: FittedValue | None) -> ValueTable:
+def guide(problem: Problem, fit: FittedValue | None) -> ValueTable:
     """Marginal values: of the fitted value where several factors matter, else of the fast one."""
-    found, schedule = factors(problem), problem.schedule
-    if fitted is not None and 1 < len(fitted.basis.kept) <= MOST_FACTORS:
-        return ValueTable(FittedKnots(*fitted_marginal(schedule, fitted)))  # pyright: ignore
+    result, schedule = factors(problem), problem.schedule
+    if fit is not None and 1 < len(fit.basis.kept) <= MOST_FACTORS:
+        return ValueTable(FittedKnots(*fitted_marginal(schedule, fit)))  # pyright: ignore
     kind = simulator_of(problem).interpolation
-    return ValueTable.of(marginal_values(schedule, found, kind))
+    return ValueTable.of(marginal_values(schedule, result, kind))
 
 
 def case_of(setup: Setup) -> StorageCase:
@@ -163,8 +163,8 @@ def _hedge(setup: Setup) -> np.ndarray:
     assert isinstance(policy, StoragePolicy)
     plain = replace(problem, objective=Mean(OUTPUT))
     on = _measured_on(plain, Pseudo(setup.training.seed, stream=stream(EVALUATE, HEDGE)))
-    way = Way(on, engine.bind(on), policy.guide, Exact(), held=True)
-    found = way.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
+    path = Way(on, engine.bind(on), policy.guide, Exact(), held=True)
+    derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
     simulator = simulator_of(problem)
-    deltas = found.inputs[simulator.curve.name].value[: simulator.horizon]
+    deltas = derivatives.inputs[simulator.curve.name].value[: simulator.horizon]
     return deltas / problem.schedule.steps.gas_discount

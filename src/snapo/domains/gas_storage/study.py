@@ -144,14 +144,14 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         return about
     inputs = {
         name: {
-            "words": each.words,
-            "group": each.group,
-            "unit": each.unit,
-            "move": each.move,
-            "trade_unit": each.trade_unit,
-            "trade_factor": each.trade_factor,
+            "words": item.words,
+            "group": item.group,
+            "unit": item.unit,
+            "move": item.move,
+            "trade_unit": item.trade_unit,
+            "trade_factor": item.trade_factor,
         }
-        for name, each in problem.named.items()
+        for name, item in problem.named.items()
     }
     forward = case.market.forward_curve.used()[: len(case.days)]
     return about | {"forward": forward, "inputs": inputs}

@@ -49,11 +49,15 @@ def _item_lines(case: InventoryCase) -> list[str]:
 
 def _network_lines(case: NetworkCase) -> list[str]:
     rows = [f"{case.title}: {len(case.places)} places, {_periods(case)}"]
-    for place in case.places:
-        supplier = "outside" if place.supplier is None else case.places[place.supplier].name
-        sells = f"; demand {place.demand.words()}" if place.demand is not None else ""
-        season = f", a season of {len(place.season.values)} {case.period}s" if place.season else ""
-        rows.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}{season}")
+    for position in case.places:
+        supplier = "outside" if position.supplier is None else case.places[position.supplier].name
+        sells = f"; demand {position.demand.words()}" if position.demand is not None else ""
+        season = (
+            f", a season of {len(position.season.values)} {case.period}s" if position.season else ""
+        )
+        rows.append(
+            f"{position.name}: from {supplier} in {position.lead} {case.period}s{sells}{season}"
+        )
     if (ordering := case.ordering) is not None:
         rows += [
             f"an order of {name} costs {cost:,.4g} {ordering.unit}, whatever its size"
@@ -110,5 +114,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
     results = BASELINES.of(run)
     rules = results.rivals[1:] if results else ()
     # A difference that is not finite is None in the files of a run.
-    leads = [(x.rule, -x.difference, x.difference_error) for x in rules if x.difference is not None]
-    return trained(run, {rule.rule: rule.value for rule in rules}, leads)
+    lead_time = [
+        (x.rule, -x.difference, x.difference_error) for x in rules if x.difference is not None
+    ]
+    return trained(run, {rule.rule: rule.value for rule in rules}, lead_time)

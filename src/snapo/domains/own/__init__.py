@@ -36,11 +36,11 @@ class Own(Kind):
 
     def read(self, file: Path, data: Mapping[str, Any]) -> "OwnCase":
         if self.place is None:
-            what = (
+            message = (
                 f'a case of kind "{KIND}" does not name code to run; name its simulator as '
                 f"MODULE:CLASS, such as {OPTION} {self.example}"
             )
-            raise CaseError(OPTION, "", None, what)
+            raise CaseError(OPTION, "", None, message)
         return self.loaded(self.reader)(file, data, self.place)
 
 

@@ -38,7 +38,7 @@ def read_inputs(
     entries = [checked_numbers(entry, name) for name, entry in inputs.items()]
     files = CaseFiles(file, {"inputs": tables})
     notes += implausible(entries, [*_shares(entries), APART], files).values()
-    return inputs, {name: places for name, (_, places) in pairs.items()}
+    return inputs, {name: locations for name, (_, locations) in pairs.items()}
 
 
 def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
@@ -55,14 +55,14 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
 def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, Positions]:
     where = f"inputs.{name}"
     if not isinstance(data, Mapping):
-        what = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
-        raise CaseError(str(file), where, data, what)
+        message = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
+        raise CaseError(str(file), where, data, message)
     table = parse(InputTable, data, str(file), where)
     if table.move == 0:
         raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
     section = Section(file, where, notes)
-    values, labels, places = (_from_csv if table.file else _in_file)(section, table)
-    return Input(values, labels=labels, **{key: getattr(table, key) for key in SAID}), places
+    values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
+    return Input(values, labels=labels, **{key: getattr(table, key) for key in SAID}), locations
 
 
 InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
@@ -71,8 +71,8 @@ InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
 def _in_file(section: Section, table: InputTable) -> InputParts:
     """The numbers under `value`, any shape."""
     if table.value is None:
-        what = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
-        raise section.error("value", None, what)
+        message = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
+        raise section.error("value", None, message)
     for key in ("column", "label"):
         if getattr(table, key) is not None:
             raise section.error(key, getattr(table, key), "it belongs to a file, not to a value")
@@ -82,8 +82,8 @@ def _in_file(section: Section, table: InputTable) -> InputParts:
         raise section.error("value", table.value, "all rows must have the same length") from None
     labels = tuple(table.labels or ())
     if labels and len(labels) != values.size:
-        what = f"there are {values.size} numbers; give each one label"
-        raise section.error("labels", table.labels, what)
+        message = f"there are {values.size} numbers; give each one label"
+        raise section.error("labels", table.labels, message)
     return values, labels, positions((*section.keys, "value"), values.shape)
 
 

@@ -30,31 +30,31 @@ def load_class(module: str, name: str, folder: Path) -> Code:
 
     **Raises:** `CaseError` where there is none, or the module cannot be run.
     """
-    place = Unquoted(f"{module}:{name}")
+    position = Unquoted(f"{module}:{name}")
     if module in sys.stdlib_module_names:
-        what = "a module of Python itself has this name; give yours another one"
-        raise CaseError(OPTION, "", place, what)
-    loaded = _loaded(module, place, folder)
-    found = getattr(loaded, name, None)
-    if found is None:
-        here = [key for key, each in vars(loaded).items() if _written_in(each, module)]
+        message = "a module of Python itself has this name; give yours another one"
+        raise CaseError(OPTION, "", position, message)
+    loaded = _loaded(module, position, folder)
+    result = getattr(loaded, name, None)
+    if result is None:
+        here = [key for key, var in vars(loaded).items() if _written_in(var, module)]
         hint = f"; its classes are {', '.join(here)}" if here else ""
-        raise CaseError(OPTION, "", place, f"the module {module} has no {name}{hint}")
+        raise CaseError(OPTION, "", position, f"the module {module} has no {name}{hint}")
     from snapo.problem.simulator import Simulator
 
-    if not (isinstance(found, type) and issubclass(found, Simulator)):
-        what = f"{name} is not a class made from snapo.Simulator"
-        raise CaseError(OPTION, "", place, what)
+    if not (isinstance(result, type) and issubclass(result, Simulator)):
+        message = f"{name} is not a class made from snapo.Simulator"
+        raise CaseError(OPTION, "", position, message)
     file = Path(loaded.__file__) if loaded.__file__ else None
     digest = hashlib.sha256(file.read_bytes()).hexdigest() if file else ""
-    return Code(found, file, digest)
+    return Code(result, file, digest)
 
 
-def _written_in(each: Any, module: str) -> bool:
-    return isinstance(each, type) and each.__module__ == module
+def _written_in(item: Any, module: str) -> bool:
+    return isinstance(item, type) and item.__module__ == module
 
 
-def _loaded(module: str, place: Unquoted, folder: Path) -> ModuleType:
+def _loaded(module: str, position: Unquoted, folder: Path) -> ModuleType:
     looked = list(dict.fromkeys([folder.resolve(), Path.cwd()]))
     for where in looked:
         file = where.joinpath(*module.split(".")).with_suffix(".py")
@@ -67,8 +67,8 @@ def _loaded(module: str, place: Unquoted, folder: Path) -> ModuleType:
         if error.name not in (module, module.partition(".")[0]):
             raise
         where = " or ".join(dict.fromkeys(map(str, looked)))
-        what = f"there is no {module.replace('.', '/')}.py in {where}"
-        raise CaseError(OPTION, "", place, what) from None
+        message = f"there is no {module.replace('.', '/')}.py in {where}"
+        raise CaseError(OPTION, "", position, message) from None
 
 
 def _run(module: str, file: Path) -> ModuleType:
@@ -107,12 +107,12 @@ def readable(file: Path) -> Iterator[None]:
         raise CaseError(short(error.filename or file), where, None, f"{error.msg}") from error
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        own = [frame for frame in frames if frame.filename == str(file)]
-        where = f"line {own[-1].lineno}" if own else ""
-        line = f" In: {own[-1].line}" if own and own[-1].line else ""
+        local = [frame for frame in frames if frame.filename == str(file)]
+        where = f"line {local[-1].lineno}" if local else ""
+        line = f" In: {local[-1].line}" if local and local[-1].line else ""
         text = str(error).strip().rstrip(".")
-        what = f"{type(error).__name__}: {text}.{line}".rstrip(".")
-        raise CaseError(short(file), where, None, what) from error
+        message = f"{type(error).__name__}: {text}.{line}".rstrip(".")
+        raise CaseError(short(file), where, None, message) from error
 
 
 def short(file: str | Path) -> str:

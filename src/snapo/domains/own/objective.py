@@ -32,31 +32,31 @@ def read_aims(data: Any, file: str) -> tuple[Aim, ...]:
     if many and not data:
         raise CaseError(file, "objective", data, "at least one table is needed, [objective]")
     return tuple(
-        _aim(each, f"objective.{i}" if many else "objective", file)
-        for i, each in enumerate(data if many else [data], 1)
+        _aim(item, f"objective.{i}" if many else "objective", file)
+        for i, item in enumerate(data if many else [data], 1)
     )
 
 
 def objective_of(aims: tuple[Aim, ...]) -> Objective:
     """The sum of the aims."""
-    terms = [(each.weight, make_objective(each.table, each.output)) for each in aims]
+    terms = [(aim.weight, make_objective(aim.table, aim.output)) for aim in aims]
     return terms[0][1] if len(terms) == 1 and terms[0][0] == 1 else Weighted(*terms)
 
 
 def words_of(aims: tuple[Aim, ...]) -> str:
     """ "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
     text = ""
-    for each in aims:
-        sign = "" if not text and each.weight > 0 else "- " if each.weight < 0 else "+ "
-        factor = "" if abs(each.weight) == 1 else f"{abs(each.weight):g} × "
-        text += f"{' ' if text else ''}{sign}{factor}{each.words}"
+    for aim in aims:
+        sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "
+        factor = "" if abs(aim.weight) == 1 else f"{abs(aim.weight):g} × "
+        text += f"{' ' if text else ''}{sign}{factor}{aim.words}"
     return text
 
 
 def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
     """The unit of the sum: that of its parts, where they all have the same."""
-    found = {units.get(each.output, "") if each.table.keeps_unit else "" for each in aims}
-    return found.pop() if len(found) == 1 else ""
+    result = {units.get(aim.output, "") if aim.table.keeps_unit else "" for aim in aims}
+    return result.pop() if len(result) == 1 else ""
 
 
 def _aim(data: Any, name: str, file: str) -> Aim:
@@ -64,9 +64,9 @@ def _aim(data: Any, name: str, file: str) -> Aim:
         raise CaseError(file, name, data, "this must be a table, [objective]")
     output = data.get("output")
     if not isinstance(output, str) or not output:
-        what = "it is the name of the simulator's output that is made as large as possible"
-        what = f"this key is missing; {what}" if output is None else what
-        raise CaseError(file, f"{name}.output", output, what)
+        message = "it is the name of the simulator's output that is made as large as possible"
+        message = f"this key is missing; {message}" if output is None else message
+        raise CaseError(file, f"{name}.output", output, message)
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
     table = read_objective(rest, file, name)
     return Aim(name, read_weight(data, table, file, name), output, table)

@@ -30,7 +30,7 @@ FORMATS = {
 }
 
 
-def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> OwnCase:
+def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) -> OwnCase:
     """Reads all tables, then the code, so that a mistake in the file is found first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
     notes: list[str] = []
@@ -38,23 +38,23 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     evaluation = read_evaluation(table.evaluation, name)
     inputs, positions = read_inputs(table.inputs, file, notes)
     aims = read_aims(table.objective, name)
-    check_window(training, [each.table.kind for each in aims], name)
+    check_window(training, [aim.table.kind for aim in aims], name)
     use_every_core()  # before the user's module computes anything
-    code = load_class(*place, file.parent)
+    code = load_class(*position, file.parent)
     simulator = _made(code.found, code.file, table, data, file)
     return OwnCase(
         file=file,
         notes=tuple(notes),
-        title=table.title or place[1],
+        title=table.title or position[1],
         step=table.step,
-        place=place,
+        place=position,
         code=code.file,
         code_hash=code.hash,
         simulator=simulator,
         inputs=inputs,
         objective=objective_of(aims),
         objective_words=words_of(aims),
-        outputs={each.key: each.output for each in aims},
+        outputs={item.key: item.output for item in aims},
         unit=unit_of(aims, table.units),
         units=table.units,
         training=training,
@@ -64,17 +64,19 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
 
 
 def _made(
-    found: type[Simulator], code: Path | None, table: OwnTable, data: Mapping, file: Path
+    simulator: type[Simulator], code: Path | None, table: OwnTable, data: Mapping, file: Path
 ) -> Simulator:
     """The simulator: made by its class method `from_case(tables, folder)`, or without arguments."""
-    maker = getattr(found, "from_case", None)
+    maker = getattr(simulator, "from_case", None)
     if maker is None and table.simulator:
-        what = f"{found.__name__} has no class method from_case(tables, folder) that would read it"
-        raise CaseError(str(file), "simulator", table.simulator, what)
-    place = code or Path(found.__name__)
-    with beside(place.parent), readable(place):
-        made: Any = maker(data, file.parent) if maker else found()  # pyright: ignore
+        message = (
+            f"{simulator.__name__} has no class method from_case(tables, folder) that would read it"
+        )
+        raise CaseError(str(file), "simulator", table.simulator, message)
+    position = code or Path(simulator.__name__)
+    with beside(position.parent), readable(position):
+        made: Any = maker(data, file.parent) if maker else simulator()  # pyright: ignore
     if not isinstance(made, Simulator):
-        what = f"from_case must return a simulator, and returns a {type(made).__name__}"
-        raise CaseError(str(place), "", None, what)
+        message = f"from_case must return a simulator, and returns a {type(made).__name__}"
+        raise CaseError(str(position), "", None, message)
     return made

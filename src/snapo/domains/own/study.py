@@ -49,18 +49,18 @@ def checked(case: OwnCase) -> Findings:
     findings = check(case.simulator, case.inputs)
     if not findings.ok:
         raise SimulatorError(findings)
-    known = names(Problem(case.simulator, case.inputs, case.objective))
-    there = f"the outputs of the simulator are {', '.join(known['outputs'])}"
+    available = names(Problem(case.simulator, case.inputs, case.objective))
+    there = f"the outputs of the simulator are {', '.join(available['outputs'])}"
     for key, output in case.outputs.items():
-        if output not in known["outputs"]:
+        if output not in available["outputs"]:
             raise CaseError(str(case.file), f"{key}.output", output, there)
-    for mistake in unknown_outputs(case.objective, case.constraints, known["outputs"]):
+    for mistake in unknown_outputs(case.objective, case.constraints, available["outputs"]):
         raise CaseError(":".join(case.place), mistake.of, Unquoted(mistake.got), there)
-    every = [name for each in known.values() for name in each]
+    every = [name for item in available.values() for name in item]
     for name in case.units:
         if name not in every:
-            what = f"no state, action or output has this name; {nearest(name, every)}"
-            raise CaseError(str(case.file), f"units.{name}", case.units[name], what)
+            message = f"no state, action or output has this name; {nearest(name, every)}"
+            raise CaseError(str(case.file), f"units.{name}", case.units[name], message)
     return findings
 
 
@@ -88,7 +88,7 @@ def summary(case: OwnCase) -> list[str]:
 
 def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
-    numbers = sum(given.value.size for given in case.inputs.values())
+    numbers = sum(values.value.size for values in case.inputs.values())
     return [
         f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.place)}",
         f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
@@ -99,10 +99,10 @@ def lines(case: OwnCase) -> list[str]:
 def study(case: OwnCase, options: Options) -> Study:
     """Training, distribution, fans, moves of the inputs, and the certificate."""
     if options.reference:
-        what = "a simulator of your own has no references to compute"
-        raise CaseError("--reference", "", None, what)
-    known = (options.about or {}).get("notes")
-    notes = _notes(case) if known is None else known
+        message = "a simulator of your own has no references to compute"
+        raise CaseError("--reference", "", None, message)
+    available = (options.about or {}).get("notes")
+    notes = _notes(case) if available is None else available
     setup = make_setup(case, options.engine)
     chapters = (DISTRIBUTION, PROFILE, MOVES, CERTIFICATE)
     parts = [TRAINING, *(chapter.part for chapter in chapters)]
@@ -123,7 +123,7 @@ def study(case: OwnCase, options: Options) -> Study:
     relaxation = _relaxation(setup.problem)
 
     def moved(before: Setup, other: OwnCase) -> Setup:
-        values = {name: given.value for name, given in other.inputs.items()}
+        values = {name: inputs.value for name, inputs in other.inputs.items()}
         return at_values(before, other.simulator, values, lambda: make_setup(other, options.engine))
 
     return Study(
@@ -134,13 +134,15 @@ def study(case: OwnCase, options: Options) -> Study:
         lambda: setup,
         relaxation,
         moved=moved,
-        inputs=lambda other: {each.name: each.input for each in named(other.inputs)},
+        inputs=lambda other: {item.name: item.input for item in named(other.inputs)},
     )
 
 
 def _notes(case: OwnCase) -> list[str]:
     """Remarks on the case and on its simulator, which is checked."""
-    warnings = (f"{each.where}: {each.what} {each.fix}" for each in checked(case).warnings)
+    warnings = (
+        f"{warning.where}: {warning.what} {warning.fix}" for warning in checked(case).warnings
+    )
     return [*case.notes, *warnings]
 
 

@@ -47,18 +47,18 @@ def headline(run: PensionRun) -> Section:
     if objective is not None and np.isfinite(objective.equivalent):
         name = "pension" if objective.output == "pension" else "funding ratio"
         label = f"Certainty-equivalent {name} {run.horizon} ({run.measure})"
-        shown = share(objective.equivalent)
+        displayed = share(objective.equivalent)
         spread = plus_minus(100 * np.nan_to_num(objective.equivalent_error), 2)
         over = " to today's pension" if name == "pension" else ""
         note = f"The sure ratio{over} that is worth as much as the policy's, at risk aversion"
         note = f"{note} {number(objective.aversion, 1)};"
     else:
-        label, shown = f"Value of the objective ({run.measure})", number(value)
+        label, displayed = f"Value of the objective ({run.measure})", number(value)
         spread, note = plus_minus(run.result.get("standard_error"), 4), "The objective of the case,"
     action, sentence = _trades(run)
     block = Headline(
         label=label,
-        value=shown,
+        value=displayed,
         error=spread,
         note=f"{note} exact simulator on fresh scenarios, ± one standard error.",
         action=action,
@@ -100,8 +100,8 @@ def _trades(run: PensionRun) -> tuple[str, str]:
     parts = [f"{x.name} {share(x.now, 0)} → {share(x.target, 0)}" for x in largest]
     sentence = f"Largest trades: {'; '.join(parts)}." if parts else ""
     if today.trades.swaps:
-        whole = run.large(sum(swap.target for swap in today.trades.swaps))
-        sentence = f"{sentence} Swaps: {whole} receiver notional."
+        complete = run.large(sum(swap.target for swap in today.trades.swaps))
+        sentence = f"{sentence} Swaps: {complete} receiver notional."
     return action, sentence
 
 

@@ -70,19 +70,19 @@ class PensionRun(Folder):
 
     def size(self, *values: Any) -> tuple[float, str]:
         """The divisor of money with which the largest of `values` reads well, and the unit."""
-        sizes = [abs(v) for each in values for v in _each(each)]
+        sizes = [abs(v) for value in values for v in _each(value)]
         largest = max(sizes, default=0.0)
         scale, letters = next((pair for pair in SIZES if largest >= pair[0]), (1.0, ""))
         return scale, f"{self.currency}{SPACE}{letters}".strip()
 
-    def large(self, value: Any, places: int | None = None, sign: bool = False) -> str:
+    def large(self, value: Any, positions: int | None = None, sign: bool = False) -> str:
         """An amount of money in millions or billions, three digits at least: "EUR m 26.2"."""
-        known = finite(value)
-        if known is None:
+        available = finite(value)
+        if available is None:
             return NONE
-        scale, unit = self.size(known)
-        places = max(1, decimals([known / scale], 3)) if places is None else places
-        return money(known / scale, unit, places, sign)
+        scale, unit = self.size(available)
+        positions = max(1, decimals([available / scale], 3)) if positions is None else positions
+        return money(available / scale, unit, positions, sign)
 
 
 def _each(value: Any) -> list[float]:
@@ -95,19 +95,19 @@ def with_measure(title: str) -> Callable[[PensionRun], str]:
     return lambda run: f"{title} ({run.measure})"
 
 
-def points(value: Any, places: int = 2, sign: bool = False) -> str:
+def points(value: Any, digits: int = 2, sign: bool = False) -> str:
     """A share as percentage points: 0.0123 as "1.23"."""
-    known = finite(value)
-    return NONE if known is None else number(100 * known, places, sign)
+    available = finite(value)
+    return NONE if available is None else number(100 * available, digits, sign)
 
 
-def share(value: Any, places: int = 1) -> str:
+def share(value: Any, digits: int = 1) -> str:
     """A share in per cent."""
-    return percent(value, places)
+    return percent(value, digits)
 
 
 def name_of(name: str, label: str = "") -> str:
     """An input in words: "Zero rate, 10y"."""
-    words = name.replace("plan_", "").replace("_", " ").replace("lee carter", "Lee-Carter")
-    words = words[:1].upper() + words[1:]
-    return f"{words}, {label}" if label else words
+    text = name.replace("plan_", "").replace("_", " ").replace("lee carter", "Lee-Carter")
+    text = text[:1].upper() + text[1:]
+    return f"{text}, {label}" if label else text

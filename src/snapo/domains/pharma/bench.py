@@ -18,7 +18,7 @@ from .read.case import resolve
 BATCHES, REPEATS = 4096, 5
 
 
-def bench(engine: str, tell: Tell) -> str:
+def bench(engine: str, progress: Tell) -> str:
     """A table of best times, compiling apart."""
     if engine not in ("auto", "xla", "native"):
         raise CaseError("--engine", "", engine, 'allowed is "auto", "xla" or "native"')
@@ -26,7 +26,7 @@ def bench(engine: str, tell: Tell) -> str:
     process = Process(resolve(Path(str(file)), tomllib.loads(file.read_text(encoding="utf-8"))))
     case, name = process.case, process.names[0]
     draws = all_draws(case, BATCHES, case.training.seed)
-    wanted: Any = engine
+    requested: Any = engine
     works: dict[str, Callable[[], Any]] = {
         "one batch, values": process.values,
         f"{len(process.names)} attributes by {len(process.parameters)} parameters": (
@@ -34,22 +34,22 @@ def bench(engine: str, tell: Tell) -> str:
         ),
         "one attribute by every number, adjoint": lambda: gradient(process, name),
         f"{BATCHES} batches, values": (
-            lambda: process.batch(all_entries(case), draws, engine=wanted)
+            lambda: process.batch(all_entries(case), draws, engine=requested)
         ),
     }
     lines = [f"{'':<44} {'first, s':>9} {'best, ms':>9}"]
-    for words, work in works.items():
-        tell(words)
+    for text, work in works.items():
+        progress(text)
         first, best = _times(work)
-        lines.append(f"{words:<44} {first:>9.2f} {1000 * best:>9.2f}")
+        lines.append(f"{text:<44} {first:>9.2f} {1000 * best:>9.2f}")
     return "\n".join(lines)
 
 
 def _times(work: Callable[[], Any]) -> tuple[float, float]:
     """Seconds of the first call, which compiles, and the best of some more."""
-    found = []
+    perf_counters = []
     for _ in range(1 + REPEATS):
         started = time.perf_counter()
         work()
-        found.append(time.perf_counter() - started)
-    return found[0], min(found[1:])
+        perf_counters.append(time.perf_counter() - started)
+    return perf_counters[0], min(perf_counters[1:])

@@ -17,19 +17,19 @@ def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
     return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
 
 
-def use(inputs: Mapping[str, Any], given: Given) -> Array:
+def use(inputs: Mapping[str, Any], values: Given) -> Array:
     """The numbers where they are used: input or number held fixed, at `given.index`."""
-    if not given.values.size:
-        return jnp.zeros(given.index.shape)
+    if not values.values.size:
+        return jnp.zeros(values.index.shape)
     # NumPy's integers of 64 bits are no index where JAX counts with 32.
-    index = int(given.index) if given.index.ndim == 0 else given.index.astype(np.int32)
-    value = inputs[given.name] if given.name in inputs else fixed(given.values)
+    index = int(values.index) if values.index.ndim == 0 else values.index.astype(np.int32)
+    value = inputs[values.name] if values.name in inputs else fixed(values.values)
     return jnp.asarray(value)[index]
 
 
-def absent(inputs: Mapping[str, Any], given: Given) -> bool:
+def absent(inputs: Mapping[str, Any], values: Given) -> bool:
     """Whether a term can be left out: its factor is zero and no input."""
-    return given.name not in inputs and not given.used().any()
+    return values.name not in inputs and not values.used().any()
 
 
 def fixed(array: np.ndarray) -> Array:

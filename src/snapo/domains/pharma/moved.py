@@ -62,7 +62,8 @@ def _same(one: Any, other: Any, held: Iterable[str]) -> bool:
         return one.keys() == other.keys() and all(_same(one[k], other[k], held) for k in one)
     if is_dataclass(one):
         return all(
-            _same(getattr(one, each.name), getattr(other, each.name), held) for each in fields(one)
+            _same(getattr(one, field.name), getattr(other, field.name), held)
+            for field in fields(one)
         )
     return bool(one == other)
 
@@ -105,19 +106,19 @@ class Recipe:
         count = min(case.evaluation.paths, BATCHES)
         rows = batches.drawn(sampled, {}, count, case.training.seed + 1)
         values = batches.attributes(sampled, rows)
-        found = from_values(sampled.case, values)
-        kept = Limits.of(case).hold(values).all(-1).astype(float)
+        result = from_values(sampled.case, values)
+        selected = Limits.of(case).hold(values).all(-1).astype(float)
         yield (
             "value",
             {
-                "value": 1 - found.joint,
-                "standard_error": found.joint_error,
-                "paths": found.batches,
-                "kept": kept,
+                "value": 1 - result.joint,
+                "standard_error": result.joint_error,
+                "paths": result.batches,
+                "kept": selected,
             },
         )
-        at = np.array([one.attributes[each.name] for each in case.attributes])
-        yield "sections", [attributes(case, found, at)._asdict()]
+        at = np.array([one.attributes[attribute.name] for attribute in case.attributes])
+        yield "sections", [attributes(case, result, at)._asdict()]
         yield "deltas", list(_deltas(process))
 
     def _at(self, case: PharmaCase) -> Process:
@@ -138,55 +139,56 @@ class Recipe:
     def _coarser(self, process: Process, steps: int) -> Process:
         numerics = replace(process.case.numerics, steps=steps)
         case = with_stiff_steps(replace(process.case, numerics=numerics))
-        known = self._meshes.setdefault(steps, Process(case))
-        return _with(known, case) if alike(known.case, case) else Process(case)
+        available = self._meshes.setdefault(steps, Process(case))
+        return _with(available, case) if alike(available.case, case) else Process(case)
 
 
 def _with(process: Process, case: PharmaCase) -> Process:
     """A process of `case` with the compiled functions of another that is the same program."""
-    found = object.__new__(Process)
-    found.__dict__.update(process.__dict__)
-    found.case = case
-    found.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
-    return found
+    new = object.__new__(Process)
+    new.__dict__.update(process.__dict__)
+    new.case = case
+    new.inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
+    return new
 
 
 def limits(low: float | None, high: float | None, unit: str) -> str:
     """As "at least 75 %", "70 to 100 µm"."""
-    own = "" if unit in ("", "1") else f"\u00a0{unit_words(unit)}".replace(" ", "\u00a0")
+    local = "" if unit in ("", "1") else f"\u00a0{unit_words(unit)}".replace(" ", "\u00a0")
     if low is not None and high is not None:
-        return f"{low:.6g} to {high:.6g}{own}"
+        return f"{low:.6g} to {high:.6g}{local}"
     if low is not None:
-        return f"at least {low:.6g}{own}"
-    return f"at most {high:.6g}{own}" if high is not None else "none"
+        return f"at least {low:.6g}{local}"
+    return f"at most {high:.6g}{local}" if high is not None else "none"
 
 
-def attributes(case: PharmaCase, found: Capability, at: np.ndarray) -> Shown:
+def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Shown:
     """Every attribute with its limits, and how often batches keep them."""
     rows: list[Sequence[Any]] = [
         (
-            each.name, limits(each.low, each.high, each.unit), at[i], found.mean[i],
-            found.deviation[i], 100 * (1 - found.outside[i]), 100 * found.error[i],
+            attribute.name, limits(attribute.low, attribute.high, attribute.unit), at[i],
+            capability.mean[i], capability.deviation[i], 100 * (1 - capability.outside[i]),
+            100 * capability.error[i],
         )
-        for i, each in enumerate(case.attributes)
+        for i, attribute in enumerate(case.attributes)
     ]  # fmt: skip
-    words = f"{100 * (1 - found.joint):.4g} % of {found.batches:,} batches keep all limits"
-    return Shown("Attributes and their limits", COLUMNS, rows, words)
+    text = f"{100 * (1 - capability.joint):.4g} % of {capability.batches:,} batches keep all limits"
+    return Shown("Attributes and their limits", COLUMNS, rows, text)
 
 
 def _deltas(process: Process) -> Iterator[dict[str, Any]]:
     """Every attribute by every number, per unit of the input, at the set point."""
     entries = every_entry(process.inputs)
     jacobian = matrix(process, entries=entries, mode="adjoint").jacobian
-    given = pharma_inputs(process.case)
+    values = pharma_inputs(process.case)
     for attribute, row in zip(process.case.attributes, jacobian):
         by = dict(zip(entries, row.tolist()))
-        for name, each in given.items():
-            slope = np.array([by[name, i] for i in range(each.value.size)])
-            move = 0.01 * each.value if each.move is None else np.full(each.value.size, each.move)
+        for name, item in values.items():
+            slope = np.array([by[name, i] for i in range(item.value.size)])
+            move = 0.01 * item.value if item.move is None else np.full(item.value.size, item.move)
             rows = [
                 {"label": label, "value": value, "low": None, "high": None}
-                for label, value in zip(each.names(), slope.tolist())
+                for label, value in zip(item.names(), slope.tolist())
             ]
             yield {
                 "of": attribute.name, "of_unit": attribute.unit, "input": name,

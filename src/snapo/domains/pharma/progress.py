@@ -10,10 +10,10 @@ _listeners: list[list] = []  # [tell, when the part began, when it was last told
 
 
 @contextmanager
-def told(tell: Callable[[str], None]) -> Iterator[None]:
+def told(progress: Callable[[str], None]) -> Iterator[None]:
     """Within it, `say` reaches `tell`."""
     now = time.perf_counter()
-    _listeners.append([tell, now, now])
+    _listeners.append([progress, now, now])
     try:
         yield
     finally:
@@ -24,8 +24,8 @@ def say(text: str) -> None:
     """A line of progress, if the last one is long enough ago and anyone listens."""
     if not _listeners:
         return
-    tell, began, last = _listeners[-1]
+    progress, began, last = _listeners[-1]
     now = time.perf_counter()
     if now - last >= EVERY:
         _listeners[-1][2] = now
-        tell(f"  {text}, {now - began:.0f} s")
+        progress(f"  {text}, {now - began:.0f} s")

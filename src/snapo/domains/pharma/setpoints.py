@@ -19,7 +19,9 @@ def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) ->
     setpoint goes straight to the next; "constant": it stays until the next; "once": it holds.
     """
     changed = changed or {}
-    chosen = {(each.input, each.entry) for each in case.parameters if each.control} | set(changed)
+    selected = {
+        (parameter.input, parameter.entry) for parameter in case.parameters if parameter.control
+    } | set(changed)
     for unit in case.units:
         inside = {profile.value.name for profile in unit.profiles}
         seconds = 0.0
@@ -28,24 +30,24 @@ def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) ->
             yield unit.name, unit.time.name, "once", 0.0, seconds, "s"
             inside.add(unit.time.name)
         for profile in unit.profiles:
-            given = profile.value
+            inputs = profile.value
             values = [
-                changed.get((given.name, int(i)), float(given.values[i])) for i in given.index
+                changed.get((inputs.name, int(i)), float(inputs.values[i])) for i in inputs.index
             ]
             values = _flow(case, unit, profile, values, seconds, changed)
             for share, value in zip(profile.share, values):
-                row = unit.name, given.name, profile.kind
-                yield *row, float(share) * seconds, value, given.unit
-        yield from _once(unit, inside, chosen, changed)
+                row = unit.name, inputs.name, profile.kind
+                yield *row, float(share) * seconds, value, inputs.unit
+        yield from _once(unit, inside, selected, changed)
     for feed in case.feeds:
-        yield from _once(feed, set(), chosen, changed)
+        yield from _once(feed, set(), selected, changed)
 
 
 def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, changed) -> list[float]:
     """The values of a dose that a feed brings, as the flow that adds up to the feed's volume."""
-    inlet = next((each.name for each in unit.inlets if each.dosed is profile), None)
+    inlet = next((item.name for item in unit.inlets if item.dosed is profile), None)
     source = [c.source for c in case.connections if (c.target, c.inlet) == (unit.name, inlet)]
-    feed = next((each for each in case.feeds if each.name in source), None)
+    feed = next((entry for entry in case.feeds if entry.name in source), None)
     mean = float(weights(profile) @ values)
     if feed is None or mean <= 0:
         return values
@@ -53,12 +55,12 @@ def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, chang
     return [value * volume / (seconds * mean) for value in values]
 
 
-def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tuple]:
+def _once(record, available: set[str], selected: set[Entry], changed) -> Iterable[tuple]:
     """The chosen numbers of a unit or a feed but those that are `known`."""
-    for given in numbers_in(record):
-        for i, value in enumerate(given.values.tolist()):
-            if given.name not in known and (given.name, i) in chosen:
-                many = len(given.values) > 1
-                label = f"{given.name}[{given.labels[i]}]" if many else given.name
-                now = changed.get((given.name, i), value)
-                yield record.name, label, "once", 0.0, now, given.unit
+    for values in numbers_in(record):
+        for i, value in enumerate(values.values.tolist()):
+            if values.name not in available and (values.name, i) in selected:
+                many = len(values.values) > 1
+                label = f"{values.name}[{values.labels[i]}]" if many else values.name
+                now = changed.get((values.name, i), value)
+                yield record.name, label, "once", 0.0, now, values.unit

@@ -88,13 +88,13 @@ def open_parts(case: PharmaCase) -> list[Part]:
         MATRIX, ALL_SENSITIVITIES, ATTRIBUTION, PROFILES, SECOND, STATISTICS_MESH, CAPABILITY,
         CRITICALITY, SPREAD, OPTIMUM, SPACE, RANGES, PAIRS, ESTIMATION,
     )  # fmt: skip
-    asked = {CONVERGENCE: case.numerics.refine, SECOND: bool(case.pairs)}
-    asked |= {
+    request = {CONVERGENCE: case.numerics.refine, SECOND: bool(case.pairs)}
+    request |= {
         x: getattr(case, x.table) is not None
         for x in chapters
         if isinstance(x, Chapter) and x.table
     }
-    selected = [x for x in chapters if asked.get(x, True)]
+    selected = [x for x in chapters if request.get(x, True)]
     return [x if isinstance(x, Part) else x.part for x in selected]
 
 
@@ -163,10 +163,10 @@ def kept_limits(measured: Measured) -> Sequence[Shown]:
     case = case_of(measured.setup.problem.simulator)
     names = [f"attribute.{x.name}" for x in case.attributes]
     values = np.stack([np.asarray(measured.totals[name], np.float64) for name in names], -1)
-    holds = Limits.of(case).hold(values)
+    contains = Limits.of(case).hold(values)
     rows = []
     for i, attribute in enumerate(case.attributes):
-        share, error = measured.mean(holds[:, i])
+        share, error = measured.mean(contains[:, i])
         mean, spread = values[:, i].mean(), values[:, i].std(ddof=1)
         bounds = limits(attribute.low, attribute.high, attribute.unit)
         rows.append((attribute.name, bounds, mean, spread, 100 * share, 100 * error))

@@ -47,12 +47,12 @@ class Seats(NamedTuple):
         """For parts of so many paths, which follow one another."""
         blocks = [-(-size // lanes) for size in sizes]
         starts = np.cumsum([0, *sizes[:-1]])
-        seats = [np.arange(count * lanes) for count in blocks]
+        slots = [np.arange(count * lanes) for count in blocks]
         path = [
-            start + np.minimum(seat, size - 1) for start, seat, size in zip(starts, seats, sizes)
+            start + np.minimum(slot, size - 1) for start, slot, size in zip(starts, slots, sizes)
         ]
-        own = [seat < size for seat, size in zip(seats, sizes)]
-        return cls(np.concatenate(path), np.concatenate(own), np.cumsum([0, *blocks]))
+        local = [seat < size for seat, size in zip(slots, sizes)]
+        return cls(np.concatenate(path), np.concatenate(local), np.cumsum([0, *blocks]))
 
     @property
     def blocks(self) -> int:
@@ -134,11 +134,11 @@ class Call:
             raise Unsupported(missing)
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
-        given = self.shared.split(), self.steps.split()
+        values = self.shared.split(), self.steps.split()
         with following(self.version):
-            pieces = traced(*given, like, setup, sizes, simulator.action.size)
+            segments = traced(*values, like, setup, sizes, simulator.action.size)
         try:
-            return emit(pieces, host(), stages)
+            return emit(segments, host(), stages)
         except ACCIDENTS as error:
             raise Unsupported(
                 f"{type(simulator).__name__}: {type(error).__name__}: {error}"
@@ -157,13 +157,13 @@ class Call:
         """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
         self.seats = Seats.of(parts or (self.paths,), lanes)
-        path, own, blocks = self.seats.path, self.seats.own, self.seats.blocks
+        path, local, blocks = self.seats.path, self.seats.own, self.seats.blocks
         first, length, _ = self.window
         filled = self._filled(bounds if weights is not None else None)
         columns = 1 if weights is None else len(next(iter(weights.values())))
-        given, lent = self._noise(path)
+        values, lent = self._noise(path)
         sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
-        sizes |= {name: array.nbytes for name, array in given.items()}
+        sizes |= {name: array.nbytes for name, array in values.items()}
         for name, (_, axes) in filled.items():
             sizes[name] = blocks * math.prod(axes) * layouts[name].stride
         if weights is not None:
@@ -174,7 +174,7 @@ class Call:
         steps = memory["steps"].reshape(length, -1)
         for leaf, array in zip(traced.now, self.steps.arrays):
             layouts["steps"].view(steps, leaf)[...] = array[first : first + length]
-        for name, array in given.items():
+        for name, array in values.items():
             memory[name].view(array.dtype)[:] = array
         for name, array in lent.items():
             memory.lend(name, array)
@@ -186,7 +186,7 @@ class Call:
         for name, array in (weights or {}).items():
             rows = memory["weights"].reshape(columns, blocks, -1)
             # Paths that fill a last block count for nothing.
-            counted = np.where(own, np.asarray(array)[:, path], 0)
+            counted = np.where(local, np.asarray(array)[:, path], 0)
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.seats.edges
@@ -255,17 +255,17 @@ class Call:
         traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
         first, length, _ = self.window
 
-        def shared(leaf, array, asked):
+        def shared(leaf, array, request):
             if not leaf.active:
-                return np.zeros((*lead, *np.shape(array)), dtype) if asked else None
+                return np.zeros((*lead, *np.shape(array)), dtype) if request else None
             return layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
 
-        found = map(shared, traced.call, self.shared.arrays, traced.asked[0])
-        policy, constants, _, _ = self.shared.like(found)
+        result = map(shared, traced.call, self.shared.arrays, traced.asked[0])
+        policy, constants, _, _ = self.shared.like(result)
         memory = out.step_sums.reshape(*lead, length, -1)
 
-        def stepwise(leaf, array, asked):
-            if not asked:
+        def stepwise(leaf, array, requested):
+            if not requested:
                 return None
             full = np.zeros((*lead, *np.shape(array)), dtype)
             if leaf.active:
@@ -294,14 +294,14 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
     return split.transpose(axes, *lead, *rest, axes + 1)
 
 
-def _paths(view: np.ndarray, seats: Seats, axes: int) -> np.ndarray:
+def _paths(view: np.ndarray, slots: Seats, axes: int) -> np.ndarray:
     """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
     lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
     moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
     lanes = view.shape[0] * view.shape[-1]
     flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
-    several = len(seats.edges) > 2
-    own = np.flatnonzero(seats.own) if several else slice(0, int(seats.path[-1]) + 1)
-    chosen = flat[(slice(None),) * axes + (own,)]
+    several = len(slots.edges) > 2
+    local = np.flatnonzero(slots.own) if several else slice(0, int(slots.path[-1]) + 1)
+    selected = flat[(slice(None),) * axes + (local,)]
     # A view would keep all that the kernel wrote alive.
-    return chosen.copy() if np.may_share_memory(chosen, view) else chosen
+    return selected.copy() if np.may_share_memory(selected, view) else selected

@@ -55,8 +55,8 @@ class Native(Engine):
             runner = call.runner(False, tuple(record), False, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
-            found = Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
-            return values_without(simulator, call.simulator, found)
+            rollout = Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
+            return values_without(simulator, call.simulator, rollout)
 
     def adjoint(
         self,
@@ -83,16 +83,16 @@ class Native(Engine):
                 for name, w in weights.items()
             }
             bounds = (clip or Clip()).bounds(arrays)
-            rows, most = [], runner.together(call.paths, call.window.length)
-            for first in range(0, count, most):
-                part = {name: w[first : first + most] for name, w in arrays.items()}
+            rows, maximum = [], runner.together(call.paths, call.window.length)
+            for first in range(0, count, maximum):
+                part = {name: w[first : first + maximum] for name, w in arrays.items()}
                 out = runner.run(call.inputs(runner, part, bounds, False), self._threads())
                 rows += [call.gradients(runner, back) for back in out.back]
             totals, _ = call.finals(runner, out.final)
             gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
-            given = dict(zip(("policy", "schedule", "start"), gradient))
-            asked = (given[name] if name in wrt else None for name in given)
-            return adjoint_without(simulator, call.simulator, Adjoint(totals, *asked))
+            values = dict(zip(("policy", "schedule", "start"), gradient))
+            request = (values[name] if name in wrt else None for name in values)
+            return adjoint_without(simulator, call.simulator, Adjoint(totals, *request))
 
     def adjoints(
         self,
@@ -107,19 +107,19 @@ class Native(Engine):
         actions: ArrayLike | None = None,
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
-        given = simulator, policy, schedule, draws, smooth
+        values = simulator, policy, schedule, draws, smooth
         with self.numbers():
-            call = Call(self, *given, actions, None, None)
+            call = Call(self, *values, actions, None, None)
             runner = call.runner(True, (), False, tuple(wrt))
             if len(parts) * sum(runner.sums(simulator.horizon)) > SUMS:
-                return super().adjoints(*given, weights, parts, actions=actions, wrt=wrt)
+                return super().adjoints(*values, weights, parts, actions=actions, wrt=wrt)
             rows = {name: np.asarray(w, self.dtype)[None] for name, w in weights.items()}
             filled = call.inputs(runner, rows, Clip().bounds(rows), False, parts)
             out = runner.run(filled, self._threads())
             totals, _ = call.finals(runner, out.final)
             moved, schedules, _ = call.gradients(runner, out.back[0])
-            asked = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
-            return Adjoint(totals, asked[0], asked[1], None)
+            request = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
+            return Adjoint(totals, request[0], request[1], None)
 
     def _threads(self) -> int:
         return self.threads or cores()

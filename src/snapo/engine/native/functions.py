@@ -43,9 +43,9 @@ class Setup:
 class Functions:
     """The phases as functions of flat lists of arrays."""
 
-    def __init__(self, setup: Setup, dtype, pieces, current, calls: int, nows: int):
+    def __init__(self, setup: Setup, dtype, segments, current, calls: int, nows: int):
         self.setup, self.dtype = setup, dtype
-        self.pieces, self.current = pieces, current
+        self.pieces, self.current = segments, current
         self.calls, self.nows = calls, nows
 
     def describe(self, call, now, state_like, noise_sizes, action_size) -> None:
@@ -63,12 +63,12 @@ class Functions:
         leaves, self.state_tree = jax.tree.flatten(state_like)
         self.state = [jax.ShapeDtypeStruct(x.shape, self._kind(x)) for x in leaves]
 
-        given = call, now, self.state, self.noise[0], self.action
-        self.once, kept = jax.make_jaxpr(self._outputs, return_shape=True)(*given)
+        values = call, now, self.state, self.noise[0], self.action
+        self.once, selected = jax.make_jaxpr(self._outputs, return_shape=True)(*values)
         if self.once.effects:
             raise Unsupported("a callback, such as jax.debug.print, in step")
-        self.after, self.names = jax.tree.structure(kept), list(kept[1])
-        self.record_tree = jax.tree.structure(kept[2])
+        self.after, self.names = jax.tree.structure(selected), list(selected[1])
+        self.record_tree = jax.tree.structure(selected[2])
 
         def last(call, state):
             _, constants, smooth, simulator = self.pieces(call)
@@ -87,13 +87,13 @@ class Functions:
     def _leaves(self, state) -> list[Any]:
         """A state's leaves in their types; their shapes may not change."""
         leaves = [jnp.asarray(x) for x in self.state_tree.flatten_up_to(state)]
-        for leaf, known in zip(leaves, self.state):
-            if leaf.shape != known.shape:
+        for leaf, available in zip(leaves, self.state):
+            if leaf.shape != available.shape:
                 raise ValueError(
-                    f"The state changes shape: `initial` gives {known.shape} "
+                    f"The state changes shape: `initial` gives {available.shape} "
                     f"where `step` gives {leaf.shape}."
                 )
-        return [leaf.astype(known.dtype) for leaf, known in zip(leaves, self.state)]
+        return [leaf.astype(valid.dtype) for leaf, valid in zip(leaves, self.state)]
 
     def _outputs(self, call, now, leaves, noise, action):
         policy, constants, smooth, simulator = self.pieces(call)
@@ -104,46 +104,52 @@ class Functions:
             action = jax.lax.optimization_barrier(jnp.asarray(action, self.dtype))
         after, outputs = simulator.step(constants, now, state, action, noise, smooth)
         outputs = {name: jnp.asarray(value, self.dtype) for name, value in outputs.items()}
-        kept = {"state": state, "action": action, "outputs": outputs}
+        selected = {"state": state, "action": action, "outputs": outputs}
         if "slack" in self.setup.record:
-            kept["slack"] = dict(simulator.slack(constants, now, after, outputs))
-        return after, outputs, {name: kept[name] for name in self.setup.record}
+            selected["slack"] = dict(simulator.slack(constants, now, after, outputs))
+        return after, outputs, {name: selected[name] for name in self.setup.record}
 
     def _initial(self, *values):
-        call, own = values[: self.calls], values[self.calls :]
+        call, local = values[: self.calls], values[self.calls :]
         _, constants, _, simulator = self.pieces(call)
         if self.setup.start:
-            leaves = self._leaves(self._state(own))
+            leaves = self._leaves(self._state(local))
         else:
-            leaves = self._leaves(simulator.initial(constants, own[0]))
+            leaves = self._leaves(simulator.initial(constants, local[0]))
         kinds = simulator.totals()
         zeros = [-np.inf if kinds.get(n, "sum") == "max" else 0.0 for n in self.names]
         return [*leaves, *(jnp.asarray(z, self.dtype) for z in zeros)]
 
     def _step(self, *values):
         call, rest = values[: self.calls], values[self.calls :]
-        now, own = rest[: self.nows], rest[self.nows :]
+        now, local = rest[: self.nows], rest[self.nows :]
         n = len(self.state)
-        leaves, totals, own = own[:n], own[n : n + len(self.names)], own[n + len(self.names) :]
-        noise = own[0]
-        action = own[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
-        found = evaluate(self.once, [*call, *now, *leaves, noise, action])
-        after, outputs, kept = jax.tree.unflatten(self.after, found)
+        leaves, totals, local = (
+            local[:n],
+            local[n : n + len(self.names)],
+            local[n + len(self.names) :],
+        )
+        noise = local[0]
+        action = local[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
+        result = evaluate(self.once, [*call, *now, *leaves, noise, action])
+        after, outputs, selected = jax.tree.unflatten(self.after, result)
         kinds = self.pieces(call)[3].totals()
         totals = [add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
-        return [*self._leaves(after), *totals, *jax.tree.leaves(kept), *self._scales(call)]
+        return [*self._leaves(after), *totals, *jax.tree.leaves(selected), *self._scales(call)]
 
     def _final(self, *values):
-        call, own = values[: self.calls], values[self.calls :]
+        call, local = values[: self.calls], values[self.calls :]
         n = len(self.state)
-        totals = dict(zip(self.names, own[n:]))
+        totals = dict(zip(self.names, local[n:]))
         _, constants, smooth, simulator = self.pieces(call)
         if self.setup.ends:
             kinds = simulator.totals()
-            for name, value in simulator.terminal(constants, self._state(own[:n]), smooth).items():
+            for name, value in simulator.terminal(
+                constants, self._state(local[:n]), smooth
+            ).items():
                 value = jnp.asarray(value, self.dtype)
                 totals[name] = add(kinds.get(name, "sum"), totals.get(name), value)
-        return [*(totals[name] for name in self.final_names), *own[:n]]
+        return [*(totals[name] for name in self.final_names), *local[:n]]
 
     def phases(self) -> Iterator[Any]:
         """(name, function, inputs, outputs, whether it sees the step) of every phase."""
@@ -153,15 +159,15 @@ class Functions:
         keys = [key for key, _ in carry]
         start = [(("start", i), x) for i, x in enumerate(self.state)]
         entry = start if self.setup.start else [("noise", self.noise[1])]
-        own = [*carry, ("noise", self.noise[0])]
-        own += [("action", self.action)] if self.setup.actions else []
+        local = [*carry, ("noise", self.noise[0])]
+        local += [("action", self.action)] if self.setup.actions else []
         records = [("record", i) for i in range(self.record_tree.num_leaves)]
         final = [
             *(("final", n) for n in self.final_names),
             *(("end", i) for i in range(len(self.state))),
         ]
         yield "initial", self._initial, entry, keys, False
-        yield "step", self._step, own, [*keys, *records], True
+        yield "step", self._step, local, [*keys, *records], True
         yield "final", self._final, carry, final, False
 
     def bound(self) -> Callable | None:
@@ -171,10 +177,10 @@ class Functions:
         floats = [i for i, x in enumerate(self.state) if floating(x)]
         tiny = np.finfo(self.dtype).tiny
 
-        def bound(back, outputs, given):
+        def bound(back, outputs, values):
             scales = outputs[len(outputs) - len(floats) :]
             square = sum(jnp.sum((g * s) ** 2) for g, s in zip(back, scales))
-            factor = factor_of(jnp.sqrt(jnp.maximum(square, tiny)), given)
+            factor = factor_of(jnp.sqrt(jnp.maximum(square, tiny)), values)
             return [*(g * factor for g in back[: len(floats)]), *back[len(floats) :]]
 
         return bound if floats else None

@@ -54,7 +54,7 @@ def traced(
     step_leaves, step_tree = jax.tree.flatten(steps[0])
     step_leaves = [jax.ShapeDtypeStruct(x.shape[1:], jax_type(x)) for x in step_leaves]
     call_avals = [jax.ShapeDtypeStruct(np.shape(x), jax_type(x)) for x in leaves]
-    wanted = [bool(m) for m in jax.tree.leaves(_differentiable(shared[0], setup.wrt))]
+    requested = [bool(m) for m in jax.tree.leaves(_differentiable(shared[0], setup.wrt))]
     moving = ["schedule" in setup.wrt and floating(x) for x in step_leaves]
 
     def pieces(values):
@@ -65,28 +65,29 @@ def traced(
 
     builder = Functions(setup, dtype, pieces, current, len(leaves), len(step_leaves))
     builder.describe(call_avals, step_leaves, state_like, noise_sizes, action_size)
-    found, used = [], set()
+    rows, used = [], set()
     for name, function, inputs, outputs, with_now in builder.phases():
         shared_avals = [*call_avals, *(step_leaves if with_now else [])]
         closed = inlined(function, [*shared_avals, *(aval for _, aval in inputs)])
-        found.append((name, closed, inputs, outputs, with_now))
+        rows.append((name, closed, inputs, outputs, with_now))
         used |= differentiated(closed, len(shared_avals))
     call = [
-        Leaf(x.shape, x.dtype, m and i in used) for i, (x, m) in enumerate(zip(call_avals, wanted))
+        Leaf(x.shape, x.dtype, m and i in used)
+        for i, (x, m) in enumerate(zip(call_avals, requested))
     ]
     now = [
         Leaf(x.shape, x.dtype, m and i in used)
         for i, (x, m) in enumerate(zip(step_leaves, moving), len(call))
     ]
     phases = {}
-    for name, closed, inputs, outputs, with_now in found:
+    for name, closed, inputs, outputs, with_now in rows:
         levels = [CALL] * len(call) + [STEP] * (len(now) if with_now else 0) + [PATH] * len(inputs)
-        known = [*call, *(now if with_now else []), *[None] * len(inputs)]
+        available = [*call, *(now if with_now else []), *[None] * len(inputs)]
         keys = [*outputs, *[("scale", i) for i in range(len(closed.jaxpr.outvars) - len(outputs))]]
         labelled = [(key, v.aval) for key, v in zip(keys, closed.jaxpr.outvars)]
-        phases[name] = Phase(name, cut(closed, levels, known), inputs, labelled)
+        phases[name] = Phase(name, cut(closed, levels, available), inputs, labelled)
     return Traced(
-        setup, call, now, (wanted, moving), builder.state, builder.state_tree, builder.names,
+        setup, call, now, (requested, moving), builder.state, builder.state_tree, builder.names,
         builder.final_names, builder.record_tree, phases, builder.bound(),
     )  # fmt: skip
 

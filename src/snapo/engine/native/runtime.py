@@ -73,9 +73,9 @@ class Runner:
         layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
         columns, length, edges = inputs.columns, inputs.length, inputs.edges
         calls, steps = self.sums(length)
-        each, blocks = calls + steps, self.blocks(inputs.paths)
+        item, blocks = calls + steps, self.blocks(inputs.paths)
         if edges is None:
-            groups = _groups(blocks, each if adjoint else 0)
+            groups = _groups(blocks, item if adjoint else 0)
             edges = blocks * np.arange(groups + 1) // groups
         groups, blocks = len(edges) - 1, int(edges[-1])
         starts = blocks * layouts["start_cotangent"].stride
@@ -84,7 +84,7 @@ class Runner:
             sizes["records"] = blocks * length * layouts["records"].stride
         if adjoint:
             sizes["start_cotangent"] = columns * starts
-            sizes["total"], sizes["sums"] = columns * each, groups * columns * each
+            sizes["total"], sizes["sums"] = columns * item, groups * columns * item
         memory = Memory(sizes)
         segment = self.segment(length)
         numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
@@ -96,14 +96,16 @@ class Runner:
         functions = self.machine.functions
 
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
-        def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
+        def one(
+            group: int, custom: np.ndarray, _held: tuple = (inputs, memory, self.machine)
+        ) -> None:
             if adjoint:
-                _add_up_in(own, memory.where["sums"] + group * columns * each, calls, each)
-            functions["run"](address(own), int(edges[group]), int(edges[group + 1]))
+                _add_up_in(custom, memory.where["sums"] + group * columns * item, calls, item)
+            functions["run"](address(custom), int(edges[group]), int(edges[group + 1]))
 
         mine = partial(self._own, context, scratch)
-        with mine() as own:
-            functions["prepare"](address(own))
+        with mine() as local:
+            functions["prepare"](address(local))
         spread(one, groups, min(threads, groups), memory["stop"], mine)
         out = Outputs(memory["final"], memory.rows.get("records"))
         if adjoint:
@@ -113,16 +115,16 @@ class Runner:
     def _back(self, memory: Memory, mine, inputs: Inputs, shape, sizes) -> list["Back"]:
         """The sums of every column, finished: over all paths, or over each part of them."""
         (groups, columns), (calls, steps) = shape, sizes
-        rows, name, each = memory["sums"], "sums", calls + steps
+        rows, name, item = memory["sums"], "sums", calls + steps
         if inputs.edges is None:
             rows, name = memory["total"], "total"
             sums = memory["sums"].view(np.float64).reshape(groups, -1)
             np.sum(sums, axis=0, out=rows.view(np.float64))
-        rows = rows.reshape(-1, columns, each)
-        with mine() as own:
+        rows = rows.reshape(-1, columns, item)
+        with mine() as local:
             for part in range(len(rows)):
-                _add_up_in(own, memory.where[name] + part * columns * each, calls, each)
-                for column in own:
+                _add_up_in(local, memory.where[name] + part * columns * item, calls, item)
+                for column in local:
                     self.machine.functions["finish"](address(column))
         rows = rows[0] if inputs.edges is None else rows
         left = memory["start_cotangent"].reshape(columns, -1)
@@ -130,8 +132,8 @@ class Runner:
 
     def together(self, paths: int, length: int) -> int:
         """The most columns of one run: as many as memory allows for their gradients."""
-        each = sum(self.sums(length))
-        return int(max(1, SUMS // max(1, _groups(self.blocks(paths), each) * each)))
+        item = sum(self.sums(length))
+        return int(max(1, SUMS // max(1, _groups(self.blocks(paths), item) * item)))
 
     def sums(self, length: int) -> tuple[int, int]:
         """Bytes of the gradients by numbers of the call, and by those of all steps."""
@@ -162,12 +164,12 @@ class Runner:
         scratch = spare.take(self)
         if scratch is None or not scratch.holds(sizes):
             scratch = Memory(sizes)
-        own = context.copy()
-        for name, place in scratch.where.items():
-            own[:, SLOTS[name]] = place
-        _apart(own, "cotangent", self.kernel.layouts["cotangent"].stride)
+        local = context.copy()
+        for name, position in scratch.where.items():
+            local[:, SLOTS[name]] = position
+        _apart(local, "cotangent", self.kernel.layouts["cotangent"].stride)
         try:
-            yield own
+            yield local
         finally:
             spare.give(self, scratch)
 
@@ -191,7 +193,7 @@ class Spare:
                     memory = self._waiting.pop(i)[1]
                     self._bytes -= memory.size
                     return memory
-            self._keep([each for each in self._waiting if each[0]() is not None])
+            self._keep([item for item in self._waiting if item[0]() is not None])
         return None
 
     def give(self, runner: Runner, memory: Memory) -> None:
@@ -232,10 +234,10 @@ def _apart(context: np.ndarray, name: str, size: int) -> None:
     context[:, SLOTS[name]] += size * np.arange(len(context))
 
 
-def _add_up_in(context: np.ndarray, place: int, calls: int, each: int) -> None:
+def _add_up_in(context: np.ndarray, position: int, calls: int, item: int) -> None:
     """By column, sums of the call from here on, then those of the steps: `each` bytes together."""
-    places = place + each * np.arange(len(context))
-    context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = places, places + calls
+    positions = position + item * np.arange(len(context))
+    context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = positions, positions + calls
 
 
 def _groups(blocks: int, size: int) -> int:

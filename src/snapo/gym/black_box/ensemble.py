@@ -61,7 +61,7 @@ def first_layers(size: int, outputs: int, hidden: tuple[int, ...], members: int,
 
 
 def fit(
-    seen: Transitions, raw: PyTree, capacity: int, most: int, seed: int, patience: int = 4
+    transitions: Transitions, raw: PyTree, capacity: int, maximum: int, seed: int, patience: int = 4
 ) -> Fit:
     """The ensemble fitted on from the weights `raw`, and how far it is off on rows held out.
 
@@ -69,18 +69,18 @@ def fit(
     stops after `most` steps, or after `patience` looks without a better one. `capacity` is the
     most rows there will ever be: arrays have that length, so that all fits are compiled once.
     """
-    rng = np.random.default_rng((seed, seen.count))
-    order = rng.permutation(seen.count)
-    cut = max(1, int(HELD_OUT * seen.count))
+    rng = np.random.default_rng((seed, transitions.count))
+    order = rng.permutation(transitions.count)
+    cut = max(1, int(HELD_OUT * transitions.count))
     held, taught = order[:cut], order[cut:]
-    scales, x, y = _numbers(seen, taught)
+    scales, x, y = _numbers(transitions, taught)
     room = max(1, int(HELD_OUT * capacity))
-    data, test = (_rows(x, y, seen, *each) for each in ((taught, capacity), (held, room)))
+    data, test = (_rows(x, y, transitions, *item) for item in ((taught, capacity), (held, room)))
     state = _ADAM.init(raw)
     best, lowest = raw, np.full(raw[0][0].shape[0], np.inf)
     stale = steps = 0
-    while steps < most and stale < patience:
-        rates = _rates(steps, most)
+    while steps < maximum and stale < patience:
+        rates = _rates(steps, maximum)
         raw, state = _taught(raw, state, data, rates, jax.random.key(int(rng.integers(2**31))))
         steps += ROUND
         loss = np.asarray(_losses(raw, test))
@@ -88,7 +88,7 @@ def fit(
         best = _either(better, raw, best)
         stale = 0 if np.any(loss < 0.99 * lowest) else stale + 1
         lowest = np.minimum(loss, lowest)
-    error, spread = _misses(best, test, scales, seen.before.shape[1])
+    error, spread = _misses(best, test, scales, transitions.before.shape[1])
     return Fit(_in_units(best, scales), best, error, spread, steps)
 
 
@@ -99,37 +99,41 @@ class _Data(NamedTuple):
     count: int
 
 
-def _numbers(seen: Transitions, taught: np.ndarray) -> tuple[_Scales, np.ndarray, np.ndarray]:
+def _numbers(
+    transitions: Transitions, taught: np.ndarray
+) -> tuple[_Scales, np.ndarray, np.ndarray]:
     """Scales from the rows taught; inputs and outputs of all rows between numbers of order one."""
-    x = np.concatenate([seen.before, seen.action], 1).astype(np.float64)
-    change = (seen.after - seen.before).astype(np.float64)
-    y = np.concatenate([change, seen.reward[:, None], seen.reward[:, None]], 1)
-    rows = np.zeros(seen.count, bool)
+    x = np.concatenate([transitions.before, transitions.action], 1).astype(np.float64)
+    change = (transitions.after - transitions.before).astype(np.float64)
+    y = np.concatenate([change, transitions.reward[:, None], transitions.reward[:, None]], 1)
+    rows = np.zeros(transitions.count, bool)
     rows[taught] = True
-    going, ended = rows & ~seen.ended, rows & seen.ended
+    going, ended = rows & ~transitions.ended, rows & transitions.ended
     moves, on, last = y[rows, :-2], y[going, -2:-1], y[ended, -1:]
-    parts = [scale_of(each) for each in (moves, on, last)]
-    shift, scale = (np.concatenate([each[i] for each in parts]) for i in (0, 1))
+    parts = [scale_of(item) for item in (moves, on, last)]
+    shift, scale = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
     scales = _Scales(scale_of(x[rows]), (shift, scale))
-    x, y = ((each - s[0]) / s[1] for each, s in zip((x, y), scales))
+    x, y = ((entry - s[0]) / s[1] for entry, s in zip((x, y), scales))
     return scales, x.astype(np.float32), y.astype(np.float32)
 
 
-def _rows(x: np.ndarray, y: np.ndarray, seen: Transitions, rows: np.ndarray, length: int) -> _Data:
+def _rows(
+    x: np.ndarray, y: np.ndarray, transitions: Transitions, rows: np.ndarray, length: int
+) -> _Data:
     """Some rows, in arrays of a length."""
-    x, y, ended = (_padded(each, rows, length) for each in (x, y, seen.ended))
+    x, y, ended = (_padded(item, rows, length) for item in (x, y, transitions.ended))
     return _Data(x, y, ended, rows.size)
 
 
 def _padded(values: np.ndarray, rows: np.ndarray, length: int) -> np.ndarray:
-    found = np.zeros((length, *values.shape[1:]), np.float32)
-    found[: rows.size] = values[rows][:length]
-    return found
+    result = np.zeros((length, *values.shape[1:]), np.float32)
+    result[: rows.size] = values[rows][:length]
+    return result
 
 
-def _rates(done: int, most: int) -> np.ndarray:
+def _rates(done: int, maximum: int) -> np.ndarray:
     """Cosine decay, step by step."""
-    share = np.minimum(1.0, (done + np.arange(ROUND)) / most)
+    share = np.minimum(1.0, (done + np.arange(ROUND)) / maximum)
     high, low = RATES
     return (low + (high - low) * (1 + np.cos(np.pi * share)) / 2).astype(np.float32)
 
@@ -144,11 +148,11 @@ def _forward(layers, x: Float[Array, "n i"]) -> Float[Array, "n o"]:
 
 def _parts(layers, x, y, ended) -> Array:
     """[n, k + 3] squares of the misses that count, and the cross entropy of the end."""
-    told = _forward(layers, x)
-    moves = (told[:, :-3] - y[:, :-2]) ** 2
-    on = (1 - ended)[:, None] * (told[:, -3:-2] - y[:, -2:-1]) ** 2
-    last = ended[:, None] * (told[:, -2:-1] - y[:, -1:]) ** 2
-    odds = optax.sigmoid_binary_cross_entropy(told[:, -1:], ended[:, None])
+    summary = _forward(layers, x)
+    moves = (summary[:, :-3] - y[:, :-2]) ** 2
+    on = (1 - ended)[:, None] * (summary[:, -3:-2] - y[:, -2:-1]) ** 2
+    last = ended[:, None] * (summary[:, -2:-1] - y[:, -1:]) ** 2
+    odds = optax.sigmoid_binary_cross_entropy(summary[:, -1:], ended[:, None])
     return jnp.concatenate([moves, on, last, odds], 1)
 
 
@@ -166,9 +170,9 @@ def _taught(raw, state, data: _Data, rates, key):
 
         return jax.vmap(one)(raw, rows).sum()
 
-    def step(carry, given):
+    def step(carry, values):
         raw, state = carry
-        rate, key = given
+        rate, key = values
         rows = jax.random.randint(key, (members, BATCH), 0, data.count)
         change, state = _ADAM.update(jax.grad(loss)(raw, rows), state)
         return (jax.tree.map(lambda w, d: w + rate * d, raw, change), state), None
@@ -183,8 +187,8 @@ def _losses(raw, test: _Data) -> Float[Array, " E"]:
     count = jnp.arange(test.x.shape[0]) < test.count
 
     def one(layers):
-        each = _parts(layers, test.x, test.y, test.ended).sum(1)
-        return jnp.sum(jnp.where(count, each, 0.0)) / test.count
+        item = _parts(layers, test.x, test.y, test.ended).sum(1)
+        return jnp.sum(jnp.where(count, item, 0.0)) / test.count
 
     return jax.vmap(one)(raw)
 
@@ -194,26 +198,26 @@ _all_told = jax.jit(jax.vmap(_forward, (0, None)))
 
 def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, np.ndarray]:
     """How far the members' mean is off, and what of it is chance."""
-    told = np.asarray(_all_told(raw, test.x))[:, : test.count]
+    summary = np.asarray(_all_told(raw, test.x))[:, : test.count]
     y, ended = np.asarray(test.y)[: test.count], np.asarray(test.ended)[: test.count]
-    middle = told.mean(0)
+    middle = summary.mean(0)
     moves = ((middle[:, :size] - y[:, :size]) ** 2).mean(0)
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
     # The mean is off by chance and by its members' own errors, of which their spread tells.
-    own = told[:, :, :size].var(0, ddof=1).mean(0) if len(told) > 1 else np.zeros(size)
-    chance = np.sqrt(np.maximum(0.0, moves - own / len(told)))
-    return error, chance * scales.y[1][:size]
+    local = summary[:, :, :size].var(0, ddof=1).mean(0) if len(summary) > 1 else np.zeros(size)
+    probability = np.sqrt(np.maximum(0.0, moves - local / len(summary)))
+    return error, probability * scales.y[1][:size]
 
 
 def _in_units(raw, scales: _Scales):
     """The same networks between numbers in the environment's units."""
-    (first, bias), *rest = [tuple(np.asarray(a, np.float64) for a in each) for each in raw]
+    (first, bias), *rest = [tuple(np.asarray(a, np.float64) for a in item) for item in raw]
     shift, scale = scales.x
     layers = [(first / scale, bias - (first / scale) @ shift), *rest]
     weight, bias = layers[-1]
-    shift, scale = (np.append(each, end) for each, end in zip(scales.y, (0.0, 1.0)))
+    shift, scale = (np.append(entry, end) for entry, end in zip(scales.y, (0.0, 1.0)))
     layers[-1] = (weight * scale[:, None], bias * scale + shift)
     return layers
 

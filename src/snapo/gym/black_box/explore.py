@@ -17,10 +17,10 @@ NOISE = 0.3  # of half the range of an action, added to those of a policy
 
 def random_actions(real: Real, rng: np.random.Generator) -> Act:
     """Random actions, each held for one time that is drawn for the episode; ends are likely."""
-    low, high = (np.ravel(each) for each in (real.actions.low, real.actions.high))
+    low, high = (np.ravel(item) for item in (real.actions.low, real.actions.high))
     drawn = _held(real, rng)
 
-    def act(seen, number):
+    def act(observed, number):
         return low + (high - low) * (np.clip(drawn(number), -1, 1) + 1) / 2
 
     return act
@@ -28,11 +28,11 @@ def random_actions(real: Real, rng: np.random.Generator) -> Act:
 
 def noisy(policy: Callable[[np.ndarray], np.ndarray], real: Real, rng: np.random.Generator) -> Act:
     """The policy's actions with held noise, within bounds."""
-    low, high = (np.ravel(each) for each in (real.actions.low, real.actions.high))
+    low, high = (np.ravel(item) for item in (real.actions.low, real.actions.high))
     drawn, size = _held(real, rng), NOISE * (high - low) / 2
 
-    def act(seen, number):
-        return np.clip(policy(seen) + size * drawn(number), low, high)
+    def act(observed, number):
+        return np.clip(policy(observed) + size * drawn(number), low, high)
 
     return act
 

@@ -24,13 +24,13 @@ PATHS = 32  # first observations that are valued together
 BEYOND = 0.05  # of the range of what was seen: how far the model goes
 
 
-def inputs_of(fit: Fit, known: Known) -> dict[str, PyTree]:
+def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     """The model's numbers: weights, scales, the range that it stays in, and first states."""
-    seen, firsts, units, rng = known.seen, known.firsts, known.units, known.rng
+    observed, firsts, units, rng = available.seen, available.firsts, available.units, available.rng
     half = STARTS // 2
-    begun = firsts[rng.integers(0, len(firsts), half)]
-    met = seen.before[rng.integers(0, seen.count, STARTS - half)]
-    every = np.concatenate([seen.before, seen.after]).astype(np.float64)
+    started = firsts[rng.integers(0, len(firsts), half)]
+    met = observed.before[rng.integers(0, observed.count, STARTS - half)]
+    every = np.concatenate([observed.before, observed.after]).astype(np.float64)
     low, high = every.min(0), every.max(0)
     room = BEYOND * np.maximum(high - low, units.scale)
     # A little beyond the environment's own bounds, so that there the smooth corner is not felt.
@@ -40,9 +40,9 @@ def inputs_of(fit: Fit, known: Known) -> dict[str, PyTree]:
         "spread": fit.spread,
         "shift": units.shift,
         "scale": units.scale,
-        "low": np.maximum(low - room, known.real.low - slack),
-        "high": np.minimum(high + room, known.real.high + slack),
-        "starts": np.concatenate([begun, met]).astype(np.float64),
+        "low": np.maximum(low - room, available.real.low - slack),
+        "high": np.minimum(high + room, available.real.high + slack),
+        "starts": np.concatenate([started, met]).astype(np.float64),
     }
 
 

@@ -52,19 +52,19 @@ class Known:
 
     def settled(self) -> "Known":
         """With the units of all that was seen so far."""
-        seen = self.seen
-        every = np.concatenate([seen.before, seen.after]).astype(np.float64)
+        observed = self.seen
+        every = np.concatenate([observed.before, observed.after]).astype(np.float64)
         return replace(self, units=Units(*scale_of(every)), circles=circles(every))
 
     @property
     def seen(self) -> Transitions:
         """All transitions."""
-        return joined([each.rows for each in self.episodes])
+        return joined([episode.rows for episode in self.episodes])
 
     @property
     def firsts(self) -> Float[np.ndarray, "n k"]:
         """The first observations of all episodes."""
-        return np.stack([each.start for each in self.episodes])
+        return np.stack([episode.start for episode in self.episodes])
 
     def play(self, act: Act, seed: int | None = None) -> Episode:
         """One more episode."""
@@ -84,5 +84,5 @@ def _layer(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_layer(policy: MLP, numbers) -> MLP:
-    first = tuple(jnp.asarray(each, jnp.float32) for each in numbers)
-    return eqx.tree_at(lambda each: layers(each)[0], policy, first)
+    first = tuple(jnp.asarray(number, jnp.float32) for number in numbers)
+    return eqx.tree_at(lambda item: layers(item)[0], policy, first)

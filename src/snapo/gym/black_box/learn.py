@@ -65,11 +65,11 @@ def learn(
     from .rounds import Plan, fewest
 
     real = Real(environment, hold, limit)
-    least = fewest(rounds) * real.limit
-    if rounds < 1 or steps < least:
+    minimum = fewest(rounds) * real.limit
+    if rounds < 1 or steps < minimum:
         raise ValueError(
             f"learn: an episode takes up to {real.limit} steps; got steps={steps} and "
-            f"rounds={rounds}, allowed are at least {least} steps for them, and one round."
+            f"rounds={rounds}, allowed are at least {minimum} steps for them, and one round."
         )
     horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
     plan = Plan(

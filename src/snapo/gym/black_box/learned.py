@@ -37,8 +37,8 @@ class Compared(NamedTuple):
     def of(real: Sequence[float] | np.ndarray, model: np.ndarray) -> "Compared":
         """From the sums of rewards of every episode."""
         both = np.asarray(real, np.float64), np.asarray(model, np.float64)
-        found = [statistics.mean(each) for each in (*both, both[0] - both[1])]
-        (a, da, _), (b, db, _), (c, dc, _) = found
+        averages = [statistics.mean(item) for item in (*both, both[0] - both[1])]
+        (a, da, _), (b, db, _), (c, dc, _) = averages
         return Compared(a, da, b, db, c, dc, both[0])
 
 
@@ -128,22 +128,22 @@ class Learned:
 
     def __str__(self) -> str:
         """Of the rounds the real values are from the starts that all have played."""
-        found = self.found
+        result = self.found
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [
-            f"real environment {_pair(found.real, found.real_error)}, "
-            f"model {_pair(found.model, found.model_error)}, "
-            f"gap {_pair(found.gap, found.gap_error)} over {found.episodes} episodes",
+            f"real environment {_pair(result.real, result.real_error)}, "
+            f"model {_pair(result.model, result.model_error)}, "
+            f"gap {_pair(result.gap, result.gap_error)} over {result.episodes} episodes",
             f"{self.steps:,} real steps, {self.seconds:.0f} s of processor time, "
             f"policy of round {self.chosen} of {len(self.rounds)}",
             "{:>5} {:>7} {:>9} {:>11} {:>18} {:>18}".format(*titles),
         ]
-        shared = min(each.found.episodes for each in self.rounds)
-        for number, each in enumerate(self.rounds, 1):
-            real, error, _ = statistics.mean(each.found.rewards[:shared])
-            gap = _pair(each.found.gap, each.found.gap_error)
+        shared = min(entry.found.episodes for entry in self.rounds)
+        for number, item in enumerate(self.rounds, 1):
+            real, error, _ = statistics.mean(item.found.rewards[:shared])
+            gap = _pair(item.found.gap, item.found.gap_error)
             lines.append(
-                f"{number:>5} {each.steps:>7,} {each.rows:>9,} {np.max(each.error[:-1]):>11.2%} "
+                f"{number:>5} {item.steps:>7,} {item.rows:>9,} {np.max(item.error[:-1]):>11.2%} "
                 f"{_pair(real, error):>18} {gap:>18}"
             )
         return "\n".join(lines)

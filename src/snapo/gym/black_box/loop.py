@@ -24,45 +24,45 @@ def run(
     progress: Callable[[Round], object] | None,
 ) -> Learned:
     """All of it; the arguments are those of `learn`."""
-    clock = time.process_time()
-    known = _explored(real, plan)
-    history, policies, inside = _rounds(known, plan, policy, progress)
-    chosen = _best(history)
-    found = compared(plan, known, inside, policies[chosen], plan.steps)
+    timer = time.process_time()
+    available = _explored(real, plan)
+    history, policies, inside = _rounds(available, plan, policy, progress)
+    selected = _best(history)
+    result = compared(plan, available, inside, policies[selected], plan.steps)
     if environment is not real.inner:
         real.inner.close()
     return Learned(
-        policy=known.units.undone(policies[chosen]), found=found, steps=real.steps,
-        hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=chosen + 1,
-        seconds=time.process_time() - clock, seed=plan.seed, model=inside.model,
+        policy=available.units.undone(policies[selected]), found=result, steps=real.steps,
+        hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=selected + 1,
+        seconds=time.process_time() - timer, seed=plan.seed, model=inside.model,
         inputs=inside.inputs, environment=environment,
     )  # fmt: skip
 
 
 def _explored(real: Real, plan: Plan) -> Known:
     """Episodes of random actions, and the units that they give."""
-    known = Known.of(real, plan.seed)
-    while not known.episodes or known.room(EXPLORE * plan.steps):
-        known.play(random_actions(real, known.rng))
-    return known.settled()
+    available = Known.of(real, plan.seed)
+    while not available.episodes or available.room(EXPLORE * plan.steps):
+        available.play(random_actions(real, available.rng))
+    return available.settled()
 
 
 def _rounds(
-    known: Known, plan: Plan, policy: MLP | None, progress: Callable[[Round], object] | None
+    available: Known, plan: Plan, policy: MLP | None, progress: Callable[[Round], object] | None
 ) -> tuple[list[Round], list[MLP], Inside]:
     """The history, the policy of every round, and the last model."""
-    common = known.rng.integers(2**31, size=plan.steps)  # seeds of starts that all rounds share
-    size, history, policies, inside = len(known.units.shift), [], [], None
-    raw = first_layers(size + known.real.size, size + 3, plan.hidden, plan.members, plan.seed)
+    common = available.rng.integers(2**31, size=plan.steps)  # seeds of starts that all rounds share
+    size, history, policies, inside = len(available.units.shift), [], [], None
+    raw = first_layers(size + available.real.size, size + 3, plan.hidden, plan.members, plan.seed)
     for number in range(plan.rounds):
         since = time.process_time()
-        inside = fitted(plan, known, raw, number)
+        inside = fitted(plan, available, raw, number)
         raw = inside.fit.raw
-        before = policies[-1] if policies else begun(inside, policy, known.units, plan.seed)
+        before = policies[-1] if policies else begun(inside, policy, available.units, plan.seed)
         policies.append(improved(plan, inside, before, number))
-        found = compared(plan, known, inside, policies[-1], until(plan, number), common)
+        result = compared(plan, available, inside, policies[-1], until(plan, number), common)
         spent = time.process_time() - since
-        history.append(Round(known.real.steps, inside.rows, inside.fit.error, found, spent))
+        history.append(Round(available.real.steps, inside.rows, inside.fit.error, result, spent))
         if progress is not None:
             progress(history[-1])
     assert inside is not None
@@ -71,5 +71,5 @@ def _rounds(
 
 def _best(history: list[Round]) -> int:
     """The round whose policy earned most on those starts that all rounds have played."""
-    shared = min(each.found.episodes for each in history)
-    return int(np.argmax([np.mean(each.found.rewards[:shared]) for each in history]))
+    shared = min(item.found.episodes for item in history)
+    return int(np.argmax([np.mean(entry.found.rewards[:shared]) for entry in history]))

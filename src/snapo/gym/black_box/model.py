@@ -53,28 +53,28 @@ class Model(Simulator):
     def initial(self, constants, noise):
         starts = constants["starts"]
         member = _drawn(noise[0], self.members)
-        place = jnp.take(starts, _drawn(noise[1], starts.shape[0]), axis=0, mode="clip")
-        chosen = (jnp.arange(self.members) == member).astype(starts.dtype)
-        return {"seen": place, "member": chosen, "alive": jnp.ones((), starts.dtype)}
+        position = jnp.take(starts, _drawn(noise[1], starts.shape[0]), axis=0, mode="clip")
+        selected = (jnp.arange(self.members) == member).astype(starts.dtype)
+        return {"seen": position, "member": selected, "alive": jnp.ones((), starts.dtype)}
 
     def observe(self, constants, now, state):
         return (state["seen"] - constants["shift"]) / constants["scale"]
 
     def step(self, constants, now, state, action, noise, smooth):
-        seen = state["seen"]
-        told = _told(constants["layers"], state["member"], jnp.concatenate([seen, action]))
-        moved = seen + told[: self.size] + constants["spread"] * noise
+        observed = state["seen"]
+        summary = _told(constants["layers"], state["member"], jnp.concatenate([observed, action]))
+        moved = observed + summary[: self.size] + constants["spread"] * noise
         low, high = constants["low"], constants["high"]
         after = self._on_circles(smooth.clip(moved, low, high, scale=high - low))
-        reward, going = told[self.size], jnp.ones_like(state["alive"])
+        reward, going = summary[self.size], jnp.ones_like(state["alive"])
         if self.reward is not None:
-            reward = self.reward(seen, action, after)
+            reward = self.reward(observed, action, after)
         if self.over is not None:
             going = 1 - smooth.indicator(self.over(after))
         elif self.ends:
-            going = jax.nn.sigmoid(-told[self.size + 2] / _width(smooth))
+            going = jax.nn.sigmoid(-summary[self.size + 2] / _width(smooth))
         if self.reward is None and self.may_end:
-            reward = going * reward + (1 - going) * told[self.size + 1]
+            reward = going * reward + (1 - going) * summary[self.size + 1]
         alive = state["alive"]
         after = {"seen": after, "member": state["member"], "alive": alive * going}
         return after, {"reward": alive * reward}
@@ -83,13 +83,13 @@ class Model(Simulator):
         one = jnp.ones_like(constants["scale"][0])
         return {"seen": constants["scale"], "member": jnp.ones(self.members), "alive": one}
 
-    def _on_circles(self, seen: Float[Array, " k"]) -> Float[Array, " k"]:
+    def _on_circles(self, observed: Float[Array, " k"]) -> Float[Array, " k"]:
         """With every pair of cosine and sine back on its circle."""
-        numbers = [seen[i] for i in range(self.size)]
+        numbers = [observed[i] for i in range(self.size)]
         for i, j in self.circles:
             radius = jnp.sqrt(numbers[i] ** 2 + numbers[j] ** 2 + 1e-12)
             numbers[i], numbers[j] = numbers[i] / radius, numbers[j] / radius
-        return jnp.stack(numbers) if self.circles else seen
+        return jnp.stack(numbers) if self.circles else observed
 
 
 def _drawn(normal: Array, count: int) -> Array:

@@ -31,10 +31,12 @@ class Real:
 
     def __init__(self, environment: Any, hold: int | None, limit: int | None):
         self.inner = inner = opened(environment)
-        seen, self.actions = _box(inner, "observation"), _box(inner, "action")
+        observed, self.actions = _box(inner, "observation"), _box(inner, "action")
         if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
             raise ValueError("learn: the actions need a finite low and high, to be explored.")
-        self.low, self.high = (np.ravel(each).astype(np.float64) for each in (seen.low, seen.high))
+        self.low, self.high = (
+            np.ravel(item).astype(np.float64) for item in (observed.low, observed.high)
+        )
         self.limit = _limit(inner, limit)
         self.hold = hold if hold is not None else max(1, -(-self.limit // MOST_DECISIONS))
         self.decisions = -(-self.limit // self.hold)
@@ -48,18 +50,18 @@ class Real:
 
     def episode(self, act: Act, seed: int) -> Episode:
         """Plays one episode to its end."""
-        seen, _ = self.environment.reset(seed=int(seed))
-        start = seen = _flat(seen)
+        observed, _ = self.environment.reset(seed=int(seed))
+        start = observed = _flat(observed)
         rows, done = [], False
         while not done:
-            action = np.asarray(act(seen, len(rows)), np.float32).reshape(-1)
+            action = np.asarray(act(observed, len(rows)), np.float32).reshape(-1)
             shaped = action.reshape(self.actions.shape)
-            found, reward, ended, late, _ = self.environment.step(shaped)
-            before, seen, done = seen, _flat(found), ended or late
-            rows.append((before, action, reward, seen, ended))
+            result, reward, ended, late, _ = self.environment.step(shaped)
+            before, observed, done = observed, _flat(result), ended or late
+            rows.append((before, action, reward, observed, ended))
         self.steps += self.environment.taken
         kinds = (np.float32, np.float32, np.float64, np.float32, bool)
-        columns = [np.asarray(each, kind) for each, kind in zip(zip(*rows), kinds)]
+        columns = [np.asarray(row, kind) for row, kind in zip(zip(*rows), kinds)]
         total = float(columns[2].sum())
         return Episode(Transitions(*columns), total, self.environment.taken, start)
 
@@ -80,14 +82,14 @@ class Held(gymnasium.Wrapper):
 
     def step(self, action):
         total, ended, late = 0.0, False, False
-        seen, info = None, {}
+        observed, info = None, {}
         for _ in range(self.hold):
-            seen, reward, ended, late, info = super().step(action)
+            observed, reward, ended, late, info = super().step(action)
             self.taken += 1
             total, late = total + float(reward), bool(late) or self.taken >= self.limit
             if ended or late:
                 break
-        return seen, total, bool(ended), late, info
+        return observed, total, bool(ended), late, info
 
 
 def opened(environment: Any):
@@ -113,9 +115,9 @@ def _box(environment: Any, name: str):
     return space
 
 
-def _limit(environment: Any, given: int | None) -> int:
+def _limit(environment: Any, values: int | None) -> int:
     spec = getattr(environment, "spec", None)
-    limit = given or getattr(spec, "max_episode_steps", None) or _of_wrapper(environment)
+    limit = values or getattr(spec, "max_episode_steps", None) or _of_wrapper(environment)
     if not limit:
         raise ValueError(
             "learn: nothing limits the length of an episode; give limit=200, say, in steps."
@@ -132,5 +134,5 @@ def _of_wrapper(environment: Any) -> int | None:
     return None
 
 
-def _flat(seen: Any) -> np.ndarray:
-    return np.asarray(seen, np.float32).reshape(-1)
+def _flat(observed: Any) -> np.ndarray:
+    return np.asarray(observed, np.float32).reshape(-1)

@@ -65,24 +65,24 @@ def until(plan: Plan, number: int) -> float:
     return share * plan.steps
 
 
-def fitted(plan: Plan, known: Known, raw: Any, number: int) -> Inside:
+def fitted(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
     """The model of all that was seen; `raw` are the weights that the fit goes on from."""
-    seen, real = known.seen, known.real
+    observed, real = available.seen, available.real
     capacity = -(-plan.steps // real.hold) + real.limit
-    found = fit(seen, raw, capacity, LATER if number else FIRST, plan.seed)
+    result = fit(observed, raw, capacity, LATER if number else FIRST, plan.seed)
     box = Box(np.ravel(real.actions.low), np.ravel(real.actions.high), real.size)
-    size, ends = seen.before.shape[1], bool(seen.ended.any())
+    size, endpoints = observed.before.shape[1], bool(observed.ended.any())
     model = Model(
         horizon=plan.horizon,
         action=box,
         noise_size=size,
         members=plan.members,
-        ends=ends,
-        circles=known.circles,
+        ends=endpoints,
+        circles=available.circles,
         reward=plan.reward,
         over=plan.over,
     )
-    return Inside(model, inputs_of(found, known), found, seen.count)
+    return Inside(model, inputs_of(result, available), result, observed.count)
 
 
 def begun(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
@@ -105,21 +105,21 @@ def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
 
 
 def compared(
-    plan: Plan, known: Known, inside: Inside, policy: MLP, most: float, common: Any = None
+    plan: Plan, available: Known, inside: Inside, policy: MLP, maximum: float, common: Any = None
 ) -> Compared:
     """Episodes in the real environment up to `most` steps in all, one at least, and the same in
     the model.
 
     With the seeds `common` every second episode is another, with noise, for the next fit alone.
     """
-    agent = Agent(known.units.undone(policy))
+    agent = Agent(available.units.undone(policy))
     played: list[Episode] = []
-    while not played or known.room(most):
+    while not played or available.room(maximum):
         seed = None if common is None else int(common[len(played)])
-        played.append(known.play(lambda seen, number: agent(seen), seed))
-        if common is not None and known.room(most):
-            known.play(noisy(agent, known.real, known.rng))
-    firsts = np.stack([each.start for each in played])
-    whole = replace(inside.model, horizon=known.real.decisions)
-    model = value(whole, inside.inputs, policy, firsts, plan.engine, plan.seed)
-    return Compared.of([each.total for each in played], model)
+        played.append(available.play(lambda observed, number: agent(observed), seed))
+        if common is not None and available.room(maximum):
+            available.play(noisy(agent, available.real, available.rng))
+    firsts = np.stack([item.start for item in played])
+    complete = replace(inside.model, horizon=available.real.decisions)
+    model = value(complete, inside.inputs, policy, firsts, plan.engine, plan.seed)
+    return Compared.of([entry.total for entry in played], model)

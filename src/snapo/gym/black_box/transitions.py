@@ -29,27 +29,27 @@ class Transitions(NamedTuple):
 
 def joined(parts: list[Transitions]) -> Transitions:
     """All of them, in their order."""
-    return Transitions(*(np.concatenate(each) for each in zip(*parts)))
+    return Transitions(*(np.concatenate(part) for part in zip(*parts)))
 
 
-def circles(seen: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
+def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
     """Pairs of observed numbers that lie on the unit circle in all rows: cosine and sine.
 
     A model that leaves the circle by a little every step asks its networks about states that no
     environment has; so such pairs are put back on it.
     """
-    found: list[tuple[int, int]] = []
-    free = list(range(seen.shape[1]))
+    pairs: list[tuple[int, int]] = []
+    free = list(range(observed.shape[1]))
     while free:
         i = free.pop(0)
         for j in free:
-            on = np.abs(seen[:, i] ** 2 + seen[:, j] ** 2 - 1) < ON_CIRCLE
-            moves = min(np.ptp(seen[:, i]), np.ptp(seen[:, j])) > ON_CIRCLE
+            on = np.abs(observed[:, i] ** 2 + observed[:, j] ** 2 - 1) < ON_CIRCLE
+            moves = min(np.ptp(observed[:, i]), np.ptp(observed[:, j])) > ON_CIRCLE
             if on.all() and moves:
-                found.append((i, j))
+                pairs.append((i, j))
                 free.remove(j)
                 break
-    return tuple(found)
+    return tuple(pairs)
 
 
 def scale_of(

@@ -19,14 +19,16 @@ from .regions import Region, regions
 INTERLEAVED = 4  # vector registers of neighbouring elements that a loop works on at once
 
 
-def write(values: Values, ops: list[Op], wanted: list[Value], loose: Container[Value] = ()) -> None:
+def write(
+    values: Values, ops: list[Op], requested: list[Value], loose: Container[Value] = ()
+) -> None:
     """Writes all operations, then brings values to their homes.
 
     The bits of `loose` values may depend on those around them (see `Code`).
     """
     values.loose = loose
     values.settle_all()
-    for region in regions(ops, set(wanted) | set(values.homes)):
+    for region in regions(ops, set(requested) | set(values.homes)):
         try:
             if region.shape is None:
                 single(values, region.ops[0])
@@ -81,8 +83,8 @@ def loop(values: Values, region: Region, shape: tuple[int, ...]) -> None:
     targets = {v: values.target(v) for v in region.stored}
     front = [0] * (len(shape) - 1)
 
-    def round(position: list[int | str], width: int, *given: Ref) -> None:
-        refs = dict(zip(sums, given))
+    def round(position: list[int | str], width: int, *ref: Ref) -> None:
+        refs = dict(zip(sums, ref))
         refs |= {v: fetch(code, s, position, width) for v, s in sources.items()}
         for op in region.ops:
             code.contract = op.outputs[0] in values.loose
@@ -101,8 +103,8 @@ def loop(values: Values, region: Region, shape: tuple[int, ...]) -> None:
         count = math.prod(shape)
         wide = interleaved(code, region) if _in_order(sources, targets, shape) else 1
         if wide > 1 and count >= wide:
-            with code.loop(count // wide) as each:
-                round([*front, code.index(f"mul nsw i64 {each.i}, {wide}")], wide)
+            with code.loop(count // wide) as item:
+                round([*front, code.index(f"mul nsw i64 {item.i}, {wide}")], wide)
             for i in range(count - count % wide, count):
                 round([*front, i], 1)
         else:
@@ -124,8 +126,8 @@ def interleaved(code: Code, region: Region) -> int:
 
 def _in_order(sources, targets, shape) -> bool:
     """Whether all arrays of a loop lie in memory one element after the other."""
-    places = [p for p in [*sources.values(), *targets.values()] if isinstance(p, Place)]
-    return all(p.contiguous and p.shape == shape for p in places)
+    positions = [p for p in [*sources.values(), *targets.values()] if isinstance(p, Place)]
+    return all(p.contiguous and p.shape == shape for p in positions)
 
 
 def _repeats(items: np.ndarray) -> bool:

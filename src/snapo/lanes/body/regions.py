@@ -31,7 +31,7 @@ def loops(op: Op) -> tuple[int, ...] | None:
     return shape
 
 
-def regions(ops: list[Op], wanted: set[Value]) -> list[Region]:
+def regions(ops: list[Op], values: set[Value]) -> list[Region]:
     """Orders the operations; loops are put off until nothing else can go on.
 
     `wanted` are values that must exist after the last region.
@@ -70,8 +70,8 @@ def regions(ops: list[Op], wanted: set[Value]) -> list[Region]:
             finish(op)
             group.append(op)
         result.append(Region(group, shape))
-    sink(result, readers, wanted)
-    join(result, readers, wanted)
+    sink(result, readers, values)
+    join(result, readers, values)
     for region in result:
         inside = set(region.ops)
         if region.shape is not None:
@@ -79,12 +79,12 @@ def regions(ops: list[Op], wanted: set[Value]) -> list[Region]:
                 v
                 for op in region.ops
                 for v in op.outputs
-                if v in wanted or any(r not in inside for r in readers.get(v, []))
+                if v in values or any(r not in inside for r in readers.get(v, []))
             ]
     return [region for region in result if region.ops]
 
 
-def sink(order: list[Region], readers, wanted: set[Value]) -> None:
+def sink(order: list[Region], readers, values: set[Value]) -> None:
     """Moves an operation that only a later loop reads into that loop, past memory."""
     home = {op: region for region in order for op in region.ops}
     for region in reversed(order):
@@ -92,7 +92,7 @@ def sink(order: list[Region], readers, wanted: set[Value]) -> None:
             continue
         for op in reversed(region.ops):
             users = {home[r] for v in op.outputs for r in readers.get(v, [])}
-            if len(users) != 1 or costly(op) or any(v in wanted for v in op.outputs):
+            if len(users) != 1 or costly(op) or any(v in values for v in op.outputs):
                 continue
             (user,) = users
             if user is not region and user.shape == region.shape:
@@ -101,7 +101,7 @@ def sink(order: list[Region], readers, wanted: set[Value]) -> None:
                 home[op] = user
 
 
-def join(order: list[Region], readers, wanted: set[Value]) -> None:
+def join(order: list[Region], readers, values: set[Value]) -> None:
     """Gives a short loop the dot product that it alone reads, element by element."""
     home = {op: region for region in order for op in region.ops}
     for region in order:
@@ -110,7 +110,7 @@ def join(order: list[Region], readers, wanted: set[Value]) -> None:
             continue
         (out,) = op.outputs
         users = {home[r] for r in readers.get(out, [])}
-        if len(users) != 1 or out in wanted:
+        if len(users) != 1 or out in values:
             continue
         (user,) = users
         short = len(user.ops) <= SHORT and not any(map(costly, user.ops))

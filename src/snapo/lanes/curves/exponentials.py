@@ -47,8 +47,8 @@ def exp(a: Arithmetic, x: Ref) -> Ref:
     near_one = a.bits(code.op("fadd", risen, a.real(1.0)))
     octaves = code.op("shl", a.bits(shifted), a.whole(f.mantissa))
     result = a.value(code.add(near_one, octaves))
-    beyond = code.op("fadd", x, a.real(math.inf))  # NaN for NaN
-    result = code.select(code.compare("ugt", x, a.real(f.largest)), beyond, result)
+    outside = code.op("fadd", x, a.real(math.inf))  # NaN for NaN
+    result = code.select(code.compare("ugt", x, a.real(f.largest)), outside, result)
     return code.select(code.compare("olt", x, a.real(f.smallest)), a.real(0.0), result)
 
 
@@ -65,9 +65,9 @@ def expm1(a: Arithmetic, x: Ref) -> Ref:
     shifted, r = a.octaves(a.clamp(x, -f.mantissa - 10.0, math.ceil(f.largest)))
     p = growth(a, r)
     scale = a.power_of_two(shifted, 1)
-    whole = code.fma(scale, p, code.op("fsub", scale, a.real(0.5)))
-    whole = code.op("fadd", whole, whole)
-    result = code.select(code.compare("oeq", shifted, a.real(f.magic)), p, whole)
+    complete = code.fma(scale, p, code.op("fsub", scale, a.real(0.5)))
+    complete = code.op("fadd", complete, complete)
+    result = code.select(code.compare("oeq", shifted, a.real(f.magic)), p, complete)
     return code.call("llvm.copysign", result, x)
 
 

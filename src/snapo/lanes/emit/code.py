@@ -213,11 +213,11 @@ class Code:
     def load(self, pointer: str, dtype, lanes: int, invariant: bool = False) -> Ref:
         """Booleans lie in memory as bytes."""
         dtype = name_of(dtype)
-        kept = stored(dtype)
-        ref = Ref("", kept, lanes)
-        align = min(64, np.dtype(kept).itemsize * lanes)
+        selected = stored(dtype)
+        ref = Ref("", selected, lanes)
+        align = min(64, np.dtype(selected).itemsize * lanes)
         tail = ", !invariant.load !0" if invariant else ""
-        ref = Ref(self.raw(f"load {ref.type}, ptr {pointer}, align {align}{tail}"), kept, lanes)
+        ref = Ref(self.raw(f"load {ref.type}, ptr {pointer}, align {align}{tail}"), selected, lanes)
         return self.convert("trunc", ref, "bool") if dtype == "bool" else ref
 
     def store(self, x: Ref, pointer: str, lanes: int) -> None:

@@ -37,10 +37,10 @@ class nest:
     """Loops over all positions of `shape`; one loop where every array is stored in order."""
 
     def __init__(self, code: Code, shape: tuple[int, ...], operands):
-        places = [p for p in operands if isinstance(p, Place)]
+        positions = [p for p in operands if isinstance(p, Place)]
         self.code, self.shape = code, shape
-        self.flat = all(p.contiguous and p.shape == shape for p in places) and len(shape) > 1
-        self.flat = self.flat and all(math.prod(shape) > 1 for _ in places)
+        self.flat = all(p.contiguous and p.shape == shape for p in positions) and len(shape) > 1
+        self.flat = self.flat and all(math.prod(shape) > 1 for _ in positions)
         self.open = []
 
     def __enter__(self) -> list[int | str]:

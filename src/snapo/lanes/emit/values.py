@@ -21,11 +21,11 @@ class Workspace:
         self.size = 0
 
     def allocate(self, shape, dtype, lanes: int) -> Place:
-        place = Place(
+        position = Place(
             self.base, self.size, tuple(shape), row_major(tuple(shape)), np.dtype(dtype), lanes
         )
-        self.size += -(-math.prod(shape) * place.unit // 64) * 64
-        return place
+        self.size += -(-math.prod(shape) * position.unit // 64) * 64
+        return position
 
 
 class Values:
@@ -42,9 +42,9 @@ class Values:
         self.loose: Container[Value] = ()
         self._where: dict[Value, Small | Place] = {}
 
-    def bind(self, value: Value, known: Small | Place) -> None:
+    def bind(self, value: Value, available: Small | Place) -> None:
         """From here on the value lies there."""
-        self._where[value] = known
+        self._where[value] = available
 
     def held(self, value: Value) -> Small | Place | None:
         """Where a value lies; None where it does not exist yet."""
@@ -70,11 +70,11 @@ class Values:
     # Reading.
 
     def get(self, value: Value) -> Small | Place:
-        known = self._where.get(value)
-        if known is None:
+        available = self._where.get(value)
+        if available is None:
             assert value.constant is not None, "a value is read before it exists"
-            known = self._where[value] = self.known(value)
-        return known
+            available = self._where[value] = self.known(value)
+        return available
 
     def known(self, value: Value) -> Small | Place:
         """A constant: registers where it is small or all the same, else a table in the kernel."""
@@ -93,22 +93,24 @@ class Values:
 
     def small(self, value: Value) -> Any:
         """The elements as registers, loaded if they lie in memory."""
-        known = self.get(value)
-        if isinstance(known, Place):
-            refs = [known.read(self.code, list(map(int, p))) for p in np.ndindex(*known.shape)]
-            known = Small(objects(refs, known.shape))
+        available = self.get(value)
+        if isinstance(available, Place):
+            refs = [
+                available.read(self.code, list(map(int, p))) for p in np.ndindex(*available.shape)
+            ]
+            available = Small(objects(refs, available.shape))
             if value.size <= 4 * BIG:
-                self._where[value] = known
-        return known.items
+                self._where[value] = available
+        return available.items
 
     def place(self, value: Value) -> Place:
         """The array in memory, stored there if it lies in registers."""
-        known = self.get(value)
-        if isinstance(known, Place):
-            return known
+        available = self.get(value)
+        if isinstance(available, Place):
+            return available
         home = self.homes.get(value)
         if home is None:
-            home = self.workspace.allocate(known.shape, value.dtype, self.width(known))
+            home = self.workspace.allocate(available.shape, value.dtype, self.width(available))
             self.copy(value, home)
         return home
 
@@ -121,9 +123,9 @@ class Values:
 
     def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | Place:
         """The source for a loop over `shape`: one register for all elements, or memory."""
-        known = self.get(value)
-        if isinstance(known, Small) and known.uniform is not None:
-            return known.uniform
+        available = self.get(value)
+        if isinstance(available, Small) and available.uniform is not None:
+            return available.uniform
         return self.place(value).broadcast(shape)
 
     # Writing.
@@ -141,13 +143,15 @@ class Values:
 
     def copy(self, value: Value, target: Place) -> None:
         """Writes a value to a place; it stays where it was."""
-        known = self.get(value)
-        if (isinstance(known, Small) and known.uniform is None) or math.prod(known.shape) <= BIG:
+        available = self.get(value)
+        if (isinstance(available, Small) and available.uniform is None) or math.prod(
+            available.shape
+        ) <= BIG:
             for p in np.ndindex(*target.shape):
                 ref = (
-                    known.items[p]
-                    if isinstance(known, Small)
-                    else known.read(self.code, list(map(int, p)))
+                    available.items[p]
+                    if isinstance(available, Small)
+                    else available.read(self.code, list(map(int, p)))
                 )
                 target.write(self.code, list(map(int, p)), ref)
             return

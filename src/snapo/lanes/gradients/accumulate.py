@@ -23,15 +23,17 @@ def accumulate(values: Values, rows: Rows, sums: Shared, tape_row: str, chunk_ro
         for t in g.terms:
             rows.product(values.code, t, target, tape_row, chunk_row, "1")
         for value in g.rest:
-            known = values.held(value)
-            if value.size <= BIG and isinstance(known, Small):
-                singles += [(target.at(p), known.items[p]) for p in np.ndindex(*value.shape)]
+            available = values.held(value)
+            if value.size <= BIG and isinstance(available, Small):
+                singles += [(target.at(p), available.items[p]) for p in np.ndindex(*value.shape)]
             else:
                 add(values, value, target)
-    add_together(values.code, [(place, x) for place, x in singles if x.lanes == values.code.lanes])
-    for place, x in singles:
+    add_together(
+        values.code, [(location, x) for location, x in singles if x.lanes == values.code.lanes]
+    )
+    for position, x in singles:
         if x.lanes != values.code.lanes:
-            add_number(values.code, place, [], x)
+            add_number(values.code, position, [], x)
 
 
 def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
@@ -49,17 +51,22 @@ def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
                 parts = [code.op("fadd", *parts[k : k + 2]) for k in range(0, len(parts), 2)]
             vectors += parts
         (sums,) = across(code, vectors, width)
-        for first, count in _neighbours([place for place, _ in group]):
-            place = group[first][0]
-            add_row(code, code.pointer(place.base, place.offset), sums, range(first, first + count))
+        for first, count in _neighbours([location for location, _ in group]):
+            position = group[first][0]
+            add_row(
+                code,
+                code.pointer(position.base, position.offset),
+                sums,
+                range(first, first + count),
+            )
 
 
-def _neighbours(places: list[Place]) -> list[tuple[int, int]]:
+def _neighbours(positions: list[Place]) -> list[tuple[int, int]]:
     """(first, how many) of numbers that lie side by side in memory."""
     runs = [[0, 1]]
-    for i in range(1, len(places)):
-        before, place = places[i - 1], places[i]
-        if place.base == before.base and place.offset == before.offset + place.unit:
+    for i in range(1, len(positions)):
+        before, position = positions[i - 1], positions[i]
+        if position.base == before.base and position.offset == before.offset + position.unit:
             runs[-1][1] += 1
         else:
             runs.append([i, 1])

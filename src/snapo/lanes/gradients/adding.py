@@ -17,10 +17,10 @@ def add(values: Values, value: Value, target: Place) -> None:
     """Adds a value, summed over lanes, to float64 memory of the same shape."""
     if value.constant is not None and not np.any(value.constant):
         return
-    code, known = values.code, values.get(value)
-    if isinstance(known, Small) and (value.size <= BIG or known.uniform is None):
+    code, available = values.code, values.get(value)
+    if isinstance(available, Small) and (value.size <= BIG or available.uniform is None):
         for p in np.ndindex(*value.shape):
-            add_number(code, target, list(p), known.items[p])
+            add_number(code, target, list(p), available.items[p])
         return
     source = values.operand(value, value.shape)
     with nest(code, value.shape, [source, target]) as position:
@@ -45,26 +45,26 @@ def total(code: Code, x: Ref) -> Ref:
     return Ref(code.raw(f"insertelement <1 x double> poison, double {scalar}, i64 0"), "float64", 1)
 
 
-def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -> None:
+def add_rows(code: Code, position: Place, stride: str, count: str, target: Place) -> None:
     """Adds every element's sum over lanes and steps, some elements side by side."""
-    size = math.prod(place.shape)
-    flat = Place(place.base, place.offset, (size,), (1,), place.dtype, place.lanes)
+    size = math.prod(position.shape)
+    flat = Place(position.base, position.offset, (size,), (1,), position.dtype, position.lanes)
     into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
 
     def some(first: str, number: int) -> None:
         start = flat.address(code, [first])
-        zeros = tuple(code.constant(0.0, place.dtype, place.lanes) for _ in range(number))
+        zeros = tuple(code.constant(0.0, position.dtype, position.lanes) for _ in range(number))
         with code.loop(count, zeros) as loop:
             row = code.pointer(start, code.index(f"mul nsw i64 {loop.i}, {stride}"))
             loop.results = [
                 code.op(
                     "fadd",
                     total,
-                    code.load(code.pointer(row, k * flat.unit), place.dtype, place.lanes),
+                    code.load(code.pointer(row, k * flat.unit), position.dtype, position.lanes),
                 )
                 for k, total in enumerate(loop.carried)
             ]
-        for k, found in enumerate(loop.results):
-            add_number(code, into, [code.index(f"add nsw i64 {first}, {k}")], found)
+        for k, result in enumerate(loop.results):
+            add_number(code, into, [code.index(f"add nsw i64 {first}, {k}")], result)
 
     ranges(code, size, 4, some)

@@ -64,8 +64,8 @@ def _product_tile(code: Code, columns: int, first, shape, width: int, dtype: str
             y = [code.load(code.pointer(q, c * unit + at), dtype, width) for c in range(breadth)]
             pairs = [(x[r], y[c]) for r in range(height) for c in range(breadth)]
             products = [code.fma(*pair, total) for pair, total in zip(pairs, sums)]
-            own = [code.op("fadd", one, total) for one, total in zip(x, sums[len(pairs) :])]
-            sums = products + own
+            local = [code.op("fadd", one, total) for one, total in zip(x, sums[len(pairs) :])]
+            sums = products + local
         loop.results = sums
     totals = across(code, loop.results, width)
     row = code.index(f"mul nsw i64 {i}, {8 * columns}")

@@ -64,9 +64,9 @@ class Rows:
             along = riding.pop() if riding else None
             self.product(code, t, target, tape_row, chunk_row, count, along)
         for value, targets in alone.items():
-            place, stride = self.place(value, tape_row, chunk_row)
+            position, stride = self.place(value, tape_row, chunk_row)
             for target in targets:
-                add_rows(code, place, stride, count, target)
+                add_rows(code, position, stride, count, target)
 
     def product(
         self,
@@ -85,8 +85,8 @@ class Rows:
         name = product_function(code.module, sizes, t.rows.dtype.name, along is not None)
         p, q = code.pointer(a.base, a.offset), code.pointer(b.base, b.offset)
         r = code.pointer(target.base, target.offset)
-        own = "null" if along is None else code.pointer(along.base, along.offset)
+        local = "null" if along is None else code.pointer(along.base, along.offset)
         code.do(
             f"call void @{name}(ptr {p}, i64 {stride_a}, ptr {q}, i64 {stride_b}, "
-            f"i64 {count}, ptr {r}, ptr {own})"
+            f"i64 {count}, ptr {r}, ptr {local})"
         )

@@ -33,8 +33,8 @@ def _apart(text: str) -> bytes | None:
     if not sys.executable:
         return None
     root = str(Path(__file__).parents[3])
-    places = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(places)}
+    positions = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(positions)}
     command = [sys.executable, "-c", _CHILD]
     try:
         done = subprocess.run(command, input=text.encode(), capture_output=True, env=environment)

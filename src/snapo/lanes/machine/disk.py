@@ -50,15 +50,15 @@ def cache_home() -> Path:
 
 def evict(folder: Path) -> None:
     """Removes code that nobody has used for long, and the oldest of what is too much."""
-    found = []
+    rows = []
     with suppress(OSError):
-        for each in os.scandir(folder):
+        for item in os.scandir(folder):
             with suppress(OSError):
-                if each.is_file(follow_symlinks=False):
-                    state = each.stat(follow_symlinks=False)
-                    found.append((state.st_mtime, state.st_size, each.path))
+                if item.is_file(follow_symlinks=False):
+                    state = item.stat(follow_symlinks=False)
+                    rows.append((state.st_mtime, state.st_size, item.path))
     size, now = 0, time.time()
-    for used, bytes_, path in sorted(found, reverse=True):
+    for used, bytes_, path in sorted(rows, reverse=True):
         size += bytes_
         if size > MOST_BYTES or now - used > MOST_SECONDS:
             with suppress(OSError):

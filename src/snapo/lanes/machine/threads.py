@@ -42,7 +42,7 @@ def spread(
     groups: int,
     threads: int,
     stop: np.ndarray,
-    own: Callable[[], AbstractContextManager[Own]],
+    local: Callable[[], AbstractContextManager[Own]],
 ) -> None:
     """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
 
@@ -55,7 +55,7 @@ def spread(
     failures: list[BaseException] = []
 
     def work() -> None:
-        with own() as mine:
+        with local() as mine:
             while not stop[0]:
                 with lock:
                     group = next(waiting, None)

@@ -136,24 +136,24 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
                 active.add(v)
     consts = dict(zip(jaxpr.constvars, closed.consts))
 
-    def piece(own: int, outputs) -> Piece:
+    def piece(local: int, outputs) -> Piece:
         """The equations of one level that these outputs need, and their reads from below."""
         eqns, boundary = _closure(
-            jaxpr, outputs, own, level, maker, set(jaxpr.invars) | set(consts)
+            jaxpr, outputs, local, level, maker, set(jaxpr.invars) | set(consts)
         )
-        below = [v for v in boundary if v not in consts and (level[v] < PATH or own < PATH)]
+        below = [v for v in boundary if v not in consts and (level[v] < PATH or local < PATH)]
         for v in below:
             if v not in leaf:
                 leaf[v] = Leaf(v.aval.shape, np.dtype(v.aval.dtype), v in active)
-        rest = [v for v in jaxpr.invars if level[v] == PATH] if own == PATH else []
+        rest = [v for v in jaxpr.invars if level[v] == PATH] if local == PATH else []
         constants = {v: consts[v] for v in boundary if v in consts}
         return Piece([leaf[v] for v in below], [*below, *rest], eqns, list(outputs), constants)
 
     path = piece(PATH, jaxpr.outvars)
-    given = set(jaxpr.invars)
-    steps = [v for v in path.inputs if level[v] == STEP and v not in given]
+    values = set(jaxpr.invars)
+    steps = [v for v in path.inputs if level[v] == STEP and v not in values]
     step = piece(STEP, steps)
-    calls = [v for v in [*path.inputs, *step.inputs] if level[v] == CALL and v not in given]
+    calls = [v for v in [*path.inputs, *step.inputs] if level[v] == CALL and v not in values]
     call = piece(CALL, list(dict.fromkeys(calls)))
     return Cut(call, step, path, [leaf[v] for v in call.outputs], [leaf[v] for v in step.outputs])
 
@@ -168,26 +168,26 @@ def differentiated(closed, count: int) -> set[int]:
     return {i for i, v in enumerate(jaxpr.invars[:count]) if v in used}
 
 
-def _closure(jaxpr, outputs, own, level, maker, given):
+def _closure(jaxpr, outputs, local, level, maker, values):
     """Equations needed for `outputs` at a level, with cheap rearrangements of lower levels."""
-    wanted, boundary = set(), {}
+    requested, boundary = set(), {}
     stack = [v for v in outputs if not is_literal(v)]
-    seen = set()
+    observed = set()
     while stack:
         v = stack.pop()
-        if v in seen:
+        if v in observed:
             continue
-        seen.add(v)
+        observed.add(v)
         eqn = maker.get(v)
         stays = eqn is not None and (
-            level[v] in (own, CONSTANT) or (eqn.primitive.name in LAYOUT and v.aval.size >= 1)
+            level[v] in (local, CONSTANT) or (eqn.primitive.name in LAYOUT and v.aval.size >= 1)
         )
-        if v in given or not stays:
+        if v in values or not stays:
             boundary[v] = None
             continue
-        wanted.add(id(eqn))
+        requested.add(id(eqn))
         stack.extend(a for a in eqn.invars if not is_literal(a))  # pyright: ignore
-    eqns = [e for e in jaxpr.eqns if id(e) in wanted]
+    eqns = [e for e in jaxpr.eqns if id(e) in requested]
     order = {v: i for i, v in enumerate([*jaxpr.constvars, *jaxpr.invars])}
     order |= {v: len(order) + i for i, e in enumerate(jaxpr.eqns) for v in e.outvars}
     return eqns, sorted(boundary, key=lambda v: order[v])

@@ -117,8 +117,8 @@ class Flattener:
         index, *rest = inputs
         branches = eqn.params["branches"]
         if index.constant is not None:
-            chosen = int(np.clip(int(index.constant), 0, len(branches) - 1))
-            return self.inline(branches[chosen], rest)
+            selected = int(np.clip(int(index.constant), 0, len(branches) - 1))
+            return self.inline(branches[selected], rest)
         outcomes = [self.inline(b, rest) for b in branches]
         if index.dtype != np.bool_:
             low, high = constant(index.dtype.type(0)), constant(index.dtype.type(len(branches) - 1))

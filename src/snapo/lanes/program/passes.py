@@ -40,36 +40,36 @@ def _multiply_instead(op: Op, maker: dict[Value, Op], ops: list[Op]) -> Op:
     if choice is not None and choice.name == "select_n":
         options = [_inverse(v) for v in choice.inputs[1:]]
         if all(v is not None for v in options):
-            chosen = Value(divisor.shape, divisor.dtype, divisor.path)
+            value = Value(divisor.shape, divisor.dtype, divisor.path)
             inputs = [choice.inputs[0], *options]
-            ops.append(Op("select_n", inputs, [chosen], {}, op.where))  # pyright: ignore
-            return Op("mul", [x, chosen], op.outputs, {}, op.where)
+            ops.append(Op("select_n", inputs, [value], {}, op.where))  # pyright: ignore
+            return Op("mul", [x, value], op.outputs, {}, op.where)
     return op
 
 
 def _inverse(value: Value) -> Value | None:
     """1 / value, where it is known and neither it nor its inverse is near the ends of the range."""
-    known = value.constant
-    if known is None or not np.all(np.isfinite(known)) or np.any(known == 0):
+    available = value.constant
+    if available is None or not np.all(np.isfinite(available)) or np.any(available == 0):
         return None
-    if np.any(np.abs(np.log2(np.abs(known.astype(np.float64)))) > 100):
+    if np.any(np.abs(np.log2(np.abs(available.astype(np.float64)))) > 100):
         return None
-    return constant((1 / known).astype(known.dtype))
+    return constant((1 / available).astype(available.dtype))
 
 
 def share(program: Program) -> Program:
     """Common subexpressions: one computation of each operation on the same inputs."""
     replaced: dict[Value, Value] = {}
-    known: dict[tuple, Op] = {}
+    available: dict[tuple, Op] = {}
     ops = []
     for op in program.ops:
         inputs = [replaced.get(v, v) for v in op.inputs]
         key = (op.name, tuple(map(_identity, inputs)), _signature(op))
-        first = known.get(key)
+        first = available.get(key)
         if first is not None:
             replaced.update(zip(op.outputs, first.outputs))
             continue
-        known[key] = op = Op(op.name, inputs, op.outputs, op.params, op.where)
+        available[key] = op = Op(op.name, inputs, op.outputs, op.params, op.where)
         ops.append(op)
     return Program(program.inputs, ops, [replaced.get(v, v) for v in program.outputs])
 

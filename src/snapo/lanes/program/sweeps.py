@@ -33,7 +33,7 @@ def plan(
     cotangents: list[Value],
     primal: list[Value],
     back: list[Value],
-    kept: set[Value],
+    values: set[Value],
 ) -> Plan:
     """Decides which values are stored and which are computed again.
 
@@ -45,14 +45,14 @@ def plan(
     later = dependents(program, cotangents)
     reverse: set[Op] = set()
     tape: dict[Value, None] = {}
-    stack, seen = list(back), set()
+    stack, observed = list(back), set()
     while stack:
         v = stack.pop()
-        if v in seen or v.constant is not None:
+        if v in observed or v.constant is not None:
             continue
-        seen.add(v)
+        observed.add(v)
         op = maker.get(v)
-        if v not in later and v.path and (op is None or costly(op) or v in kept):
+        if v not in later and v.path and (op is None or costly(op) or v in values):
             tape[v] = None
         elif op is not None:
             reverse.add(op)
@@ -68,11 +68,11 @@ def plan(
 
 def dependents(program: Program, sources: list[Value]) -> set[Value]:
     """Everything that depends on the sources, themselves included."""
-    found = set(sources)
+    outputs = set(sources)
     for op in program.ops:
-        if any(v in found for v in op.inputs):
-            found.update(op.outputs)
-    return found
+        if any(v in outputs for v in op.inputs):
+            outputs.update(op.outputs)
+    return outputs
 
 
 def costly(op: Op) -> bool:

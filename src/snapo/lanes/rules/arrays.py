@@ -20,20 +20,20 @@ def rearranged(
     """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
 
     def rule(values: Values, op: Op) -> None:
-        known = values.get(op.inputs[0])
-        if isinstance(known, Place):
-            view = strided(op, known)
+        available = values.get(op.inputs[0])
+        if isinstance(available, Place):
+            view = strided(op, available)
             if view is not None:
                 values.bind(op.outputs[0], view)
                 return
-            moved = values.workspace.allocate(known.shape, known.dtype, known.lanes)
+            moved = values.workspace.allocate(available.shape, available.dtype, available.lanes)
             values.copy(op.inputs[0], moved)
             view = strided(op, moved)
             assert view is not None
             values.bind(op.outputs[0], view)
             return
-        assert isinstance(known, Small)
-        values.set(op.outputs[0], small(op, known.items))
+        assert isinstance(available, Small)
+        values.set(op.outputs[0], small(op, available.items))
 
     return rule
 
@@ -42,66 +42,69 @@ def _broadcast(op: Op, items: np.ndarray) -> np.ndarray:
     return folding.broadcast(items, op.params["shape"], op.params["broadcast_dimensions"])
 
 
-def _broadcast_place(op: Op, place: Place) -> Place:
+def _broadcast_place(op: Op, position: Place) -> Place:
     shape, dims = op.params["shape"], op.params["broadcast_dimensions"]
     strides = [0] * len(shape)
-    for axis, size, stride in zip(dims, place.shape, place.strides):
+    for axis, size, stride in zip(dims, position.shape, position.strides):
         strides[axis] = stride if size == shape[axis] else 0
-    return replace(place, shape=tuple(shape), strides=tuple(strides))
+    return replace(position, shape=tuple(shape), strides=tuple(strides))
 
 
 def _reshape(op: Op, items: np.ndarray) -> np.ndarray:
     return items.reshape(op.outputs[0].shape)
 
 
-def _reshape_place(op: Op, place: Place) -> Place | None:
+def _reshape_place(op: Op, position: Place) -> Place | None:
     """A view, unless the elements do not lie in order."""
     shape = op.outputs[0].shape
-    if place.contiguous:
-        return replace(place, shape=shape, strides=row_major(shape))
-    kept = [(n, s) for n, s in zip(place.shape, place.strides) if n != 1]
-    if [n for n, _ in kept] == [n for n in shape if n != 1]:
-        rest = iter(kept)
+    if position.contiguous:
+        return replace(position, shape=shape, strides=row_major(shape))
+    selected = [(n, s) for n, s in zip(position.shape, position.strides) if n != 1]
+    if [n for n, _ in selected] == [n for n in shape if n != 1]:
+        rest = iter(selected)
         return replace(
-            place, shape=shape, strides=tuple(0 if n == 1 else next(rest)[1] for n in shape)
+            position, shape=shape, strides=tuple(0 if n == 1 else next(rest)[1] for n in shape)
         )
     return None
 
 
-def _transpose_place(op: Op, place: Place) -> Place:
+def _transpose_place(op: Op, position: Place) -> Place:
     order = op.params["permutation"]
     return replace(
-        place,
-        shape=tuple(place.shape[i] for i in order),
-        strides=tuple(place.strides[i] for i in order),
+        position,
+        shape=tuple(position.shape[i] for i in order),
+        strides=tuple(position.strides[i] for i in order),
     )
 
 
-def _slice_place(op: Op, place: Place) -> Place:
+def _slice_place(op: Op, position: Place) -> Place:
     return sliced(
-        place, [(s.start, s.step) for s in folding.slices(op.params)], op.outputs[0].shape
+        position, [(s.start, s.step) for s in folding.slices(op.params)], op.outputs[0].shape
     )
 
 
-def sliced(place: Place, starts, shape) -> Place:
+def sliced(position: Place, starts, shape) -> Place:
     """The view from `starts` = (start, step) along every axis."""
-    offset = sum(int(start) * stride for (start, _), stride in zip(starts, place.strides))
-    strides = tuple(stride * step for (_, step), stride in zip(starts, place.strides))
+    offset = sum(int(start) * stride for (start, _), stride in zip(starts, position.strides))
+    strides = tuple(stride * step for (_, step), stride in zip(starts, position.strides))
     return replace(
-        place, offset=place.offset + offset * place.unit, shape=tuple(shape), strides=strides
+        position,
+        offset=position.offset + offset * position.unit,
+        shape=tuple(shape),
+        strides=strides,
     )
 
 
-def _reverse_place(op: Op, place: Place) -> Place:
+def _reverse_place(op: Op, position: Place) -> Place:
     axes = op.params["dimensions"]
-    starts = [(n - 1, -1) if i in axes else (0, 1) for i, n in enumerate(place.shape)]
-    return sliced(place, starts, place.shape)
+    starts = [(n - 1, -1) if i in axes else (0, 1) for i, n in enumerate(position.shape)]
+    return sliced(position, starts, position.shape)
 
 
 def _concatenate(values: Values, op: Op) -> None:
     axis = op.params["dimension"]
-    pieces = [(v, v.shape[axis]) for v in op.inputs]
-    _join(values, op, axis, pieces)
+    segments = [(v, v.shape[axis]) for v in op.inputs]
+    _join(values, op, axis, segments)
 
 
 def _stack(values: Values, op: Op) -> None:
@@ -120,13 +123,13 @@ def _stack(values: Values, op: Op) -> None:
     values.bind(out, target)
 
 
-def _join(values: Values, op: Op, axis: int, pieces) -> None:
+def _join(values: Values, op: Op, axis: int, segments) -> None:
     out = op.outputs[0]
     if out.size <= BIG:
-        values.set(out, np.concatenate([values.small(v) for v, _ in pieces], axis))
+        values.set(out, np.concatenate([values.small(v) for v, _ in segments], axis))
         return
     target, start = values.target(out), 0
-    for v, size in pieces:
+    for v, size in segments:
         starts = [(start if a == axis else 0, 1) for a in range(len(out.shape))]
         values.copy(v, sliced(target, starts, v.shape))
         start += size
@@ -150,11 +153,11 @@ def _pad(values: Values, op: Op) -> None:
         values.set(out, items)
         return
     target = values.target(out)
-    whole = Value(out.shape, out.dtype, out.path)
+    complete = Value(out.shape, out.dtype, out.path)
     single = np.empty((1,) * len(out.shape), object)
     single[...] = fill
-    values.set(whole, np.broadcast_to(single, out.shape))
-    values.copy(whole, target)
+    values.set(complete, np.broadcast_to(single, out.shape))
+    values.copy(complete, target)
     values.copy(x, sliced(target, [(s.start, s.step) for s in inner], x.shape))
     values.bind(out, target)
 
@@ -168,11 +171,11 @@ def _cropped(values: Values, op: Op, x: Value, config):
     ]
     shape = tuple(stop - start for start, stop in limits)
     part = Value(shape, x.dtype, x.path)
-    known = values.get(x)
-    if isinstance(known, Place):
-        values.bind(part, sliced(known, [(start, 1) for start, _ in limits], shape))
+    available = values.get(x)
+    if isinstance(available, Place):
+        values.bind(part, sliced(available, [(start, 1) for start, _ in limits], shape))
     else:
-        values.set(part, known.items[tuple(slice(*limit) for limit in limits)])
+        values.set(part, available.items[tuple(slice(*limit) for limit in limits)])
     return part, [(max(0, int(low)), max(0, int(high)), gap) for low, high, gap in config]
 
 
@@ -191,28 +194,28 @@ def _tile(values: Values, op: Op) -> None:
 
 def _split(values: Values, op: Op) -> None:
     axis, start = op.params["axis"], 0
-    known = values.get(op.inputs[0])
+    available = values.get(op.inputs[0])
     for out in op.outputs:
         size = out.shape[axis]
-        if isinstance(known, Place):
+        if isinstance(available, Place):
             starts = [(start if a == axis else 0, 1) for a in range(len(out.shape))]
-            values.bind(out, sliced(known, starts, out.shape))
+            values.bind(out, sliced(available, starts, out.shape))
         else:
-            values.set(out, known.items.take(range(start, start + size), axis))
+            values.set(out, available.items.take(range(start, start + size), axis))
         start += size
 
 
 def _unstack(values: Values, op: Op) -> None:
     axis = op.params["axis"]
-    known = values.get(op.inputs[0])
+    available = values.get(op.inputs[0])
     for i, out in enumerate(op.outputs):
-        if isinstance(known, Place):
-            starts = [(i if a == axis else 0, 1) for a in range(len(known.shape))]
-            part = sliced(known, starts, known.shape)
+        if isinstance(available, Place):
+            starts = [(i if a == axis else 0, 1) for a in range(len(available.shape))]
+            part = sliced(available, starts, available.shape)
             strides = tuple(s for a, s in enumerate(part.strides) if a != axis)
             values.bind(out, replace(part, shape=out.shape, strides=strides))
         else:
-            values.set(out, known.items.take(i, axis))
+            values.set(out, available.items.take(i, axis))
 
 
 RULES: dict[str, Rule] = {

@@ -52,14 +52,14 @@ def _whole(code: Code, x: Ref) -> Ref:
     """Towards zero into 32 bits: saturating instructions are made lane by lane on x86."""
     low, high = np.iinfo(np.int32).min, np.iinfo(np.int32).max
     largest = np.nextafter(np.float32(2**31), np.float32(0)) if x.dtype == "float32" else high
-    known = code.select(code.compare("ord", x, x), x, zero_like(code, x))
+    available = code.select(code.compare("ord", x, x), x, zero_like(code, x))
     top, bottom = (code.constant(v, x.dtype, x.lanes) for v in (largest, low))
-    within = code.select(code.compare("ogt", known, top), top, known)
+    within = code.select(code.compare("ogt", available, top), top, available)
     within = code.select(code.compare("olt", within, bottom), bottom, within)
     result = code.convert("fptosi", within, "int32")
     if x.dtype == "float64":
         return result
-    return code.select(code.compare("ogt", known, top), code.constant(high, "int32"), result)
+    return code.select(code.compare("ogt", available, top), code.constant(high, "int32"), result)
 
 
 def _saturate(code: Code, function: str, x: Ref, dtype: str) -> Ref:

@@ -69,9 +69,12 @@ def _count(v: Value, axes) -> int:
     return math.prod([v.shape[i] for i in axes])
 
 
-def _axes(place: Place, *groups) -> list[Any]:
+def _axes(position: Place, *groups) -> list[Any]:
     """For every group of axes, (size, stride) pairs of this place."""
-    return [place, *[[(place.shape[i], place.strides[i]) for i in group] for group in groups]]
+    return [
+        position,
+        *[[(position.shape[i], position.strides[i]) for i in group] for group in groups],
+    ]
 
 
 def _written_out(values: Values, op: Op, left, right, sizes) -> None:
@@ -177,9 +180,9 @@ def _plus(code: Code, first, r):
     return code.index(f"add nsw i64 {first}, {r}") if r else first
 
 
-def _at(code: Code, place: Place, moves) -> Place:
+def _at(code: Code, location: Place, moves) -> Place:
     """The place seen from given positions along groups of axes; the result has no axes."""
-    pointer, fixed = place.base, place.offset
+    pointer, fixed = location.base, location.offset
     dynamic = []
     for position, axes in moves:
         pair = position if isinstance(position, tuple) else (position, 0)
@@ -187,23 +190,23 @@ def _at(code: Code, place: Place, moves) -> Place:
             stride = axes[-1][1] if axes else 0
             for part in pair:
                 if isinstance(part, int):
-                    fixed = fixed + part * stride * place.unit
+                    fixed = fixed + part * stride * location.unit
                 else:
-                    dynamic.append((part, stride * place.unit))
+                    dynamic.append((part, stride * location.unit))
             continue
         flat = _plus(code, pair[0], pair[1])
         for size, stride in reversed(axes):
             if isinstance(flat, int):
-                fixed += flat % size * stride * place.unit
+                fixed += flat % size * stride * location.unit
                 flat //= size
             else:
                 digit = code.index(f"urem i64 {flat}, {size}")
-                dynamic.append((digit, stride * place.unit))
+                dynamic.append((digit, stride * location.unit))
                 flat = code.index(f"udiv i64 {flat}, {size}")
     for part, scale in dynamic:
         if scale:
             pointer = code.pointer(pointer, code.index(f"mul nsw i64 {part}, {scale}"))
-    return Place(pointer, fixed, (), (), place.dtype, place.lanes, place.invariant)
+    return Place(pointer, fixed, (), (), location.dtype, location.lanes, location.invariant)
 
 
 def _merged(axes) -> list[int]:

@@ -63,12 +63,12 @@ def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
 
 def supported(name: str) -> bool:
     """Whether a primitive is elementwise and known."""
-    known = (FLOAT, CURVES, LIBRARY, C_LIBRARY, BITS, SHIFTS, RULES)
+    available = (FLOAT, CURVES, LIBRARY, C_LIBRARY, BITS, SHIFTS, RULES)
     others = (
         "fma", "convert_element_type", "bitcast_convert_type", "integer_pow", "round",
         "reduce_precision",
     )  # fmt: skip
-    return any(name in k for k in known) or name in others
+    return any(name in k for k in available) or name in others
 
 
 def lanewise(code: Code, function: str, x: Ref) -> Ref:
@@ -93,9 +93,9 @@ def _multiply_add(code: Code, op: Op, x: Ref, y: Ref, z: Ref) -> Ref:
 
 def _reduced(op: Op, x: Ref) -> Ref:
     """Rounding to the digits that the type has anyway."""
-    kept = (op.params["exponent_bits"], op.params["mantissa_bits"])
-    if kept != ((8, 23) if x.dtype == "float32" else (11, 52)):
-        raise Unsupported(f"reduce_precision: to {kept} bits, at {op.where}")
+    selected = (op.params["exponent_bits"], op.params["mantissa_bits"])
+    if selected != ((8, 23) if x.dtype == "float32" else (11, 52)):
+        raise Unsupported(f"reduce_precision: to {selected} bits, at {op.where}")
     return x
 
 
@@ -116,10 +116,12 @@ def _extreme(code: Code, a: Ref, b: Ref, larger: bool) -> Ref:
         return code.call(f"llvm.{kind}", a, b)
     if a.value is None and b.value is not None:
         a, b = b, a
-    chosen = code.select(code.compare("ogt" if larger else "olt", a, b), a, b)  # b where one is NaN
+    selected = code.select(
+        code.compare("ogt" if larger else "olt", a, b), a, b
+    )  # b where one is NaN
     if a.value is not None:
-        return chosen
-    return code.select(code.compare("uno", a, a), a, chosen)
+        return selected
+    return code.select(code.compare("uno", a, a), a, selected)
 
 
 def _divide(code: Code, a: Ref, b: Ref) -> Ref:

@@ -36,11 +36,11 @@ def lookup(code: Code, which: Ref, options: list[Ref]) -> Ref:
     parts = []
     for k in range(which.lanes // width):
         at = code.part(which, k, width)
-        found = [_permute(code, table, at) for table in tables]
-        result = found[0]
-        for i, other in enumerate(found[1:], 1):
-            beyond = compare(code, "ge", at, code.constant(i * width, "int32"))
-            result = code.select(beyond, other, result)
+        results = [_permute(code, table, at) for table in tables]
+        result = results[0]
+        for i, other in enumerate(results[1:], 1):
+            outside = compare(code, "ge", at, code.constant(i * width, "int32"))
+            result = code.select(outside, other, result)
         parts.append(result)
     return code.join(parts)
 
@@ -63,5 +63,5 @@ def _permute_halves(code: Code, table: Ref, at: Ref) -> Ref:
     both = code.add(code.op("or", twice, high), code.constant(1 << 32, "int64"))
     lanes = 2 * table.lanes
     halves = code.recast(table, "float32", lanes)
-    found = _permute(code, halves, code.recast(both, "int32", lanes))
-    return code.recast(found, table.dtype, table.lanes)
+    result = _permute(code, halves, code.recast(both, "int32", lanes))
+    return code.recast(result, table.dtype, table.lanes)

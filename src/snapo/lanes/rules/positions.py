@@ -85,16 +85,20 @@ def plus(code: Code, start: Start, by: int) -> Start:
 
 def read(values: Values, x: Value, position: list[Start]) -> Ref:
     """One element of an array, at numbers or at registers."""
-    code, known = values.code, values.get(x)
+    code, available = values.code, values.get(x)
     moving = [d for d, p in enumerate(position) if isinstance(p, Ref)]
     if not moving:
         at = [p for p in position if isinstance(p, int)]
-        return known.items[tuple(at)] if isinstance(known, Small) else known.read(code, list(at))
+        return (
+            available.items[tuple(at)]
+            if isinstance(available, Small)
+            else available.read(code, list(at))
+        )
     flat, count = flat_index(code, x.shape, position, moving)
     if (
         count <= SELECTED
         or x.dtype == np.bool_
-        or (isinstance(known, Small) and count <= 2 * SELECTED)
+        or (isinstance(available, Small) and count <= 2 * SELECTED)
     ):
         candidates = [_element(values, x, position, moving, i) for i in range(count)]
         return lookup(code, flat, candidates) if count > 1 else candidates[0]
@@ -129,29 +133,29 @@ def _element(values: Values, x: Value, position, moving, number: int) -> Ref:
     return values.small(x)[tuple(at)] if x.size <= 4 * BIG else read(values, x, at)
 
 
-def load(code: Code, place: Place, position) -> Ref:
+def load(code: Code, location: Place, position) -> Ref:
     """One element from memory, at a position of which some part is in registers."""
-    pointers, lanes, uniform = addresses(code, place, position)
+    pointers, lanes, uniform = addresses(code, location, position)
     if uniform:
-        return code.load(pointers, place.dtype, place.lanes, place.invariant)
-    return code.gather_at(pointers, lanes, place.dtype)
+        return code.load(pointers, location.dtype, location.lanes, location.invariant)
+    return code.gather_at(pointers, lanes, location.dtype)
 
 
-def addresses(code: Code, place: Place, position):
+def addresses(code: Code, location: Place, position):
     """Addresses of one element in every lane; one address where all lanes agree."""
     fixed = [p if isinstance(p, int) else 0 for p in position]
-    base = place.address(code, fixed)
-    refs = [(p, s) for p, s in zip(position, place.strides) if isinstance(p, Ref) and s]
+    base = location.address(code, fixed)
+    refs = [(p, s) for p, s in zip(position, location.strides) if isinstance(p, Ref) and s]
     total = None
     for p, stride in refs:
         wide = convert(code, p, "int64")
-        part = code.mul(wide, code.constant(stride * place.unit, "int64"))
+        part = code.mul(wide, code.constant(stride * location.unit, "int64"))
         total = part if total is None else code.add(total, part)
     assert total is not None
     if total.lanes == 1:
         scalar = code.raw(f"extractelement {total.type} {total.text}, i64 0", "i")
         return code.pointer(base, scalar), 1, True
-    if place.lanes > 1:
-        steps = ", ".join(f"i64 {i * place.dtype.itemsize}" for i in range(place.lanes))
-        total = code.add(total, Ref(f"<{steps}>", "int64", place.lanes))
+    if location.lanes > 1:
+        steps = ", ".join(f"i64 {i * location.dtype.itemsize}" for i in range(location.lanes))
+        total = code.add(total, Ref(f"<{steps}>", "int64", location.lanes))
     return code.raw(f"getelementptr i8, ptr {base}, {total.type} {total.text}"), total.lanes, False

@@ -33,34 +33,38 @@ def _reduce(values: Values, op: Op) -> None:
     name = REDUCERS[op.name]
     x, out = op.inputs[0], op.outputs[0]
     axes = tuple(op.params["axes"])
-    kept = [i for i in range(len(x.shape)) if i not in axes]
+    selected = [i for i in range(len(x.shape)) if i not in axes]
     count = math.prod([x.shape[i] for i in axes])
     if count == 0:
         raise Unsupported(f"{op.name}: over no elements, at {op.where}")
     # Up to 4 * BIG numbers any reader may have brought an array into registers: the order of a sum
     # must not depend on that.
     if x.size <= 4 * BIG or isinstance(values.get(x), Small):
-        items = values.small(x).transpose([*kept, *axes]).reshape(-1, count)
+        items = values.small(x).transpose([*selected, *axes]).reshape(-1, count)
         refs = [_fold(values, name, x, list(row), op.where) for row in items]
         values.set(out, np.array([*refs, None], object)[:-1].reshape(out.shape))
         return
-    known = values.place(x)
-    order = [*kept, *axes]
+    available = values.place(x)
+    order = [*selected, *axes]
     view = replace(
-        known,
+        available,
         shape=tuple(x.shape[i] for i in order),
-        strides=tuple(known.strides[i] for i in order),
+        strides=tuple(available.strides[i] for i in order),
     )
     if out.size <= BIG:
         refs = []
         for p in np.ndindex(*out.shape):
-            refs.append(_accumulate(values, name, x, view, list(map(int, p)), len(kept), op.where))
+            refs.append(
+                _accumulate(values, name, x, view, list(map(int, p)), len(selected), op.where)
+            )
         values.set(out, np.array([*refs, None], object)[:-1].reshape(out.shape))
         return
     target = values.target(out)
     with nest(values.code, out.shape, [replace(view, shape=())]) as position:
         target.write(
-            values.code, position, _accumulate(values, name, x, view, position, len(kept), op.where)
+            values.code,
+            position,
+            _accumulate(values, name, x, view, position, len(selected), op.where),
         )
     values.bind(out, target)
 
@@ -74,21 +78,21 @@ def _fold(values: Values, name: str, like: Value, refs: list[Ref], where: str) -
 
 
 def _accumulate(
-    values: Values, name, like: Value, view: Place, position, kept: int, where: str
+    values: Values, name, like: Value, view: Place, position, selected: int, where: str
 ) -> Ref:
     """One output element: a loop over the reduced axes, taken as one where they lie in order."""
     code = values.code
-    inner = view.shape[kept:]
-    strides = view.strides[kept:]
+    inner = view.shape[selected:]
+    strides = view.strides[selected:]
     if len(inner) > 1 and any(s != n * t for s, n, t in zip(strides, inner[1:], strides[1:])):
         outer = [
-            _accumulate(values, name, like, view, [*position, i], kept + 1, where)
+            _accumulate(values, name, like, view, [*position, i], selected + 1, where)
             for i in range(inner[0])
         ]
         return _fold(values, name, like, outer, where)
     count = math.prod(inner)
     base = replace(
-        view, shape=(*view.shape[:kept], count), strides=(*view.strides[:kept], strides[-1])
+        view, shape=(*view.shape[:selected], count), strides=(*view.strides[:selected], strides[-1])
     )
     first = base.read(code, [*position, 0])
     if count == 1:

@@ -68,9 +68,9 @@ def _scatter(values: Values, op: Op) -> None:
 def _write_all(values: Values, op: Op, x: Value, update: Value, moves, combine: str | None) -> None:
     """A copy of `x` with elements replaced by the update's, or combined with them."""
     out, code = op.outputs[0], values.code
-    known = values.get(x)
+    available = values.get(x)
     small = out.size <= BIG or (
-        isinstance(known, Small) and known.uniform is None and out.size <= 4 * BIG
+        isinstance(available, Small) and available.uniform is None and out.size <= 4 * BIG
     )
     items = values.small(x).copy() if small else None
     target = None
@@ -107,13 +107,13 @@ def _write_small(values: Values, items, at, new: Ref, valid, combine) -> None:
         return
     flat, count = flat_index(code, items.shape, at, moving)
     for number in range(count):
-        place, rest = list(at), number
+        position, rest = list(at), number
         for d in reversed(moving):
-            place[d] = rest % items.shape[d]
+            position[d] = rest % items.shape[d]
             rest //= items.shape[d]
         hit = compare(code, "eq", flat, code.constant(number, flat.dtype))
         hit = hit if valid is None else code.op("and", hit, valid)
-        items[tuple(place)] = _merge(code, items[tuple(place)], new, hit, combine)
+        items[tuple(position)] = _merge(code, items[tuple(position)], new, hit, combine)
 
 
 def _write_memory(code: Code, target: Place, at, new: Ref, valid, combine, op: Op) -> None:

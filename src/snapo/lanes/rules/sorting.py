@@ -80,7 +80,7 @@ def _extreme(values: Values, op: Op) -> None:
     items = np.moveaxis(values.small(x), axis, 0)
     result = np.empty(items.shape[1:], object)
     for p in np.ndindex(*items.shape[1:]):
-        best, place = items[(0, *p)], code.constant(0, out.dtype)
+        best, position = items[(0, *p)], code.constant(0, out.dtype)
         for i in range(1, len(items)):
             here = items[(i, *p)]
             better = compare(code, "gt" if op.name == "argmax" else "lt", here, best)
@@ -89,8 +89,8 @@ def _extreme(values: Values, op: Op) -> None:
                 sane = code.compare("ord", best, best)
                 better = code.op("and", code.op("or", better, odd), sane)
             best = code.select(better, here, best)
-            place = code.select(better, code.constant(i, out.dtype), place)
-        result[p] = place
+            position = code.select(better, code.constant(i, out.dtype), position)
+        result[p] = position
     values.set(out, result)
 
 

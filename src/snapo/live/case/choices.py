@@ -23,33 +23,37 @@ def title(tables: Mapping[str, Any], key: Key) -> str:
     rows = [i for i, part in enumerate(key) if isinstance(part, int)]
     if rows:
         at = rows[-1]
-        owner, rest = _row(tables, key[: at + 1]), key[at + 1 :]
+        user, rest = _row(tables, key[: at + 1]), key[at + 1 :]
     elif len(key) > 1:
         at = 1 if len(key) > 2 and _family(tables.get(str(key[0]))) else 0
-        owner, rest = capital(_spaced(key[at])), key[at + 1 :]
+        user, rest = capital(_spaced(key[at])), key[at + 1 :]
     else:
-        owner, rest = "", key
+        user, rest = "", key
     if len(rest) > 1 and rest[-1] == "kind":
         rest = rest[:-1]
-    said = ", ".join(map(_spaced, rest))
-    return f"{owner}: {said}" if owner else capital(said)
+    metadata = ", ".join(map(_spaced, rest))
+    return f"{user}: {metadata}" if user else capital(metadata)
 
 
-def capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _spaced(part: str | int) -> str:
     return str(part).replace("_", " ")
 
 
-def _row(tables: Any, way: Key) -> str:
+def _row(tables: Any, path: Key) -> str:
     """The name that a row of an array of tables gives itself, else "Parameter 2"."""
-    for part in way:
+    for part in path:
         tables = tables[part]
-    named = [tables[key] for key in OWN if isinstance(tables.get(key), str) and tables[key]]
-    *_, table, place = way
-    return named[0] if named else f"{capital(_spaced(table)).removesuffix('s')} {int(place) + 1}"
+    by_name = [tables[key] for key in OWN if isinstance(tables.get(key), str) and tables[key]]
+    *_, table, position = path
+    return (
+        by_name[0]
+        if by_name
+        else f"{capital(_spaced(table)).removesuffix('s')} {int(position) + 1}"
+    )
 
 
 def _family(table: Any) -> bool:
@@ -75,68 +79,68 @@ class Choice(NamedTuple):
     title: str
 
 
-def choices(files: Files, tried: Tried) -> list[Choice]:
+def choices(files: Files, bumped: Tried) -> list[Choice]:
     """Every key of the case that has more than one value; `tried` reads a case, or raises
     `CaseError`."""
     menus = []
-    options = _options(files, tried)
+    options = _options(files, bumped)
     stated = [key for key in _keys(files) if key in options]
     for key in [*stated, *(key for key in options if key not in stated)][:MOST_KEYS]:
-        value, words = options[key]
-        others = [word for word in words if word != value and _holds(files, key, word, tried)]
+        value, text = options[key]
+        others = [word for word in text if word != value and _holds(files, key, word, bumped)]
         if others:
             name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
             menus.append(Choice(name, key, value, [value, *others], title(files.tables, key)))
     return menus
 
 
-def chosen(files: Files, known: Sequence[Choice], wanted: Mapping[str, Any]) -> Files:
+def chosen(files: Files, available: Sequence[Choice], requested: Mapping[str, Any]) -> Files:
     """The case with other values of these keys.
 
     **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.
     """
-    by_name = {each.name: each for each in known}
-    for name, value in wanted.items():
+    by_name = {item.name: item for item in available}
+    for name, value in requested.items():
         choice = by_name.get(name)
         if choice is None:
             raise CaseError(name, "", None, "there is no such choice")
-        if not any(type(each) is type(value) and each == value for each in choice.allowed):
-            what = f"allowed is {' or '.join(map(str, choice.allowed))}"
-            raise CaseError(name, "", value, what)
+        if not any(type(entry) is type(value) and entry == value for entry in choice.allowed):
+            message = f"allowed is {' or '.join(map(str, choice.allowed))}"
+            raise CaseError(name, "", value, message)
         files = files.with_value(choice.key, value)
     return files
 
 
 def _keys(files: Files) -> Iterator[Key]:
     """All keys of the case, in its order."""
-    for way, table in tables(files.tables, ()):
-        yield from ((*way, key) for key in table)
+    for path, table in tables(files.tables, ()):
+        yield from ((*path, key) for key in table)
 
 
-def _options(files: Files, tried: Tried) -> dict[Key, tuple[str | bool, list[str | bool]]]:
+def _options(files: Files, bumped: Tried) -> dict[Key, tuple[str | bool, list[str | bool]]]:
     """{key: its value, or its default where the case leaves it out, and all that it may have}."""
     with recorded_tables() as read:
-        tried(files)
-    paths = {id(table): way for way, table in tables(files.tables, ())}
+        bumped(files)
+    paths = {id(table): key_path for key_path, table in tables(files.tables, ())}
     ways = set(paths.values())
     menus: dict[Key, tuple[str | bool, list[str | bool]]] = {}
     for table in read:
-        way = paths.get(id(table.data), keys_of(table.name))  # a reader may hand on a copy
-        left_out = table.data == {} and len(way) == 1 and way[0] not in files.tables
-        if not (way in ways or left_out) or (way and way[0] in LEFT):
+        path = paths.get(id(table.data), keys_of(table.name))  # a reader may hand on a copy
+        left_out = table.data == {} and len(path) == 1 and path[0] not in files.tables
+        if not (path in ways or left_out) or (path and path[0] in LEFT):
             continue
         for key, options in table.options.items():
             default = table.fields[key].default if key in table.fields else None
             value = table.data.get(key, default)
-            words = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MOST_WORDS]
-            if value in words and len(words) > 1 and (way or key not in LEFT):
-                menus[(*way, key)] = value, words
+            text = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MOST_WORDS]
+            if value in text and len(text) > 1 and (path or key not in LEFT):
+                menus[(*path, key)] = value, text
     return menus
 
 
-def _holds(files: Files, key: Key, value: str | bool, tried: Tried) -> bool:
+def _holds(files: Files, key: Key, value: str | bool, bumped: Tried) -> bool:
     try:
-        tried(files.with_value(key, value))
+        bumped(files.with_value(key, value))
     except CaseError:
         return False
     return True

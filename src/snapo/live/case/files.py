@@ -68,11 +68,11 @@ class Files:
     def write(self, folder: Path) -> Path:
         """The case in a folder of its own: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
-        for each in case_files(self.folder):
-            if each.suffix.lower() != ".toml" and each.name not in self.changed:
-                target = folder / each.name
+        for case_file in case_files(self.folder):
+            if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:
+                target = folder / case_file.name
                 if not target.exists():
-                    shutil.copyfile(each, target)
+                    shutil.copyfile(case_file, target)
         for name in self.changed:
             (folder / name).write_text(self.sheets[name].text(), encoding="utf-8")
         file = folder / "case.toml"
@@ -82,11 +82,11 @@ class Files:
 
 def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
     """The case whose tables were read from `folder`, with the CSVs that they name."""
-    named = {value for _, value in _leaves(tables, ()) if isinstance(value, str)}
+    by_name = {value for _, value in _leaves(tables, ()) if isinstance(value, str)}
     sheets = {}
-    for each in case_files(folder):
-        if each.name in named and each.suffix.lower() == ".csv":
-            sheets[each.name] = _sheet(folder, each.name)
+    for case_file in case_files(folder):
+        if case_file.name in by_name and case_file.suffix.lower() == ".csv":
+            sheets[case_file.name] = _sheet(folder, case_file.name)
     return Files(folder, tables, sheets)
 
 
@@ -159,15 +159,15 @@ def numbers_in(cells: Sequence[str]) -> list[float] | None:
     return [float(cell) for cell in cells]
 
 
-def _leaves(value: Any, way: Key) -> Iterator[tuple[Key, Any]]:
+def _leaves(value: Any, path: Key) -> Iterator[tuple[Key, Any]]:
     if isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _leaves(each, (*way, key))
+        for key, item in value.items():
+            yield from _leaves(item, (*path, key))
     elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-        for i, each in enumerate(value):
-            yield from _leaves(each, (*way, i))
+        for i, item in enumerate(value):
+            yield from _leaves(item, (*path, i))
     elif not isinstance(value, datetime.date | bool):
-        yield way, value
+        yield path, value
 
 
 def _put(table: Any, key: Key, value: Any) -> Any:

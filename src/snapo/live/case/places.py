@@ -97,10 +97,10 @@ class Places:
         """{name: numbers} of the inputs whose positions their reader recorded."""
         entries = dict(inputs_in(self.case, "", set()))
         recorded = {name: x for name, x in entries.items() if isinstance(x, Given) and x.places}
-        for name, places in getattr(self.case, "positions", {}).items():
+        for name, digits in getattr(self.case, "positions", {}).items():
             x = self.inputs[name]
             index = np.arange(x.value.size)
-            recorded[name] = Given(name, x.value.ravel(), x.names(), x.unit, index, places=places)
+            recorded[name] = Given(name, x.value.ravel(), x.names(), x.unit, index, places=digits)
         return recorded
 
     def moved(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> Moved:
@@ -111,16 +111,16 @@ class Places:
         in its files.
         """
         files = self.files if files is None else files
-        for name, wanted in values.items():
+        for name, requested in values.items():
             put = self.place(name)
             if put is None:
-                what = "this input cannot be written into the files of the case"
-                raise CaseError(name, "", None, what)
-            files = put(files, wanted)
+                message = "this input cannot be written into the files of the case"
+                raise CaseError(name, "", None, message)
+            files = put(files, requested)
         case = self.again(files)
-        found = self._numbers(case)
-        for name, wanted in values.items():
-            if name not in found or not np.array_equal(found[name].ravel(), wanted.ravel()):
+        numbers = self._numbers(case)
+        for name, requested in values.items():
+            if name not in numbers or not np.array_equal(numbers[name].ravel(), requested.ravel()):
                 raise CaseError(name, "", None, "the case does not hold this number as it is")
         return Moved(files, case)
 
@@ -136,7 +136,7 @@ class Places:
     def _numbers(self, case: Any) -> dict[str, np.ndarray]:
         if self.of is None:
             return numbers_of(case)
-        return {name: given.value for name, given in self.of(case).items()}
+        return {name: values.value for name, values in self.of(case).items()}
 
     def again(self, files: Files) -> Any:
         """The case in these files, as its domain reads it."""
@@ -146,14 +146,14 @@ class Places:
     def _holds(self, name: str, put: Put) -> bool:
         """Whether numbers that are put there come back under this name, and nothing else moves."""
         for step in (LITTLE, -LITTLE):
-            wanted = _little_moved(self.inputs[name], step)
+            requested = _little_moved(self.inputs[name], step)
             try:
-                found = self._numbers(self.again(put(self.files, wanted)))
+                numbers = self._numbers(self.again(put(self.files, requested)))
             except CaseError:
                 continue
-            same = name in found and all(
-                np.array_equal(x.ravel(), (wanted if key == name else self.base[key]).ravel())
-                for key, x in found.items()
+            same = name in numbers and all(
+                np.array_equal(x.ravel(), (requested if key == name else self.base[key]).ravel())
+                for key, x in numbers.items()
                 if key in self.base or key == name
             )
             if same:
@@ -161,9 +161,9 @@ class Places:
         return False
 
 
-def _little_moved(given: Input, step: float) -> np.ndarray:
+def _little_moved(values: Input, step: float) -> np.ndarray:
     """The numbers of an input, a little larger or smaller; the same within a month of days."""
-    value = given.value
+    value = values.value
     if np.any(value):
         return value * (1 + step)
-    return value + step * (abs(given.move) if given.move else 1.0)
+    return value + step * (abs(values.move) if values.move else 1.0)

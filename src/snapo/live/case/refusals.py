@@ -17,39 +17,39 @@ MOST = 6  # moved inputs that are tried one by one
 
 
 def no_value(
-    moved: Mapping[str, np.ndarray], inputs: Mapping[str, Input], bad: int, paths: int
+    moved: Mapping[str, np.ndarray], inputs: Mapping[str, Input], invalid: int, paths: int
 ) -> CaseError:
     """The refusal of `moved` inputs with which `bad` of so many `paths` are not finite."""
     if not moved:
-        what = f"{_share(bad, paths)} come to no finite total, so there is no value"
-        return CaseError("this choice", "", None, what)
-    errors = [_no_value(name, inputs[name], new, bad, paths) for name, new in moved.items()]
+        message = f"{_share(invalid, paths)} come to no finite total, so there is no value"
+        return CaseError("this choice", "", None, message)
+    errors = [_no_value(name, inputs[name], new, invalid, paths) for name, new in moved.items()]
     first, *others = errors
     return CaseError(first.file, first.where, first.value, first.allowed, others)
 
 
-def _no_value(name: str, given: Input, new: np.ndarray, bad: int, paths: int) -> CaseError:
-    where = np.flatnonzero(new.ravel() != given.value.ravel())
-    i = int(where[np.argmax(np.abs(new.ravel() - given.value.ravel())[where])])
-    what = (
+def _no_value(name: str, values: Input, new: np.ndarray, invalid: int, paths: int) -> CaseError:
+    where = np.flatnonzero(new.ravel() != values.value.ravel())
+    i = int(where[np.argmax(np.abs(new.ravel() - values.value.ravel())[where])])
+    message = (
         "allowed is a number with which the simulator can calculate, such as the run's "
-        f"{_said(given, given.value, i)}: here {_share(bad, paths)} come to no finite "
+        f"{_said(values, values.value, i)}: here {_share(invalid, paths)} come to no finite "
         "total, so there is no value"
     )
-    place = given.names()[i] if new.size > 1 else ""
-    return CaseError(name, place, Unquoted(_said(given, new, i)), what)
+    position = values.names()[i] if new.size > 1 else ""
+    return CaseError(name, position, Unquoted(_said(values, new, i)), message)
 
 
-def _share(bad: int, paths: int) -> str:
-    return f"{'all' if bad == paths else number(bad, 0)} of its {number(paths, 0)} paths"
+def _share(invalid: int, paths: int) -> str:
+    return f"{'all' if invalid == paths else number(invalid, 0)} of its {number(paths, 0)} paths"
 
 
-def _said(given: Input, values: np.ndarray, i: int) -> str:
+def _said(inputs: Input, values: np.ndarray, i: int) -> str:
     """A number of an input in the unit that its field on the page has."""
-    factor, own = own_unit(given)
-    unit = own or ("" if given.unit == "1" else given.unit)
-    shown, unit = float(values.ravel()[i]) * factor, unit_words(unit)
-    return f"{number(shown) if abs(shown) < MUCH else power(shown, 2)} {unit}".rstrip()
+    factor, local = own_unit(inputs)
+    unit = local or ("" if inputs.unit == "1" else inputs.unit)
+    displayed, unit = float(values.ravel()[i]) * factor, unit_words(unit)
+    return f"{number(displayed) if abs(displayed) < MUCH else power(displayed, 2)} {unit}".rstrip()
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
@@ -57,7 +57,7 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
 
     `moved`: names of the inputs and choices that differ from the run's.
     """
-    words = f"{type(error).__name__}: {error}"[:500].rstrip(".")
+    text = f"{type(error).__name__}: {error}"[:500].rstrip(".")
     at = f" with {', '.join(moved[:MOST])} moved" if moved else ""
     frames = [
         (frame.f_code, line)
@@ -65,10 +65,10 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
         if module and _of(str(frame.f_globals.get("__name__", "")), module)
     ]
     if not frames:
-        return f"snapo could not calculate this{at}, by a mistake of its own: {words}."
+        return f"snapo could not calculate this{at}, by a mistake of its own: {text}."
     code, line = frames[-1]
-    place = f"{Path(code.co_filename).name}, line {line}, {code.co_name}"
-    return f"Your simulator stopped{at}; it says ({place}): {words}."
+    position = f"{Path(code.co_filename).name}, line {line}, {code.co_name}"
+    return f"Your simulator stopped{at}; it says ({position}): {text}."
 
 
 def _of(name: str, module: str) -> bool:

@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
-def count(name: str, given: Any, least: int, more: str = "") -> int:
+def count(name: str, values: Any, minimum: int, more: str = "") -> int:
     """A whole number of at least `least`.
 
     **Raises:** `ValueError` for anything else; `more` ends its sentence.
     """
-    known = isinstance(given, int | np.integer) and not isinstance(given, bool)
-    if not known or given < least:
+    available = isinstance(values, int | np.integer) and not isinstance(values, bool)
+    if not available or values < minimum:
         raise ValueError(
-            f"{name} is {given!r}; allowed is a whole number of at least {least}{more}."
+            f"{name} is {values!r}; allowed is a whole number of at least {minimum}{more}."
         )
-    return int(given)
+    return int(values)
 
 
 class Actions(eqx.Module):

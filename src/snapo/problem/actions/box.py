@@ -20,28 +20,28 @@ Bounds = float | Sequence[float] | np.ndarray  # as they may be given
 def components(name: str, low: Any, high: Any, size: Any) -> int:
     """The number of components: `size`, else the length of the bounds, else 1."""
     if size is None:
-        lengths = [len(each) for each in (low, high) if np.ndim(each)]
+        lengths = [len(item) for item in (low, high) if np.ndim(item)]
         size = lengths[0] if lengths else 1
     return count(f"{name}: size", size, 1, f", after the bounds: {name}(0, 1, size=2)")
 
 
-def _bound(name: str, given: Any, size: int) -> Bound:
+def _bound(name: str, values: Any, size: int) -> Bound:
     """One number where all components share it, else a tuple with one for each."""
     try:
-        each = np.asarray(given, np.float64)
+        item = np.asarray(values, np.float64)
     except (TypeError, ValueError):
-        each = np.asarray(np.nan)
-    if np.isnan(each).any():
-        raise ValueError(f"Box: {name} is {given!r}; allowed is a number, or one per component.")
-    if each.ndim == 0:
-        return float(each)
-    if each.shape != (size,):
+        item = np.asarray(np.nan)
+    if np.isnan(item).any():
+        raise ValueError(f"Box: {name} is {values!r}; allowed is a number, or one per component.")
+    if item.ndim == 0:
+        return float(item)
+    if item.shape != (size,):
         raise ValueError(
-            f"Box: {name} has shape {each.shape} and size is {size}; give one number for all "
+            f"Box: {name} has shape {item.shape} and size is {size}; give one number for all "
             "components, or one for each."
         )
     # Equal sets compare equal, however they were written.
-    numbers = tuple(each.tolist())
+    numbers = tuple(item.tolist())
     return numbers[0] if len(set(numbers)) == 1 else numbers
 
 
@@ -71,13 +71,13 @@ class Box(Actions):
         size = components("Box", low, high, size)
         self.size = size
         self.low, self.high = _bound("low", low, size), _bound("high", high, size)
-        for i, (least, most) in enumerate(zip(*self.bounds())):
-            if not least < most:
+        for i, (minimum, maximum) in enumerate(zip(*self.bounds())):
+            if not minimum < maximum:
                 at = (
                     "" if isinstance(self.low, float) and isinstance(self.high, float) else f"[{i}]"
                 )
                 raise ValueError(
-                    f"Box: low{at} is {least} and high{at} is {most}; low must be below high."
+                    f"Box: low{at} is {minimum} and high{at} is {maximum}; low must be below high."
                 )
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -99,16 +99,16 @@ class Box(Actions):
         low, high = self.bounds()
         # The components of each kind (which ends are finite) together, then in their own order.
         kinds = list(zip(np.isfinite(low).tolist(), np.isfinite(high).tolist()))
-        found = jnp.zeros_like(raw)
+        result = jnp.zeros_like(raw)
         for kind in dict.fromkeys(kinds):
-            chosen = np.array([each == kind for each in kinds])
-            least, most = (np.where(chosen & np.isfinite(b), b, 0.0) for b in (low, high))
-            ends = (
-                jnp.asarray(least, raw.dtype) if kind[0] else -math.inf,
-                jnp.asarray(most, raw.dtype) if kind[1] else math.inf,
+            selected = np.array([item == kind for item in kinds])
+            minimum, maximum = (np.where(selected & np.isfinite(b), b, 0.0) for b in (low, high))
+            endpoints = (
+                jnp.asarray(minimum, raw.dtype) if kind[0] else -math.inf,
+                jnp.asarray(maximum, raw.dtype) if kind[1] else math.inf,
             )
-            found = jnp.where(chosen, _squash(raw, *ends), found)
-        return found
+            result = jnp.where(selected, _squash(raw, *endpoints), result)
+        return result
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
         """base + correction, clipped to the box; rounded by `smooth`, whose scale is the box's
@@ -129,12 +129,12 @@ class Box(Actions):
         beyond one; without bounds, action + share x with a normal x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
-        least, most = (
+        minimum, maximum = (
             jnp.asarray(np.where(np.isfinite(b), b, 0.0), action.dtype) for b in (low, high)
         )
-        beyond = jnp.where(normals < 0, -normals, normals)
-        anywhere = jnp.where(above, least + beyond, most - beyond)
-        anywhere = jnp.where(above & below, least + (most - least) * ndtr(normals), anywhere)
+        outside = jnp.where(normals < 0, -normals, normals)
+        anywhere = jnp.where(above, minimum + outside, maximum - outside)
+        anywhere = jnp.where(above & below, minimum + (maximum - minimum) * ndtr(normals), anywhere)
         mixed = (1 - share) * action + share * anywhere
         return jnp.where(above | below, mixed, action + share * normals)
 
@@ -145,8 +145,10 @@ class Box(Actions):
                 "Look for 0 / 0, or a logarithm or root of a negative number, before it.",
             )
         low, high = self.bounds()
-        beyond = (action < low - ROUNDING * np.abs(low)) | (action > high + ROUNDING * np.abs(high))
-        for i in np.flatnonzero(beyond)[:1]:
+        outside = (action < low - ROUNDING * np.abs(low)) | (
+            action > high + ROUNDING * np.abs(high)
+        )
+        for i in np.flatnonzero(outside)[:1]:
             return (
                 f"Action {i} is {action[i]:g}, outside of {low[i]:g} to {high[i]:g}.",
                 "Squash or clip it: action.squash(…), smooth.clip(…).",

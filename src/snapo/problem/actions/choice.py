@@ -48,8 +48,8 @@ class Choice(Actions):
 
     def _kept(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
         """Scores in the same order and proportion, below the level."""
-        apart, most = raw - raw.mean(), LARGEST * self.scale
-        return apart * (most / jnp.sqrt(most**2 + (apart**2).mean()))
+        apart, maximum = raw - raw.mean(), LARGEST * self.scale
+        return apart * (maximum / jnp.sqrt(maximum**2 + (apart**2).mean()))
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
         """Weights whose scores are the logarithms of `base` plus a correction."""
@@ -78,10 +78,10 @@ class Choice(Actions):
         # The last option takes what rounding leaves over.
         below = jnp.concatenate([uniform < upper[:-1], jnp.ones(1, bool)]).astype(action.dtype)
         option = below - jnp.concatenate([jnp.zeros(1, action.dtype), below[:-1]])
-        chance = option @ action
-        kept = jax.lax.stop_gradient(chance)
-        likely = kept > 0
-        return option, jnp.where(likely, chance, 1.0) / jnp.where(likely, kept, 1.0)
+        probability = option @ action
+        selected = jax.lax.stop_gradient(probability)
+        likely = selected > 0
+        return option, jnp.where(likely, probability, 1.0) / jnp.where(likely, selected, 1.0)
 
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         if abs(action.max() - 1) <= ROUNDING and abs(np.abs(action).sum() - 1) <= 100 * ROUNDING:

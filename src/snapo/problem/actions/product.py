@@ -18,7 +18,7 @@ def holds(action: Actions, kind: type[Actions]) -> bool:
     True
     """
     if isinstance(action, Product):
-        return any(holds(each, kind) for each in action.sets)
+        return any(holds(item, kind) for item in action.sets)
     return isinstance(action, kind)
 
 
@@ -59,69 +59,69 @@ class Product(Actions):
     def __init__(self, **sets: Actions):
         if not sets:
             raise ValueError("Product: it has no sets; give at least one, by name.")
-        for name, each in sets.items():
-            if not isinstance(each, Actions):
-                raise ValueError(f"Product: {name} is {each!r}; allowed is a set of actions.")
+        for name, item in sets.items():
+            if not isinstance(item, Actions):
+                raise ValueError(f"Product: {name} is {item!r}; allowed is a set of actions.")
         self.names, self.sets = tuple(sets), tuple(sets.values())
 
     @property
     def size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return sum(each.size for each in self.sets)
+        return sum(item.size for item in self.sets)
 
     def __getitem__(self, name: str) -> Any:
         return self.sets[self.names.index(name)]
 
     def parts(self, action: Any) -> dict[str, Any]:
         """{name: [… part]} of an action [… size]: the numbers of every decision."""
-        ends = np.cumsum([each.size for each in self.sets]).tolist()
+        endpoints = np.cumsum([item.size for item in self.sets]).tolist()
         return {
-            name: action[..., end - each.size : end]
-            for name, each, end in zip(self.names, self.sets, ends)
+            name: action[..., end - entry.size : end]
+            for name, entry, end in zip(self.names, self.sets, endpoints)
         }
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         """Each part into its own set."""
-        return self._each(lambda each, part: each.squash(part, smooth), raw)
+        return self._each(lambda item, part: item.squash(part, smooth), raw)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
         """Each part near its own base."""
-        return self._each(lambda each, *given: each.near(*given, smooth), base, correction)
+        return self._each(lambda item, *values: item.near(*values, smooth), base, correction)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        return self._each(lambda each, part: each.settle(part, smooth), action)
+        return self._each(lambda item, part: item.settle(part, smooth), action)
 
     @property
     def explores(self) -> int:
-        return sum(each.explores for each in self.sets)
+        return sum(item.explores for item in self.sets)
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
         """Each part in its own set, with its own normals."""
-        found, first, parts = [], 0, self.parts(action)
-        for name, each in zip(self.names, self.sets):
-            own = normals[first : first + each.explores]
-            found.append(each.explore(parts[name], own, share))
-            first += each.explores
-        return jnp.concatenate(found)
+        explores, first, parts = [], 0, self.parts(action)
+        for name, item in zip(self.names, self.sets):
+            local = normals[first : first + item.explores]
+            explores.append(item.explore(parts[name], local, share))
+            first += item.explores
+        return jnp.concatenate(explores)
 
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         for name, part in self.parts(action).items():
-            if found := self[name].fault(part):
-                return f"{name}: {found[0]}", found[1]
+            if fault := self[name].fault(part):
+                return f"{name}: {fault[0]}", fault[1]
         return None
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        low, high = zip(*(each.bounds() for each in self.sets))
+        low, high = zip(*(item.bounds() for item in self.sets))
         return np.concatenate(low), np.concatenate(high)
 
     def together(self) -> list[list[int]]:
-        found, first = [], 0
-        for each in self.sets:
-            found += [[first + i for i in group] for group in each.together()]
-            first += each.size
-        return found
+        results, first = [], 0
+        for item in self.sets:
+            results += [[first + i for i in group] for group in item.together()]
+            first += item.size
+        return results
 
-    def _each(self, work: Callable[..., Array], *given: Array) -> Array:
+    def _each(self, work: Callable[..., Array], *values: Array) -> Array:
         # A base may be one number for all components.
-        full = [jnp.broadcast_to(jnp.asarray(x), (self.size,)) for x in given]
+        full = [jnp.broadcast_to(jnp.asarray(x), (self.size,)) for x in values]
         parts = [self.parts(x) for x in full]
         return jnp.concatenate([work(self[n], *(p[n] for p in parts)) for n in self.names])

@@ -68,8 +68,8 @@ class Stop(Actions):
         size = jnp.where(u < 0, -u, u)  # not abs, whose slope at 0 is 0
         root = jnp.sqrt(1 + u * u)
         # The smaller one of both probabilities: one less the larger would lose its digits.
-        least = 0.5 / (root * (root + size))
-        return jnp.where(hot, jnp.where(u < 0, least, 1 - least), exact)
+        minimum = 0.5 / (root * (root + size))
+        return jnp.where(hot, jnp.where(u < 0, minimum, 1 - minimum), exact)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         return smooth.round(action)

@@ -31,5 +31,5 @@ def read(file: Path) -> tuple[dict[str, np.ndarray], Any]:
             names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
             return {name: stored[name] for name in names}, header
     except Exception as error:  # a damaged byte can be a compression, a key or a size as well
-        what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{file}: this file cannot be read ({what}).") from None
+        message = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{file}: this file cannot be read ({message}).") from None

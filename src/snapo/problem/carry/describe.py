@@ -27,37 +27,39 @@ def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
 
     A place that only one of the two has makes no difference: another version may have added it.
     """
-    for place, words in now.items():
-        if stored.get(place, words) != words:
-            return f"its {place} is {stored[place]}, and here it is {words}"
+    for position, text in now.items():
+        if stored.get(position, text) != text:
+            return f"its {position} is {stored[position]}, and here it is {text}"
     return ""
 
 
-def _lines(value: Any, place: str):
+def _lines(value: Any, position: str):
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        yield f"{place} kind".strip(), type(value).__name__
-        for each in dataclasses.fields(value):
-            yield from _lines(getattr(value, each.name, None), f"{place}.{each.name}".strip("."))
+        yield f"{position} kind".strip(), type(value).__name__
+        for field in dataclasses.fields(value):
+            yield from _lines(
+                getattr(value, field.name, None), f"{position}.{field.name}".strip(".")
+            )
     elif isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _lines(each, f"{place}.{key}".strip("."))
+        for key, field in value.items():
+            yield from _lines(field, f"{position}.{key}".strip("."))
     elif isinstance(value, list | tuple):
-        for index, each in enumerate(value):
-            yield from _lines(each, f"{place}[{index}]")
+        for index, field in enumerate(value):
+            yield from _lines(field, f"{position}[{index}]")
     elif isinstance(value, jax.Array | np.ndarray):
         return  # shapes are compared where the numbers are read
     elif value is None or isinstance(value, bool | int | float | str):
-        yield place, repr(value)
+        yield position, repr(value)
     elif callable(value):
-        yield place, _name(value)
+        yield position, _name(value)
     else:
-        yield f"{place} kind".strip(), type(value).__name__
+        yield f"{position} kind".strip(), type(value).__name__
 
 
 def _name(function: Any) -> str:
     """A function's name, with the settings of a partial one."""
     if isinstance(function, partial):
-        given = [*map(repr, function.args), *(f"{k}={v!r}" for k, v in function.keywords.items())]
-        plain = [each for each in given if " at 0x" not in each]
+        values = [*map(repr, function.args), *(f"{k}={v!r}" for k, v in function.keywords.items())]
+        plain = [item for item in values if " at 0x" not in item]
         return f"{_name(function.func)}({', '.join(plain)})"
     return str(getattr(function, "__name__", type(function).__name__))

@@ -21,41 +21,41 @@ MOVES = {
 }  # fmt: skip
 
 
-def moved(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
+def moved(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The outputs of one such operation.
 
     **Raises:** `ValueError` where an index depends on the observation, or leaves its array.
     """
     data = MOVES[equation.primitive.name]
     operands, first, start = [], [], 0
-    for i, each in enumerate(given):
+    for i, item in enumerate(tensors):
         if i in data:
-            size = int(np.prod(each.shape, dtype=int))
-            operands.append(jnp.arange(start, start + size).reshape(each.shape))
-            first.append(graph.reshaped(each, (size,)))
+            size = int(np.prod(item.shape, dtype=int))
+            operands.append(jnp.arange(start, start + size).reshape(item.shape))
+            first.append(graph.reshaped(item, (size,)))
             start += size
-        elif each.name in graph.constants:
-            operands.append(jnp.asarray(graph.constants[each.name]))
+        elif item.name in graph.constants:
+            operands.append(jnp.asarray(graph.constants[item.name]))
         else:
             raise ValueError("to_onnx: an index that depends on the observation is not exported.")
     settings = dict(equation.params)
     if settings.get("fill_value", 0) is not None and "fill_value" in settings:
         settings["fill_value"] = None
-    found = equation.primitive.bind(*operands, **settings)
-    places = found if equation.primitive.multiple_results else [found]
-    batched = any(each.batched for each in first)
+    result = equation.primitive.bind(*operands, **settings)
+    positions = result if equation.primitive.multiple_results else [result]
+    batched = any(entry.batched for entry in first)
     flat = first[0]
     if len(first) > 1:
-        parts = [graph.by_state(each) for each in first] if batched else first
+        parts = [graph.by_state(value) for value in first] if batched else first
         flat = graph.node("Concat", parts, (start,), parts[0].dtype, axis=int(batched))
-    return [_taken(graph, flat, np.asarray(each), start) for each in places]
+    return [_taken(graph, flat, np.asarray(position), start) for position in positions]
 
 
-def _taken(graph: Graph, flat: Tensor, places: np.ndarray, count: int) -> Tensor:
-    if places.size and not (places.min() >= 0 and places.max() < count):
+def _taken(graph: Graph, flat: Tensor, positions: np.ndarray, count: int) -> Tensor:
+    if positions.size and not (positions.min() >= 0 and positions.max() < count):
         raise ValueError("to_onnx: an index lies outside of its array.")
-    index = graph.constant(places.astype(np.int64))
-    return graph.node("Gather", [flat, index], places.shape, flat.dtype, axis=int(flat.batched))
+    index = graph.constant(positions.astype(np.int64))
+    return graph.node("Gather", [flat, index], positions.shape, flat.dtype, axis=int(flat.batched))
 
 
 INLINED = {
@@ -92,8 +92,8 @@ def to_onnx(
     try:
         import onnx
     except ModuleNotFoundError:
-        what = "snapo.to_onnx needs the package onnx: pip install 'snapo[onnx]'"
-        raise ModuleNotFoundError(what) from None
+        message = "snapo.to_onnx needs the package onnx: pip install 'snapo[onnx]'"
+        raise ModuleNotFoundError(message) from None
     count = features if observe is not None or features is not None else features_of(policy)
     if count is None:
         raise ValueError(
@@ -103,8 +103,8 @@ def to_onnx(
     graph = Graph(count, dtype)
 
     def decide(raw):
-        seen = raw if observe is None else jnp.asarray(observe(raw), raw.dtype)
-        return policy(seen, Exact()).astype(raw.dtype)
+        observed = raw if observe is None else jnp.asarray(observe(raw), raw.dtype)
+        return policy(observed, Exact()).astype(raw.dtype)
 
     with jax.enable_x64(dtype == "float64"):
         traced = jax.make_jaxpr(decide)(jax.ShapeDtypeStruct((count,), np.dtype(dtype)))
@@ -117,45 +117,47 @@ def to_onnx(
 
 def _written(graph: Graph, jaxpr: Any, consts: Any, arguments: list[Tensor]) -> list[Tensor]:
     """The equations of a trace as nodes, one after another; returns the outputs."""
-    known: dict[Any, Tensor] = dict(zip(jaxpr.invars, arguments))
-    known |= {name: graph.constant(each) for name, each in zip(jaxpr.constvars, consts)}
+    tensors: dict[Any, Tensor] = dict(zip(jaxpr.invars, arguments))
+    tensors |= {name: graph.constant(const) for name, const in zip(jaxpr.constvars, consts)}
 
     def value(atom: Any) -> Tensor:
         if hasattr(atom, "val"):
             return graph.constant(np.asarray(atom.val, atom.aval.dtype))
-        return known[atom]
+        return tensors[atom]
 
     for equation in jaxpr.eqns:
-        given = [value(atom) for atom in equation.invars]
-        found = _operation(graph, equation, given)
-        known |= dict(zip(equation.outvars, found))
+        values = [value(atom) for atom in equation.invars]
+        operation = _operation(graph, equation, values)
+        tensors |= dict(zip(equation.outvars, operation))
     return [value(atom) for atom in jaxpr.outvars]
 
 
-def _operation(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
+def _operation(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     name, settings = equation.primitive.name, equation.params
-    known = [graph.constants.get(each.name) for each in given]
-    if name not in INLINED and all(each is not None for each in known):
-        return _folded(graph, equation, known)
+    available = [graph.constants.get(item.name) for item in tensors]
+    if name not in INLINED and all(entry is not None for entry in available):
+        return _folded(graph, equation, available)
     if name in INLINED:
         inner = settings[INLINED[name]]
-        return _written(graph, getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), given)
+        return _written(
+            graph, getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), tensors
+        )
     if name == "scan":
-        return unrolled(graph, settings, given, _written)
+        return unrolled(graph, settings, tensors, _written)
     if name == "unstack":
-        return unstacked(graph, equation, given)
+        return unstacked(graph, equation, tensors)
     if name in MOVES:
-        return moved(graph, equation, given)
+        return moved(graph, equation, tensors)
     if name not in RULES:
         raise ValueError(
             f"to_onnx: this policy uses the operation {name}, which is not exported; write it with "
             "sums, products, selections and the functions of jax.nn."
         )
-    return [RULES[name](graph, equation, given)]
+    return [RULES[name](graph, equation, tensors)]
 
 
-def _folded(graph: Graph, equation: Any, known: list[Any]) -> list[Tensor]:
+def _folded(graph: Graph, equation: Any, available: list[Any]) -> list[Tensor]:
     """What does not depend on the observation is a constant."""
-    found = equation.primitive.bind(*map(jnp.asarray, known), **equation.params)
-    found = found if equation.primitive.multiple_results else [found]
-    return [graph.constant(np.asarray(each)) for each in found]
+    result = equation.primitive.bind(*map(jnp.asarray, available), **equation.params)
+    result = result if equation.primitive.multiple_results else [result]
+    return [graph.constant(np.asarray(item)) for item in result]

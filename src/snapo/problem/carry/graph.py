@@ -39,9 +39,9 @@ class Graph:
         from onnx import helper
 
         name = f"v{len(self.nodes)}"
-        names = [each.name for each in inputs]
+        names = [item.name for item in inputs]
         self.nodes.append(helper.make_node(kind, names, [name], **settings))
-        batched = any(each.batched for each in inputs)
+        batched = any(entry.batched for entry in inputs)
         return Tensor(name, tuple(shape), np.dtype(dtype), batched)
 
     def whole(self, numbers: Sequence[int]) -> Tensor:
@@ -64,8 +64,8 @@ class Graph:
         target = self.node(
             "Concat", [self._states, rest], (1 + len(value.shape),), np.int64, axis=0
         )
-        found = self.node("Expand", [value, target], value.shape, value.dtype)
-        return found._replace(batched=True)
+        node = self.node("Expand", [value, target], value.shape, value.dtype)
+        return node._replace(batched=True)
 
     def model(self, result: Tensor, about: str) -> Any:
         """The whole, as an ONNX model that its own checker has passed."""
@@ -75,17 +75,17 @@ class Graph:
         kinds = {np.dtype(np.float32): TensorProto.FLOAT, np.dtype(np.float64): TensorProto.DOUBLE}
         result = self.node("Identity", [self.by_state(result)], result.shape, result.dtype)
         self.nodes[-1].output[0] = "action"
-        given, found = (
-            helper.make_tensor_value_info(name, kinds[each.dtype], ["states", *each.shape])
-            for name, each in (("observation", self.input), ("action", result))
+        values, results = (
+            helper.make_tensor_value_info(name, kinds[item.dtype], ["states", *item.shape])
+            for name, item in (("observation", self.input), ("action", result))
         )
-        used = {name for each in self.nodes for name in each.input}
+        used = {name for node in self.nodes for name in node.input}
         tables = [
-            numpy_helper.from_array(each, name)
-            for name, each in self.constants.items()
+            numpy_helper.from_array(constant, name)
+            for name, constant in self.constants.items()
             if name in used
         ]
-        graph = helper.make_graph(self.nodes, "policy", [given], [found], tables, about)
+        graph = helper.make_graph(self.nodes, "policy", [values], [results], tables, about)
         # Of 2022 and 2023: runtimes of that age read the file.
         operators = [helper.make_opsetid("", 18)]
         model = helper.make_model(graph, producer_name="snapo", opset_imports=operators)

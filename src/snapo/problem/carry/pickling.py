@@ -20,7 +20,7 @@ class _Named(NamedTuple):
 
 def reduced(module: eqx.Module) -> tuple:
     """What `__reduce__` of a module with functions in its fields gives."""
-    held = {each.name: getattr(module, each.name) for each in fields(module)}  # pyright: ignore
+    held = {field.name: getattr(module, field.name) for field in fields(module)}  # pyright: ignore
     return _made, (type(module), {name: _packed(value) for name, value in held.items()})
 
 
@@ -32,6 +32,6 @@ def _packed(value: Any) -> Any:
 def _made(kind: type, held: dict[str, Any]) -> Any:
     made = object.__new__(kind)
     for name, value in held.items():
-        given = functions()[value.name] if isinstance(value, _Named) else value
-        object.__setattr__(made, name, given)
+        values = functions()[value.name] if isinstance(value, _Named) else value
+        object.__setattr__(made, name, values)
     return made

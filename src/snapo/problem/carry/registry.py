@@ -34,13 +34,13 @@ _SIMPLE = (
 @cache
 def functions() -> dict[str, Callable]:
     """{name: function}: the activations that a file may name."""
-    return {each.__name__: each for each in _SIMPLE}
+    return {item.__name__: item for item in _SIMPLE}
 
 
 def name_of(function: Callable) -> str | None:
     """The name under which a function is known; None for any other."""
-    known = functions()
-    return next((name for name, each in known.items() if each is function), None) or (
+    available = functions()
+    return next((name for name, item in available.items() if item is function), None) or (
         "tanh" if function is jnp.tanh else None
     )
 

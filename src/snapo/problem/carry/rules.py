@@ -30,21 +30,21 @@ def _out(equation: Any) -> tuple[tuple[int, ...], np.dtype]:
     return tuple(aval.shape), np.dtype(aval.dtype)
 
 
-def _alike(graph: Graph, given: list[Tensor]) -> list[Tensor]:
+def _alike(graph: Graph, tensors: list[Tensor]) -> list[Tensor]:
     """Operands of which some have no axis of states: numbers of fewer axes are lined up."""
-    if not any(each.batched for each in given):
-        return given
-    rank = max(len(each.shape) for each in given)
-    return [each if len(each.shape) == rank else _wider(graph, each, rank) for each in given]
+    if not any(item.batched for item in tensors):
+        return tensors
+    rank = max(len(entry.shape) for entry in tensors)
+    return [value if len(value.shape) == rank else _wider(graph, value, rank) for value in tensors]
 
 
-def _wider(graph: Graph, each: Tensor, rank: int) -> Tensor:
-    return graph.reshaped(each, (1,) * (rank - len(each.shape)) + each.shape)
+def _wider(graph: Graph, tensor: Tensor, rank: int) -> Tensor:
+    return graph.reshaped(tensor, (1,) * (rank - len(tensor.shape)) + tensor.shape)
 
 
 def _same(kind: str) -> Callable:
-    def rule(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-        return graph.node(kind, _alike(graph, given), *_out(equation))
+    def rule(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+        return graph.node(kind, _alike(graph, tensors), *_out(equation))
 
     return rule
 
@@ -59,59 +59,59 @@ def _cast(graph: Graph, value: Tensor, dtype: Any) -> Tensor:
     return graph.node("Cast", [value], value.shape, dtype, to=to)
 
 
-def _convert(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    return _cast(graph, given[0], _out(equation)[1])
+def _convert(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    return _cast(graph, tensors[0], _out(equation)[1])
 
 
-def _not_equal(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    equal = graph.node("Equal", _alike(graph, given), *_out(equation))
+def _not_equal(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    equal = graph.node("Equal", _alike(graph, tensors), *_out(equation))
     return graph.node("Not", [equal], *_out(equation))
 
 
-def _select(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    which, *cases = given
+def _select(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    which, *cases = tensors
     if len(cases) != 2:
         raise ValueError("to_onnx: a selection among more than two is not exported.")
-    chosen = _cast(graph, which, np.bool_)
-    return graph.node("Where", _alike(graph, [chosen, cases[1], cases[0]]), *_out(equation))
+    selected = _cast(graph, which, np.bool_)
+    return graph.node("Where", _alike(graph, [selected, cases[1], cases[0]]), *_out(equation))
 
 
-def _clamp(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    low, value, high = _alike(graph, given)
+def _clamp(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    low, value, high = _alike(graph, tensors)
     shape, dtype = _out(equation)
     raised = graph.node("Max", [low, value], shape, dtype)
     return graph.node("Min", [raised, high], shape, dtype)
 
 
-def _integer_pow(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _integer_pow(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     shape, dtype = _out(equation)
     power = equation.params["y"]
     if power == 2:
-        return graph.node("Mul", [given[0], given[0]], shape, dtype)
-    return graph.node("Pow", [given[0], graph.constant(np.asarray(power, dtype))], shape, dtype)
+        return graph.node("Mul", [tensors[0], tensors[0]], shape, dtype)
+    return graph.node("Pow", [tensors[0], graph.constant(np.asarray(power, dtype))], shape, dtype)
 
 
-def _square(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    return graph.node("Mul", [given[0], given[0]], *_out(equation))
+def _square(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    return graph.node("Mul", [tensors[0], tensors[0]], *_out(equation))
 
 
-def _log1p(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _log1p(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     # log(1 + x) x / ((1 + x) - 1), which keeps all digits (Goldberg 1991, theorem 4).
-    (x,), (shape, dtype) = given, _out(equation)
+    (x,), (shape, dtype) = tensors, _out(equation)
     one = graph.constant(np.ones((), dtype))
     more = graph.node("Add", [one, x], shape, dtype)
-    kept = graph.node("Sub", [more, one], shape, dtype)
-    none = graph.node("Equal", [kept, graph.constant(np.zeros((), dtype))], shape, np.bool_)
-    under = graph.node("Where", [none, one, kept], shape, dtype)
+    selected = graph.node("Sub", [more, one], shape, dtype)
+    none = graph.node("Equal", [selected, graph.constant(np.zeros((), dtype))], shape, np.bool_)
+    under = graph.node("Where", [none, one, selected], shape, dtype)
     log = graph.node("Log", [more], shape, dtype)
     scaled = graph.node("Mul", [log, graph.node("Div", [x, under], shape, dtype)], shape, dtype)
     return graph.node("Where", [none, x, scaled], shape, dtype)
 
 
-def _expm1(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _expm1(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     # 2 t / (1 - t) with t = tanh(x / 2), which keeps all digits near 0; exp(x) - 1 elsewhere.
-    (x,), (shape, dtype) = given, _out(equation)
-    half, one, two = (graph.constant(np.asarray(each, dtype)) for each in (0.5, 1.0, 2.0))
+    (x,), (shape, dtype) = tensors, _out(equation)
+    half, one, two = (graph.constant(np.asarray(item, dtype)) for item in (0.5, 1.0, 2.0))
     t = graph.node("Tanh", [graph.node("Mul", [x, half], shape, dtype)], shape, dtype)
     near = graph.node("Less", [graph.node("Abs", [x], shape, dtype), one], shape, np.bool_)
     rest = graph.node(
@@ -122,26 +122,26 @@ def _expm1(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
     return graph.node("Where", [near, inner, outer], shape, dtype)
 
 
-def _rsqrt(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _rsqrt(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     shape, dtype = _out(equation)
-    root = graph.node("Sqrt", given, shape, dtype)
+    root = graph.node("Sqrt", tensors, shape, dtype)
     return graph.node("Reciprocal", [root], shape, dtype)
 
 
-def _round(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    return graph.node("Round", given, *_out(equation))  # a half to the even number, as in JAX
+def _round(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    return graph.node("Round", tensors, *_out(equation))  # a half to the even number, as in JAX
 
 
-def _is_finite(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _is_finite(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     shape, _ = _out(equation)
-    most = graph.constant(np.finfo(given[0].dtype).max)
-    size = graph.node("Abs", given, shape, given[0].dtype)
-    return graph.node("LessOrEqual", [size, most], shape, np.bool_)
+    maximum = graph.constant(np.finfo(tensors[0].dtype).max)
+    size = graph.node("Abs", tensors, shape, tensors[0].dtype)
+    return graph.node("LessOrEqual", [size, maximum], shape, np.bool_)
 
 
 def _reduce(kind: str) -> Callable:
-    def rule(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-        (x,) = given
+    def rule(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+        (x,) = tensors
         axes = graph.whole([axis + x.batched for axis in equation.params["axes"]])
         # ReduceMax and ReduceMin take their axes as a setting until version 18 of the operators.
         return graph.node(kind, [x, axes], *_out(equation), keepdims=0)
@@ -149,56 +149,56 @@ def _reduce(kind: str) -> Callable:
     return rule
 
 
-def _argmax(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    (x,), (axis,) = given, equation.params["axes"]
+def _argmax(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    (x,), (axis,) = tensors, equation.params["axes"]
     shape, dtype = _out(equation)
-    found = graph.node("ArgMax", [x], shape, np.int64, axis=axis + x.batched, keepdims=0)
-    return _cast(graph, found, dtype)
+    node = graph.node("ArgMax", [x], shape, np.int64, axis=axis + x.batched, keepdims=0)
+    return _cast(graph, node, dtype)
 
 
-def _reshape(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    return graph.reshaped(given[0], _out(equation)[0])
+def _reshape(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    return graph.reshaped(tensors[0], _out(equation)[0])
 
 
-def _broadcast(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    (x, *_), (shape, dtype) = given, _out(equation)
-    place = dict(zip(equation.params["broadcast_dimensions"], x.shape))
-    lined = graph.reshaped(x, [place.get(axis, 1) for axis in range(len(shape))])
+def _broadcast(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    (x, *_), (shape, dtype) = tensors, _out(equation)
+    position = dict(zip(equation.params["broadcast_dimensions"], x.shape))
+    lined = graph.reshaped(x, [position.get(axis, 1) for axis in range(len(shape))])
     if lined.shape == shape:
         return lined
     target = graph.whole([1, *shape] if x.batched else shape)
     return graph.node("Expand", [lined, target], shape, dtype)
 
 
-def _concatenate(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    batched = any(each.batched for each in given)
-    parts = [graph.by_state(each) for each in given] if batched else given
+def _concatenate(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    batched = any(item.batched for item in tensors)
+    parts = [graph.by_state(entry) for entry in tensors] if batched else tensors
     axis = equation.params["dimension"] + batched
     return graph.node("Concat", parts, *_out(equation), axis=axis)
 
 
-def _stack(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _stack(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     (axis,) = {equation.params[key] for key in ("axis", "dimension") if key in equation.params}
-    batched = any(each.batched for each in given)
+    batched = any(item.batched for item in tensors)
     parts = [
-        graph.reshaped(each, (*each.shape[:axis], 1, *each.shape[axis:]))
-        for each in (map(graph.by_state, given) if batched else given)
+        graph.reshaped(entry, (*entry.shape[:axis], 1, *entry.shape[axis:]))
+        for entry in (map(graph.by_state, tensors) if batched else tensors)
     ]
     return graph.node("Concat", parts, *_out(equation), axis=axis + batched)
 
 
-def _slice(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    (x,), settings = given, equation.params
-    starts, ends = settings["start_indices"], settings["limit_indices"]
+def _slice(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    (x,), settings = tensors, equation.params
+    starts, endpoints = settings["start_indices"], settings["limit_indices"]
     strides = settings["strides"] or (1,) * len(starts)
     axes = [i + x.batched for i in range(len(starts))]
-    given = [x, *map(graph.whole, (starts, ends, axes, strides))]
-    return graph.node("Slice", given, *_out(equation))
+    tensors = [x, *map(graph.whole, (starts, endpoints, axes, strides))]
+    return graph.node("Slice", tensors, *_out(equation))
 
 
-def unstacked(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
+def unstacked(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The entries along an axis, each as an array of its own."""
-    (x,), axis = given, equation.params["axis"]
+    (x,), axis = tensors, equation.params["axis"]
     shape, dtype = _out(equation)
     parts = []
     for i in range(len(equation.outvars)):
@@ -208,13 +208,13 @@ def unstacked(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
     return parts
 
 
-def _transpose(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    (x,) = given
+def _transpose(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    (x,) = tensors
     moved = [axis + x.batched for axis in equation.params["permutation"]]
     return graph.node("Transpose", [x], *_out(equation), perm=[0, *moved] if x.batched else moved)
 
 
-def _iota(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+def _iota(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     shape, dtype = _out(equation)
     axis = equation.params["dimension"]
     counted = np.arange(shape[axis], dtype=dtype)
@@ -222,18 +222,20 @@ def _iota(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
     return graph.constant(np.broadcast_to(lined, shape).copy())
 
 
-def _dot(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
-    (left, right), (shape, dtype) = given, _out(equation)
+def _dot(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
+    (left, right), (shape, dtype) = tensors, _out(equation)
     (one, two), batch = equation.params["dimension_numbers"]
     if any(batch) or len(one) != 1 or max(len(left.shape), len(right.shape)) > 2:
         raise ValueError("to_onnx: a product of arrays of more than two axes is not exported.")
-    left, right = (_cast(graph, each, dtype) for each in (left, right))
+    left, right = (_cast(graph, item, dtype) for item in (left, right))
     rows = _matrix(graph, left, one[0], last=True)
     columns = _matrix(graph, right, two[0], last=False)
     if left.batched != right.batched:  # the other one's axis of states
         rows, columns = (
-            each if each.batched else graph.reshaped(each, (1, *each.shape))._replace(batched=False)
-            for each in (rows, columns)
+            entry
+            if entry.batched
+            else graph.reshaped(entry, (1, *entry.shape))._replace(batched=False)
+            for entry in (rows, columns)
         )
     product = graph.node("MatMul", [rows, columns], (), dtype)
     return graph.reshaped(product, shape)
@@ -249,12 +251,12 @@ def _matrix(graph: Graph, value: Tensor, axis: int, last: bool) -> Tensor:
     return graph.node("Transpose", [value], value.shape[::-1], value.dtype, perm=moved)
 
 
-def unrolled(graph: Graph, settings: Any, given: list[Tensor], write: Callable) -> list[Tensor]:
+def unrolled(graph: Graph, settings: Any, tensors: list[Tensor], write: Callable) -> list[Tensor]:
     """A loop of a known, small number of rounds that carries values and returns no others."""
     count, carried = arguments_of_scan(settings)
-    if settings["length"] > MOST or len(given) != count + carried:
+    if settings["length"] > MOST or len(tensors) != count + carried:
         raise ValueError(f"to_onnx: a loop of more than {MOST} rounds is not exported.")
-    fixed, moving = given[:count], given[count:]
+    fixed, moving = tensors[:count], tensors[count:]
     for _ in range(settings["length"]):
         moving = write(graph, settings["jaxpr"].jaxpr, settings["jaxpr"].consts, [*fixed, *moving])
     return moving

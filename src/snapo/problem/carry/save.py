@@ -26,15 +26,15 @@ def save(policy: Policy, file: Path | str) -> None:
     """
     arrays: list[Any] = []
     try:
-        said = encoded(policy, arrays)
+        metadata = encoded(policy, arrays)
     except NotKnown as error:
         raise PolicyFileError(
             f"policy.save: {error}, which is your own code, and a file holds no code. Give "
             "Solution.load(folder, like=policy) a policy made by your code in its place, "
             "or carry it away with snapo.to_onnx, which takes any policy."
         ) from None
-    header = {"snapo policy": FORMAT, "features": features(policy), "policy": said}
-    archive.write(Path(file), {f"leaf_{i}": each for i, each in enumerate(arrays)}, header)
+    header = {"snapo policy": FORMAT, "features": features(policy), "policy": metadata}
+    archive.write(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
 
 
 def load_policy(file: Path | str) -> Policy:
@@ -50,8 +50,8 @@ def load_policy(file: Path | str) -> Policy:
     if not isinstance(header, dict) or "snapo policy" not in header:
         raise PolicyFileError(f"{file}: this file holds no policy that policy.save wrote.")
     if header["snapo policy"] != FORMAT:
-        what = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
-        raise PolicyFileError(f"{file}: it {what}.")
+        message = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
+        raise PolicyFileError(f"{file}: it {message}.")
     try:
         policy = decoded(header["policy"], list(arrays.values()))
         if not isinstance(policy, Policy):

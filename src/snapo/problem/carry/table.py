@@ -48,9 +48,9 @@ def decision_table(
     [[20.0], [30.0], [21.0], [31.0]]
     """
     (one, values), (two, others) = x, y
-    if one == two or not all(0 <= each < len(at) for each in (one, two)):
-        what = f"x and y name two different numbers of {len(at)}, 0 to {len(at) - 1}"
-        raise ValueError(f"decision_table: {what}; got {one} and {two}.")
+    if one == two or not all(0 <= item < len(at) for item in (one, two)):
+        message = f"x and y name two different numbers of {len(at)}, 0 to {len(at) - 1}"
+        raise ValueError(f"decision_table: {message}; got {one} and {two}.")
     pairs = np.array([(a, b) for a in values for b in others], np.float64).reshape(-1, 2)
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))
     states[:, [one, two]] = pairs
@@ -82,4 +82,4 @@ def _write(file: Path, table: Decisions, names: Sequence[str]) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
-        writer.writerows([repr(float(each)) for each in row] for row in rows)
+        writer.writerows([repr(float(item)) for item in row] for row in rows)

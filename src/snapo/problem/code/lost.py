@@ -75,33 +75,33 @@ def _reach(
         now = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
         return schedule.constants, now, simulator.initial(schedule.constants, noise)
 
-    def step(given, action, noise):
-        constants, now, state = given
+    def step(params, action, noise):
+        constants, now, state = params
         after, outputs = simulator.step(constants, now, state, action, noise, smooth)
         after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, state)
         return after, outputs, simulator.terminal(constants, after, smooth)
 
     sizes = simulator.initial_noise_size, simulator.action.size, simulator.noise_size
     initial, *other = map(np.zeros, sizes)  # NumPy's: nothing is compiled for them
-    begun, shapes = jax.make_jaxpr(first, return_shape=True)(values, initial)
-    stepped, ends = jax.make_jaxpr(step, return_shape=True)(shapes, *other)
+    started, shapes = jax.make_jaxpr(first, return_shape=True)(values, initial)
+    stepped, endpoints = jax.make_jaxpr(step, return_shape=True)(shapes, *other)
     # One bit for each input; after them come the noise, and the action.
     marks = [Reach(1 << i, 1 << i) for i in range(len(values))]
-    known = _results(begun.jaxpr, [*marks, DRAWN], cuts)
-    states, rest = len(jax.tree.leaves(ends[0])), [DRAWN] * len(other)
+    available = _results(started.jaxpr, [*marks, DRAWN], cuts)
+    states, rest = len(jax.tree.leaves(endpoints[0])), [DRAWN] * len(other)
     while True:
-        made = _results(stepped.jaxpr, [*known, *rest], cuts)
-        after = [a | b for a, b in zip(known[len(known) - states :], made)]
-        if after == known[len(known) - states :]:
+        made = _results(stepped.jaxpr, [*available, *rest], cuts)
+        after = [a | b for a, b in zip(available[len(available) - states :], made)]
+        if after == available[len(available) - states :]:
             return _union(made[states:])
-        known = [*known[: len(known) - states], *after]
+        available = [*available[: len(available) - states], *after]
 
 
 def _results(
-    jaxpr: Any, given: Sequence[Reach], cuts: list[tuple[Any, int]] | None = None
+    jaxpr: Any, reaches: Sequence[Reach], cuts: list[tuple[Any, int]] | None = None
 ) -> list[Reach]:
     """What every result of a program depends on."""
-    reach = dict(zip(jaxpr.invars, given))
+    reach = dict(zip(jaxpr.invars, reaches))
 
     def of(atom: Any) -> Reach:
         return Reach() if isinstance(atom, jex.Literal) else reach.get(atom, Reach())
@@ -116,40 +116,40 @@ def _results(
     return [of(x) for x in jaxpr.outvars]
 
 
-def _through(eqn: Any, given: list[Reach]) -> list[Reach]:
+def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
     """What an equation's results depend on."""
     name, params = eqn.primitive.name, eqn.params
     by_hand = name.startswith("custom_")  # it says its own derivative, whatever is inside
     inner = None if by_hand else jax_private.called(eqn)
     if inner is not None:
-        return _results(getattr(inner, "jaxpr", inner), given)
+        return _results(getattr(inner, "jaxpr", inner), reaches)
     if name == "cond":
-        chosen, *arguments = given
-        ways = [_results(each.jaxpr, arguments) for each in params["branches"]]
-        switched = chosen._replace(slope=0)
-        return [_union([*each, switched]) for each in zip(*ways)]
+        selected, *arguments = reaches
+        ways = [_results(branch.jaxpr, arguments) for branch in params["branches"]]
+        switched = selected._replace(slope=0)
+        return [_union([*path, switched]) for path in zip(*ways)]
     if name == "scan":
-        return _rounds(params, given)
+        return _rounds(params, reaches)
     if name == "stop_gradient":
         return [Reach()] * len(eqn.outvars)
-    both = _union(given)
+    both = _union(reaches)
     if name in COMPARING and not both.by_path:
         return [Reach()]  # a switch, which a small move of an input does not turn
-    slope = _union([each for each, x in zip(given, eqn.invars) if _is_real(x)]).slope
+    slope = _union([item for item, x in zip(reaches, eqn.invars) if _is_real(x)]).slope
     return [
         both._replace(slope=slope * (_is_real(x) and name not in ROUNDING)) for x in eqn.outvars
     ]
 
 
-def _rounds(params: Any, given: list[Reach]) -> list[Reach]:
+def _rounds(params: Any, reaches: list[Reach]) -> list[Reach]:
     """Of a scan: its body until what is carried depends on no more."""
     fixed, carried = jax_private.arguments_of_scan(params)
     while True:
-        made = _results(params["jaxpr"].jaxpr, given)
-        after = [a | b for a, b in zip(given[fixed : fixed + carried], made)]
-        if after == given[fixed : fixed + carried]:
+        made = _results(params["jaxpr"].jaxpr, reaches)
+        after = [a | b for a, b in zip(reaches[fixed : fixed + carried], made)]
+        if after == reaches[fixed : fixed + carried]:
             return made
-        given = [*given[:fixed], *after, *given[fixed + carried :]]
+        reaches = [*reaches[:fixed], *after, *reaches[fixed + carried :]]
 
 
 def _is_real(variable: Any) -> bool:
@@ -158,6 +158,6 @@ def _is_real(variable: Any) -> bool:
 
 def _union(several: Sequence[Reach]) -> Reach:
     total = Reach()
-    for each in several:
-        total |= each
+    for item in several:
+        total |= item
     return total

@@ -56,8 +56,8 @@ class Names(NamedTuple):
 def names(code: CodeType) -> Names:
     """All names in a function's code."""
     read, added, written, members, modules = set(), set(), set(), set(), set()
-    for each in _codes(code):
-        steps, level = list(dis.get_instructions(each)), 0
+    for item in _codes(code):
+        steps, level = list(dis.get_instructions(item)), 0
         for step, after in zip(steps, [*steps[1:], None]):
             name, kind = step.argval, step.opname
             if kind in LOADS or kind in CELLS:
@@ -71,8 +71,8 @@ def names(code: CodeType) -> Names:
                 modules.add((level, name))
             elif kind.startswith("LOAD_") and type(name) is int:
                 level = name  # the last whole number before an import is its level
-        members |= {x for x in each.co_consts if isinstance(x, str) and x.isidentifier()}
-    made, unseen = (not each.isdisjoint(read | members) for each in (MADE, UNSEEN))
+        members |= {x for x in item.co_consts if isinstance(x, str) and x.isidentifier()}
+    made, unseen = (not entry.isdisjoint(read | members) for entry in (MADE, UNSEEN))
     only_added = frozenset(added - read)
     sets = frozenset(written), frozenset(members), frozenset(modules)
     return Names(frozenset(read), only_added, *sets, made, unseen)
@@ -80,6 +80,6 @@ def names(code: CodeType) -> Names:
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
     yield code
-    for each in code.co_consts:
-        if isinstance(each, CodeType):
-            yield from _codes(each)
+    for item in code.co_consts:
+        if isinstance(item, CodeType):
+            yield from _codes(item)

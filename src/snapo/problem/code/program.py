@@ -23,7 +23,7 @@ def text(function: Callable[..., Any], *arguments: Any) -> Text:
     `function` must be a new one: JAX keeps the traces of those that it has met.
     """
     closed = jax.make_jaxpr(function)(*arguments)
-    constants = tuple(blake2b(np.asarray(each).tobytes()).digest() for each in closed.consts)
+    constants = tuple(blake2b(np.asarray(const).tobytes()).digest() for const in closed.consts)
     return re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), constants
 
 
@@ -39,10 +39,10 @@ def path(simulator: Any, policy: Any) -> Callable[..., Any]:
         state = simulator.initial(constants, initial)
         made = [state, simulator.state_scale(constants)]
         for smooth in (Exact(), Smooth(0.1)):
-            seen = simulator.observe(constants, now, state)
-            decided = action if policy is None else policy(seen, smooth)
+            observed = simulator.observe(constants, now, state)
+            decided = action if policy is None else policy(observed, smooth)
             after, outputs = simulator.step(constants, now, state, decided, noise, smooth)
-            made += [seen, after, outputs, simulator.terminal(constants, state, smooth)]
+            made += [observed, after, outputs, simulator.terminal(constants, state, smooth)]
             made.append(dict(simulator.slack(constants, now, after, outputs)))
         return eqx.filter(made, eqx.is_array)
 

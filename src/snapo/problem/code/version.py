@@ -67,18 +67,18 @@ def of_rollout(simulator: Any, policy: Any, schedule: Any, smooth: Any = None) -
     return of(trees, lambda: program.rollout(simulator, policy, schedule))
 
 
-def of_policy(policy: Any, seen: Any, observe: Any = None) -> Version:
+def of_policy(policy: Any, observed: Any, observe: Any = None) -> Version:
     """The version of the code that decides at [N, k] numbers: `observe`, if any, and a policy."""
 
-    def decided(each: Any) -> Any:
-        return policy(each if observe is None else jnp.asarray(observe(each)), Exact())
+    def decided(item: Any) -> Any:
+        return policy(item if observe is None else jnp.asarray(observe(item)), Exact())
 
-    return of((policy, observe), lambda: program.text(decided, seen[0]))
+    return of((policy, observe), lambda: program.text(decided, observed[0]))
 
 
 def of_formula(objective: Any, totals: Any) -> Version:
     """The version of the code of an objective."""
-    return of((objective,), lambda: program.text(lambda each: objective.formula(each), totals))
+    return of((objective,), lambda: program.text(lambda item: objective.formula(item), totals))
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
@@ -100,12 +100,15 @@ def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> 
     walk = Walk(trees)
     if not walk.own:
         return None
-    known: Hashable = tuple(walk.fixed)
+    available: Hashable = tuple(walk.fixed)
     if walk.moving or walk.unseen:
-        shapes = tuple(_kind(each) for each in leaves if _is_array(each))
-        content = known, tuple(walk.moving), shapes
-        known = known, _programs.of(content, lambda: _digest(trace, content), anew=walk.unseen)
-    return _versions.of(known, lambda: next(_next))
+        shapes = tuple(_kind(leaf) for leaf in leaves if _is_array(leaf))
+        content = available, tuple(walk.moving), shapes
+        available = (
+            available,
+            _programs.of(content, lambda: _digest(trace, content), anew=walk.unseen),
+        )
+    return _versions.of(available, lambda: next(_next))
 
 
 class _Kept:

@@ -89,8 +89,8 @@ class Walk:
         self._modules: dict[int, ModuleType] = {}
         self._members: set[str] = set()
         self._asked: set[tuple[int, str]] = set()
-        for each in trees:
-            self._tree(each)
+        for tree in trees:
+            self._tree(tree)
         while self._waiting:
             self._look(self._waiting.popleft())
             if not self._waiting:
@@ -112,8 +112,8 @@ class Walk:
             self._opened.add(name)  # a simulator's own package is read, even if it is installed
         self._value(type(x), self.fixed)
         self._value(rest, self.fixed)
-        for each in children:
-            self._tree(each)
+        for child in children:
+            self._tree(child)
 
     def _closed(self, x: Any) -> bool:
         name = package(x)
@@ -156,8 +156,8 @@ class Walk:
             out.append((type(x), written))
             return
         out.append((type(x), len(items)))
-        for each in items:
-            self._value(each, out)
+        for item in items:
+            self._value(item, out)
 
     def _array(self, x: Any, out: list[Hashable]) -> None:
         if getattr(x.dtype, "hasobject", False):
@@ -197,28 +197,28 @@ class Walk:
 
     def _function(self, x: FunctionType) -> None:
         self.own = True
-        named = names(x.__code__)
-        self.unseen |= named.unseen
-        self._made |= named.made
-        self._members |= named.members
+        by_name = names(x.__code__)
+        self.unseen |= by_name.unseen
+        self._made |= by_name.made
+        self._members |= by_name.members
         self.fixed.append(x.__code__)
         self._several((x.__defaults__, tuple((x.__kwdefaults__ or {}).items())), self.fixed)
         for name, cell in zip(x.__code__.co_freevars, x.__closure__ or ()):
-            self._named(named, name, _content(cell))
-        for name in sorted(named.read | named.added):
+            self._named(by_name, name, _content(cell))
+        for name in sorted(by_name.read | by_name.added):
             if name in x.__globals__:
-                self._named(named, name, x.__globals__[name])
-        for level, name in sorted(named.modules):
+                self._named(by_name, name, x.__globals__[name])
+        for level, name in sorted(by_name.modules):
             self._imported(x, level, name)
         if (inner := getattr(x, "__wrapped__", None)) is not None:
             self._value(inner, self.fixed)
         if attributes := _attributes(x):
             self._several(attributes.items(), self.moving)
 
-    def _named(self, named: Names, name: str, x: Any) -> None:
-        if name in named.added and isinstance(x, CONTAINERS):
+    def _named(self, by_name: Names, name: str, x: Any) -> None:
+        if name in by_name.added and isinstance(x, CONTAINERS):
             return
-        out = self.moving if name in named.written else self.fixed
+        out = self.moving if name in by_name.written else self.fixed
         out.append(name)
         self._value(x, out)
 
@@ -236,8 +236,8 @@ class Walk:
     def _class(self, x: type) -> None:
         self.own = True
         self.fixed.append((x.__module__, x.__qualname__))
-        for each in x.__mro__[1:]:
-            self._value(each, self.fixed)
+        for item in x.__mro__[1:]:
+            self._value(item, self.fixed)
         for name, value in vars(x).items():
             by_python = name.startswith("__") and not isinstance(value, FunctionType)
             if not by_python and name not in SET_BY_PYTHON:
@@ -251,15 +251,15 @@ class Walk:
         library = self._closed(type(x))
         if not library or attributes:
             self._value(type(x), self.fixed)
-        for each in inside:
-            if not isinstance(each, ModuleType):
-                self._value(each, self.fixed)
+        for item in inside:
+            if not isinstance(item, ModuleType):
+                self._value(item, self.fixed)
         if attributes:
             stays = library or _is_frozen(x)
             self._several(attributes.items(), self.fixed if stays else self.moving)
         elif library:
             self.fixed.append(x if _is_hashable(x) else _Same(x))
-            alone = all(each is None for each in inside)
+            alone = all(entry is None for entry in inside)
             self.unseen |= alone and (isinstance(x, Iterator) or not _is_known(x))
 
     def _ask_modules(self) -> None:
@@ -311,13 +311,13 @@ def _attributes(x: Any) -> dict[str, Any]:
     compiles, which hold what it needs to call them."""
     if package(type(x)) == "jaxlib":
         return {}
-    found = dict(getattr(x, "__dict__", {}))
+    result = dict(getattr(x, "__dict__", {}))
     for kind in type(x).__mro__:
         slots = vars(kind).get("__slots__", ())
         for name in (slots,) if isinstance(slots, str) else slots:
             if hasattr(x, name):
-                found[name] = getattr(x, name)
-    return {name: value for name, value in found.items() if not name.startswith("__")}
+                result[name] = getattr(x, name)
+    return {name: value for name, value in result.items() if not name.startswith("__")}
 
 
 def _is_frozen(x: Any) -> bool:

@@ -55,10 +55,10 @@ class Family:
             raise ValueError("Family: ranges is empty; name at least one input.")
         if self.members < 2:
             raise ValueError(f"Family: members is {self.members}; at least 2 are needed.")
-        for name, ends in self.ranges.items():
-            if not isinstance(ends, tuple | list) or len(ends) != 2:
-                raise ValueError(f"Family: the range of {name} is {ends!r}; give (low, high).")
-            low, high = ends
+        for name, endpoints in self.ranges.items():
+            if not isinstance(endpoints, tuple | list) or len(endpoints) != 2:
+                raise ValueError(f"Family: the range of {name} is {endpoints!r}; give (low, high).")
+            low, high = endpoints
             if not np.all(np.asarray(low) < np.asarray(high)):
                 raise ValueError(f"Family: the range of {name} is ({low}, {high}); low is less.")
 
@@ -101,12 +101,12 @@ class Family:
         return self._bounds(1)
 
     def _bounds(self, side: int) -> np.ndarray:
-        named = self.problem.named
+        by_name = self.problem.named
         shaped = [
-            np.broadcast_to(np.asarray(pair[side], np.float64), named[name].value.shape)
+            np.broadcast_to(np.asarray(pair[side], np.float64), by_name[name].value.shape)
             for name, pair in self.ranges.items()
         ]
-        return np.concatenate([each.ravel() for each in shaped])
+        return np.concatenate([item.ravel() for item in shaped])
 
     @property
     def _others(self) -> PyTree:
@@ -124,9 +124,9 @@ class Family:
     def _seen(self) -> "Seen":
         # Where each input stands among the leaves of the plain tree that `prepare` gets.
         leaves = jax.tree.leaves(self.problem.inputs, is_leaf=inputs_.is_input)
-        places = [i for i, leaf in enumerate(leaves) if inputs_.is_input(leaf)]
-        place = dict(zip(self.problem.named, places))
-        where = tuple(place[name] for name in self.ranges)
+        positions = [i for i, leaf in enumerate(leaves) if inputs_.is_input(leaf)]
+        position = dict(zip(self.problem.named, positions))
+        where = tuple(position[name] for name in self.ranges)
         return Seen(self.problem.simulator, where, self._low, self._high)
 
 
@@ -137,8 +137,8 @@ class Seen(Around):
     low: tuple[float, ...] = eqx.field(static=True)
     high: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, own: Simulator, where: tuple[int, ...], low, high):
-        self.own, self.where = own, where
+    def __init__(self, simulator: Simulator, where: tuple[int, ...], low, high):
+        self.own, self.where = simulator, where
         self.low, self.high = tuple(map(float, low)), tuple(map(float, high))
 
     def prepare(self, inputs):
@@ -162,8 +162,8 @@ class Seen(Around):
         return self.own.initial(constants[0], noise)
 
     def observe(self, constants, now, state):
-        seen = self.own.observe(constants[0], now, state)
-        return jnp.concatenate([seen, constants[1].astype(seen.dtype)])
+        observed = self.own.observe(constants[0], now, state)
+        return jnp.concatenate([observed, constants[1].astype(observed.dtype)])
 
     def step(self, constants, now, state, action, noise, smooth):
         return self.own.step(constants[0], now, state, action, noise, smooth)
@@ -184,8 +184,8 @@ class Members(Around):
     own: Seen
     points: np.ndarray
 
-    def __init__(self, own: Seen, points: np.ndarray):
-        self.own, self.points = own, points
+    def __init__(self, local: Seen, points: np.ndarray):
+        self.own, self.points = local, points
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -193,8 +193,8 @@ class Members(Around):
 
     def prepare(self, inputs):
         def one(point):
-            found = self.own.prepare(self.own.with_values(inputs, point))
-            return found.constants, found.steps
+            result = self.own.prepare(self.own.with_values(inputs, point))
+            return result.constants, result.steps
 
         constants, steps = eqx.filter_vmap(one)(jnp.asarray(self.points))
         return Schedule(constants, jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), steps))
@@ -210,8 +210,8 @@ class Members(Around):
 
     def step(self, constants, now, state, action, noise, smooth):
         number = state["member"]
-        given = _of(constants, number), _of(now, number), state["own"]
-        after, outputs = self.own.step(*given, action, noise, smooth)
+        values = _of(constants, number), _of(now, number), state["own"]
+        after, outputs = self.own.step(*values, action, noise, smooth)
         return {"member": number, "own": after}, outputs
 
     def terminal(self, constants, state, smooth):
@@ -224,8 +224,8 @@ class Members(Around):
 
     def slack(self, constants, now, state, outputs):
         number = state["member"]
-        given = _of(constants, number), _of(now, number)
-        return self.own.slack(*given, state["own"], outputs)
+        values = _of(constants, number), _of(now, number)
+        return self.own.slack(*values, state["own"], outputs)
 
 
 def _of(tree: PyTree, number) -> PyTree:

@@ -75,13 +75,13 @@ def size(noises: PyTree) -> int:
     >>> snapo.noise.size({"demand": snapo.noise.Poisson(4.0), "price": snapo.noise.Student(5.0)})
     3
     """
-    return sum(each.size for each in leaves(noises))
+    return sum(leaf.size for leaf in leaves(noises))
 
 
 def prepare(noises: PyTree) -> PyTree:
     """All noises of a tree prepared, for `Simulator.prepare`; other leaves stay as they are."""
     return jax.tree.map(
-        lambda each: each.prepare() if _is_noise(each) else each, noises, is_leaf=_is_noise
+        lambda item: item.prepare() if _is_noise(item) else item, noises, is_leaf=_is_noise
     )
 
 
@@ -91,21 +91,21 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
     normals are dealt out in the order of the tree, a dictionary's in that of its sorted keys.
     """
-    found, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
-    wanted = size(noises)
-    if normals.shape != (wanted,):
+    result, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
+    requested = size(noises)
+    if normals.shape != (requested,):
         raise ValueError(
-            f"noise: these noises take {wanted} normals a step, and {normals.shape} came; set "
-            f"noise_size = {wanted}."
+            f"noise: these noises take {requested} normals a step, and {normals.shape} came; set "
+            f"noise_size = {requested}."
         )
     values, first = [], 0
-    for path, each in found:
-        if not _is_noise(each):
-            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {each!r}, which is no Noise.")
+    for path, item in result:
+        if not _is_noise(item):
+            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {item!r}, which is no Noise.")
         name = getattr(path[0], "key", None) if path else None
         state = (states[name],) if name in states else ()
-        values.append(each.draw(normals[first : first + each.size], *state))
-        first += each.size
+        values.append(item.draw(normals[first : first + item.size], *state))
+        first += item.size
     return structure.unflatten(values)
 
 
@@ -144,20 +144,20 @@ def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> N
 def in_mean(inputs: PyTree) -> tuple[str, ...]:
     """The names of the inputs (see `inputs.named`) that are parameters of separate draws."""
 
-    def separate(each: Any) -> bool:
-        return isinstance(each, Noise) and each.separate
+    def separate(item: Any) -> bool:
+        return isinstance(item, Noise) and item.separate
 
-    found = []
+    results = []
     for above, noise in jax.tree_util.tree_flatten_with_path(inputs, is_leaf=separate)[0]:
         if separate(noise):
             below = jax.tree_util.tree_flatten_with_path(noise, is_leaf=is_input)[0]
-            found += [name_of((*above, *path)) for path, leaf in below if is_input(leaf)]
-    return tuple(found)
+            results += [name_of((*above, *path)) for path, leaf in below if is_input(leaf)]
+    return tuple(results)
 
 
-def _is_noise(each: Any) -> bool:
-    return isinstance(each, Noise)
+def _is_noise(item: Any) -> bool:
+    return isinstance(item, Noise)
 
 
 def leaves(noises: PyTree) -> list[Noise]:
-    return [each for each in jax.tree.leaves(noises, is_leaf=_is_noise) if _is_noise(each)]
+    return [leaf for leaf in jax.tree.leaves(noises, is_leaf=_is_noise) if _is_noise(leaf)]

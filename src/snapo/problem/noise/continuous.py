@@ -116,8 +116,8 @@ def refuse_correlation(noise: Any) -> None:
             "row, 1 number for 2 components, 3 for 3, 6 for 4."
         )
     rows, columns = np.tril_indices(k, -1)
-    for each in lower.reshape(-1, lower.shape[-1]):
+    for item in lower.reshape(-1, lower.shape[-1]):
         full = np.eye(k)
-        full[rows, columns] = full[columns, rows] = each
+        full[rows, columns] = full[columns, rows] = item
         if np.linalg.eigvalsh(full)[0] <= 0:
-            raise ValueError(f"{name}: {each.tolist()} is no correlation: not positive definite.")
+            raise ValueError(f"{name}: {item.tolist()} is no correlation: not positive definite.")

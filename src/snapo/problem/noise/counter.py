@@ -43,8 +43,8 @@ class Counter(eqx.Module):
         path = self.paths >> 1 if self.antithetic else self.paths
         pairs = (size + 1) // 2
         counter = step * jnp.uint32(pairs) + jnp.arange(pairs, dtype=jnp.uint32)
-        words = threefry(key, path, counter)
-        z = normal(jnp.stack(words, axis=-1).reshape(-1)[:size], dtype)
+        text = threefry(key, path, counter)
+        z = normal(jnp.stack(text, axis=-1).reshape(-1)[:size], dtype)
         if not self.antithetic:
             return z
         return jnp.where((self.paths & 1) == 1, -z, z)
@@ -76,11 +76,11 @@ class Stored(eqx.Module):
 Draws = Counter | Stored
 
 
-def only(draws: Draws, chosen: np.ndarray) -> Draws:
+def only(draws: Draws, selected: np.ndarray) -> Draws:
     """The noise of chosen paths alone."""
 
     def taken(leaf, axis):
-        return leaf if axis is None else np.take(leaf, chosen, axis)
+        return leaf if axis is None else np.take(leaf, selected, axis)
 
     return jax.tree.map(taken, draws, draws.axes(), is_leaf=lambda leaf: leaf is None)
 
@@ -101,7 +101,7 @@ def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, 
     return x, y
 
 
-def normal(words: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
+def normal(text: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     """Standard normals from 32-bit words, by the inverse of the distribution function.
 
     The top bit is the sign; the other 31 bits m give the tail probability (m + 1/2) / 2^32.
@@ -110,14 +110,14 @@ def normal(words: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     """
     dtype = jnp.dtype(dtype)
     centre, outer = _PPND16 if dtype == jnp.float64 else _PPND7
-    m = words & jnp.uint32(0x7FFFFFFF)
+    m = text & jnp.uint32(0x7FFFFFFF)
     tail = (m.astype(dtype) + dtype.type(0.5)) * dtype.type(2.0**-32)
     q = (jnp.uint32(0x7FFFFFFF) - m).astype(dtype) * dtype.type(2.0**-32) + dtype.type(2.0**-33)
     z_centre = q * _ratio(centre, dtype.type(0.180625) - q * q, dtype)
     # The smallest tail, 2^-33, gives a root of 4.8: the third region, from 5, is not needed.
     z_tail = _ratio(outer, jnp.sqrt(-jnp.log(tail)) - dtype.type(1.6), dtype)
     z = jnp.where(q <= dtype.type(0.425), z_centre, z_tail)
-    return jnp.where(words >> 31 == 1, -z, z)
+    return jnp.where(text >> 31 == 1, -z, z)
 
 
 def _ratio(coefficients, x: Array, dtype) -> Array:

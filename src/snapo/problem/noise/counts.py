@@ -41,16 +41,16 @@ class Drawn(Noise):
     moves: Float[Array, " K"]
 
     @classmethod
-    def of(cls, chance: Float[Array, " K"]) -> "Drawn":
+    def of(cls, probability: Float[Array, " K"]) -> "Drawn":
         """The chances of 0 … K - 1; the last takes what they leave of 1."""
-        below = jnp.cumsum(chance)
-        above = jnp.cumsum(chance[::-1])[::-1] - chance
+        below = jnp.cumsum(probability)
+        above = jnp.cumsum(probability[::-1])[::-1] - probability
         # From the nearer end: the other has lost the digits of a tail.
-        middle = jnp.where(below < 0.5, -below + chance / 2, above + chance / 2)
-        kept = jax.lax.stop_gradient(chance)
-        real = kept > jnp.finfo(kept.dtype).tiny
-        moves = jnp.where(real, middle / jnp.where(real, kept, 1.0), 0.0)
-        return cls(below, above, chance, moves)
+        middle = jnp.where(below < 0.5, -below + probability / 2, above + probability / 2)
+        selected = jax.lax.stop_gradient(probability)
+        real = selected > jnp.finfo(selected.dtype).tiny
+        moves = jnp.where(real, middle / jnp.where(real, selected, 1.0), 0.0)
+        return cls(below, above, probability, moves)
 
     def draw(self, normals, *state):
         k = self._index(only(normals))
@@ -59,10 +59,12 @@ class Drawn(Noise):
 
     def weigh(self, normals):
         k = self._index(only(normals))
-        chance = jnp.take(self.chance, k, mode="clip")
-        kept = jax.lax.stop_gradient(chance)
-        real = kept > 0
-        return k.astype(kept.dtype), jnp.where(real, chance, 1.0) / jnp.where(real, kept, 1.0)
+        probability = jnp.take(self.chance, k, mode="clip")
+        selected = jax.lax.stop_gradient(probability)
+        real = selected > 0
+        return k.astype(selected.dtype), jnp.where(real, probability, 1.0) / jnp.where(
+            real, selected, 1.0
+        )
 
     def _index(self, z: Array) -> Array:
         """How many F(k) lie below u, the upper half counted from above, where digits are kept."""
@@ -134,11 +136,11 @@ class NegativeBinomial(Counts):
     dispersion: Any = parameter()
     most: int = eqx.field(static=True)
 
-    def __init__(self, mean: Any, dispersion: Any, most: int | None = None):
+    def __init__(self, mean: Any, dispersion: Any, maximum: int | None = None):
         self.mean, self.dispersion = numbers(mean), numbers(dispersion)
         r, m = known(self.dispersion), known(self.mean)
-        chances = None if r is None or m is None else (r, r / (r + ROOM * m))
-        self.most = _most(self, "nbinom", most, chances, 1.0)
+        probabilities = None if r is None or m is None else (r, r / (r + ROOM * m))
+        self.most = _most(self, "nbinom", maximum, probabilities, 1.0)
 
     def __check_init__(self):
         refuse(self, "mean")
@@ -156,8 +158,8 @@ class Binomial(Counts):
     chance: Any
     most: int = eqx.field(static=True)
 
-    def __init__(self, chance: Any, most: int = 1):
-        self.chance, self.most = numbers(chance), most
+    def __init__(self, probability: Any, maximum: int = 1):
+        self.chance, self.most = numbers(probability), maximum
 
     def __check_init__(self):
         refuse(self, "chance", 0.0, 1.0)
@@ -167,19 +169,19 @@ class Binomial(Counts):
         return ways + k * jnp.log(self.chance) + (self.most - k) * jnp.log1p(-self.chance)
 
 
-def _most(noise: Noise, kind: str, most: int | None, parameters: Any, room: float = ROOM) -> int:
+def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: float = ROOM) -> int:
     """The largest number that is told apart."""
-    if most is not None:
-        return most
-    given = [known(each) for each in parameters or ()]
-    if not given or any(each is None for each in given):
+    if maximum is not None:
+        return maximum
+    values = [known(item) for item in parameters or ()]
+    if not values or any(entry is None for entry in values):
         raise ValueError(
             f"{type(noise).__name__}: most, the largest number told apart, is missing; it cannot "
             "follow from a parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load
 
-    first, *rest = [each for each in given if each is not None]
+    first, *rest = [value for value in values if value is not None]
     largest = getattr(stats, kind).isf(TAIL, room * first, *rest)
     # A parameter that is refused has none.
     return 1 + int(np.max(np.nan_to_num(largest, posinf=0.0, neginf=0.0), initial=0.0))

@@ -41,9 +41,9 @@ class Logarithm(Noise):
         return cls(jnp.stack([y, STEP * slope], -1))
 
     def draw(self, normals, *state):
-        place = (only(normals) + END) / STEP
-        start = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, INTERVALS - 1)
-        i, t = start.astype(jnp.int32), place - start
+        position = (only(normals) + END) / STEP
+        start = jnp.clip(jnp.floor(jax.lax.stop_gradient(position)), 0, INTERVALS - 1)
+        i, t = start.astype(jnp.int32), position - start
         left = jnp.take(self.rows, i, axis=0, mode="clip")
         right = jnp.take(self.rows, i + 1, axis=0, mode="clip")
         rise = right[0] - left[0]
@@ -62,12 +62,12 @@ def _quantiles(shape: Float[Array, ""]) -> Float[Array, " nodes"]:
         lower = gammainc(shape, x[:half]) - tail[:half]
         return jnp.concatenate([lower, tail[half:] - gammaincc(shape, x[half:])])
 
-    def nearer(number, found):
-        low, high, y = found
-        beyond = excess(y)
-        low, high = jnp.where(beyond > 0, low, y), jnp.where(beyond > 0, y, high)
+    def nearer(number, result):
+        low, high, y = result
+        outside = excess(y)
+        low, high = jnp.where(outside > 0, low, y), jnp.where(outside > 0, y, high)
         density = jnp.exp(shape * y - jnp.exp(y) - gammaln(shape))
-        newton = y - beyond / jnp.where(density > 0, density, 1.0)
+        newton = y - outside / jnp.where(density > 0, density, 1.0)
         return low, high, jnp.where(number < HALVINGS, (low + high) / 2, newton)
 
     # P(a, x) <= x^a / gamma(a + 1), and 10 deviations and 60 above the mean nothing is left.

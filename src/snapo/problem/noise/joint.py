@@ -42,10 +42,12 @@ class Correlated(Noise):
         return Correlated(prepare(self.noises), self.correlation, cholesky(self.correlation))
 
     def draw(self, normals, *state):
-        made, first, places = self.prepare(), 0, []
-        for each in leaves(made.noises):
-            places.append(first)
-            first += each.size
-        mixed = made.root @ jnp.stack([normals[p] for p in places])
-        together = [mixed[places.index(i)] if i in places else normals[i] for i in range(first)]
+        made, first, positions = self.prepare(), 0, []
+        for leaf in leaves(made.noises):
+            positions.append(first)
+            first += leaf.size
+        mixed = made.root @ jnp.stack([normals[p] for p in positions])
+        together = [
+            mixed[positions.index(i)] if i in positions else normals[i] for i in range(first)
+        ]
         return draw(made.noises, jnp.stack(together))

@@ -54,9 +54,13 @@ class Markov(Noise):
         """(next regime, likelihood)."""
         if len(state) != 1:
             raise ValueError("Markov: give the present regime as well, draw(normals, regime).")
-        chances = self.chances(state[0])
-        upto = jnp.cumsum(jax.lax.stop_gradient(chances))[:-1]
+        probabilities = self.chances(state[0])
+        upto = jnp.cumsum(jax.lax.stop_gradient(probabilities))[:-1]
         regime = jnp.sum((uniform(only(normals)) > upto).astype(jnp.int32))
-        chance = (jnp.arange(chances.shape[0]) == regime).astype(chances.dtype) @ chances
-        kept = jax.lax.stop_gradient(chance)
-        return regime, jnp.where(kept > 0, chance, 1.0) / jnp.where(kept > 0, kept, 1.0)
+        probability = (jnp.arange(probabilities.shape[0]) == regime).astype(
+            probabilities.dtype
+        ) @ probabilities
+        selected = jax.lax.stop_gradient(probability)
+        return regime, jnp.where(selected > 0, probability, 1.0) / jnp.where(
+            selected > 0, selected, 1.0
+        )

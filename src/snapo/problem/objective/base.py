@@ -161,13 +161,13 @@ class Objective(abc.ABC):
             raise TypeError(f"{name}: compared with {level!r}; allowed is a number.")
         return kind(self, level)
 
-    def _times(self, over: Any, under: Any, words: str) -> "Weighted":
-        if not all(isinstance(each, numbers.Real | np.bool_) for each in (over, under)):
+    def _times(self, over: Any, under: Any, text: str) -> "Weighted":
+        if not all(isinstance(item, numbers.Real | np.bool_) for item in (over, under)):
             return NotImplemented
         factor = float(over) / float(under) if under else np.nan
         if not np.isfinite(factor):
             kind = type(self).__name__
-            raise ValueError(f"{kind}: the factor is {words}; allowed is a finite number.")
+            raise ValueError(f"{kind}: the factor is {text}; allowed is a finite number.")
         return Weighted((factor, self))
 
 
@@ -219,8 +219,8 @@ class Weighted(Objective):
 
     def _combined(self, weights: list[Weights]) -> Weights:
         combined: Weights = {}
-        for (factor, _), found in zip(self.terms, weights):
-            for name, weight in found.items():
+        for (factor, _), result in zip(self.terms, weights):
+            for name, weight in result.items():
                 combined[name] = combined.get(name, 0.0) + factor * weight
         return combined
 
@@ -231,7 +231,7 @@ class Weighted(Objective):
     def as_cost(self) -> "Weighted":
         """Minus what a weight of -1 makes of it, term by term."""
         other = object.__new__(Weighted)
-        terms = tuple((f, each.as_cost if f > 0 else each.as_gain) for f, each in self.terms)
+        terms = tuple((f, item.as_cost if f > 0 else item.as_gain) for f, item in self.terms)
         object.__setattr__(other, "terms", terms)
         return other
 
@@ -250,7 +250,7 @@ def _sided(terms: Any) -> Iterator[tuple[float, Objective]]:
     """The terms without sums among them, measures of costs where the factor is negative."""
     for factor, term in terms:
         if isinstance(term, Weighted):
-            yield from _sided((factor * own, each) for own, each in term.terms)
+            yield from _sided((factor * local, item) for local, item in term.terms)
         elif factor:
             yield factor, term.as_cost if factor < 0 else term.as_gain
         else:
@@ -324,8 +324,10 @@ class Limit:
     def __post_init__(self):
         kind, level = type(self).__name__, self.level
         if not isinstance(self.of, str | Objective):
-            what = 'allowed is the name of an output or an objective, such as Probability("x", 0.0)'
-            raise ValueError(f"{kind}: of is {self.of!r}; {what}.")
+            message = (
+                'allowed is the name of an output or an objective, such as Probability("x", 0.0)'
+            )
+            raise ValueError(f"{kind}: of is {self.of!r}; {message}.")
         if not (_number(level) and np.isfinite(level)):
             raise ValueError(f"{kind}: level is {level!r}; allowed is a finite number.")
         _ = self.measure  # which refuses a utility of a cost
@@ -377,14 +379,14 @@ class AtLeast(Limit):
     sign, words = -1, "at least"
 
 
-def as_objective(given: Objective | str) -> Objective:
+def as_objective(objective: Objective | str) -> Objective:
     """The mean of an output that is named; an objective as it is."""
-    return Mean(given) if isinstance(given, str) else given
+    return Mean(objective) if isinstance(objective, str) else objective
 
 
-def as_constraints(given: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
+def as_constraints(limits: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
     """One or several, as a tuple."""
-    return (given,) if isinstance(given, Limit) else tuple(given)
+    return (limits,) if isinstance(limits, Limit) else tuple(limits)
 
 
 def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float]) -> Objective:
@@ -395,5 +397,5 @@ def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float
     """
     if not limits:
         return objective
-    terms = ((-each.sign * price, each.measure) for each, price in zip(limits, prices))
+    terms = ((-limit.sign * price, limit.measure) for limit, price in zip(limits, prices))
     return Weighted((1.0, objective), *terms)

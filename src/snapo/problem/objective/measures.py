@@ -163,12 +163,12 @@ class ExpectedUtility(ByPath):
     def climb(self, totals: Totals) -> Weights:
         (weight,) = self.weights(totals).values()
         alive = np.isfinite(weight)
-        most = weight[alive].max() if alive.any() else 1 / weight.size
-        return {self.output: np.where(alive, weight, most)}
+        maximum = weight[alive].max() if alive.any() else 1 / weight.size
+        return {self.output: np.where(alive, weight, maximum)}
 
     def sure(self, value: float) -> float | None:
-        found = self.utility.certainty_equivalent(value)
-        return found if np.isfinite(found) else None
+        certainty_equivalent = self.utility.certainty_equivalent(value)
+        return certainty_equivalent if np.isfinite(certainty_equivalent) else None
 
     def _slope(self, x):
         return self.utility.slope(x)

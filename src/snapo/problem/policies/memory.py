@@ -46,9 +46,9 @@ class Memory(Policy):
                 f"{type(self).__name__}: give the observation, followed by the {self.memory} "
                 "numbers that it remembers, which are zeros before the first decision."
             )
-        seen, memory = observation[:features], observation[features:]
-        action, kept = self.decide(seen, memory, smooth)
-        return jnp.concatenate([action, kept.astype(action.dtype)])
+        observed, memory = observation[:features], observation[features:]
+        action, selected = self.decide(observed, memory, smooth)
+        return jnp.concatenate([action, selected.astype(action.dtype)])
 
 
 class GRU(Memory):
@@ -89,8 +89,8 @@ class GRU(Memory):
             )
         keys, width = jax.random.split(key, 3), features + hidden
         self.gates, self.fresh = (
-            _scaled(Network((width, size), key=each), 100.0)
-            for size, each in zip((2 * hidden, hidden), keys)
+            _scaled(Network((width, size), key=item), 100.0)
+            for size, item in zip((2 * hidden, hidden), keys)
         )
         self.readout = Network((width, action.size), key=keys[2])
 
@@ -107,9 +107,9 @@ class GRU(Memory):
         gates = jax.nn.sigmoid(self.gates(jnp.concatenate([observation, memory])))
         keep, reset = gates[: self.memory], gates[self.memory :]
         fresh = jnp.tanh(self.fresh(jnp.concatenate([observation, reset * memory])))
-        kept = keep * memory + (1 - keep) * fresh
-        raw = self.readout(jnp.concatenate([observation, kept]))
-        return self.action.squash(raw, smooth), kept
+        selected = keep * memory + (1 - keep) * fresh
+        raw = self.readout(jnp.concatenate([observation, selected]))
+        return self.action.squash(raw, smooth), selected
 
     def for_problem(self, interface: Interface, key) -> "GRU":
         _no_stages(self, interface)
@@ -155,8 +155,8 @@ class LastObservations(Memory):
                 "LastObservations: this is a recipe; solve makes it for the simulator."
             )
         action = self.policy(jnp.concatenate([observation, memory]), smooth)
-        kept = jnp.concatenate([observation, action.astype(observation.dtype), memory])
-        return action, kept[: self.memory]
+        selected = jnp.concatenate([observation, action.astype(observation.dtype), memory])
+        return action, selected[: self.memory]
 
     def for_problem(self, interface: Interface, key) -> "LastObservations":
         _no_stages(self, interface)
@@ -165,8 +165,8 @@ class LastObservations(Memory):
             raise ValueError(
                 f"LastObservations: made for observations and decisions of {self.width}."
             )
-        seen = interface.features + (self.steps - 1) * width
-        inner = self.policy.for_problem(Interface(interface.action, seen), key)
+        observed = interface.features + (self.steps - 1) * width
+        inner = self.policy.for_problem(Interface(interface.action, observed), key)
         made = self.width == width and inner is self.policy
         return self if made else LastObservations(self.steps, inner, width)
 
@@ -203,13 +203,13 @@ class Remembering(Around):
         return {"memory": jnp.zeros(self.memory), "own": state}
 
     def observe(self, constants, now, state):
-        seen = self.own.observe(constants, now, state["own"])
-        return jnp.concatenate([seen, state["memory"].astype(seen.dtype)])
+        observed = self.own.observe(constants, now, state["own"])
+        return jnp.concatenate([observed, state["memory"].astype(observed.dtype)])
 
     def step(self, constants, now, state, action, noise, smooth):
         size = self.own.action.size
-        chosen, memory = action[:size], action[size:]
-        after, outputs = self.own.step(constants, now, state["own"], chosen, noise, smooth)
+        selected, memory = action[:size], action[size:]
+        after, outputs = self.own.step(constants, now, state["own"], selected, noise, smooth)
         return {"memory": memory, "own": after}, outputs
 
     def terminal(self, constants, state, smooth):

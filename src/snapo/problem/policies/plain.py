@@ -43,10 +43,10 @@ class Plain(Policy):
         made = Plain(self.module, self.raw, interface.action)
         size, features = interface.action.size, interface.features
         name = type(self.module).__name__
-        seen = jax.ShapeDtypeStruct((features,), jnp.float32)
+        observed = jax.ShapeDtypeStruct((features,), jnp.float32)
         call = self.module if self.raw else lambda x: self.module(x, Smooth(0.1))
         try:
-            shape = eqx.filter_eval_shape(call, seen).shape
+            shape = eqx.filter_eval_shape(call, observed).shape
         except (TypeError, ValueError) as error:
             raise ValueError(
                 f"solve: {name} does not take an observation of {features} numbers: {error}"
@@ -59,21 +59,21 @@ class Plain(Policy):
         return made
 
 
-def as_policy(given: Any) -> Policy:
+def as_policy(values: Any) -> Policy:
     """The policy that was given, or a module as one. **Raises:** `TypeError` for all else."""
-    if isinstance(given, Policy):
-        return given
-    if not isinstance(given, eqx.Module) or not callable(given):
-        raise TypeError(f"solve: policy is {given!r}; allowed is {NEEDED}.")
+    if isinstance(values, Policy):
+        return values
+    if not isinstance(values, eqx.Module) or not callable(values):
+        raise TypeError(f"solve: policy is {values!r}; allowed is {NEEDED}.")
     needed = [
-        each
-        for each in inspect.signature(given).parameters.values()
-        if (each.default is each.empty or each.name == "smooth")
-        and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
+        parameter
+        for parameter in inspect.signature(values).parameters.values()
+        if (parameter.default is parameter.empty or parameter.name == "smooth")
+        and parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
     if len(needed) not in (1, 2):
         raise TypeError(
-            f"solve: {type(given).__name__} is called with {len(needed)} arguments; allowed is "
+            f"solve: {type(values).__name__} is called with {len(needed)} arguments; allowed is "
             f"{NEEDED}."
         )
-    return Plain(given, raw=len(needed) == 1)
+    return Plain(values, raw=len(needed) == 1)

@@ -53,17 +53,17 @@ class Stages(Policy):
         for i, (policy, features) in enumerate(zip(self.policies, self.features)):
             # In other stages the policy sees zeros, so that their numbers reach neither its value
             # nor its derivative.
-            seen = jnp.where(here[i], observation[:features], 0.0)
-            own = policy(seen, smooth)
-            chosen = jnp.concatenate([own, middle[own.shape[0] :].astype(own.dtype)])
-            action = jnp.where(here[i], chosen, action)
+            observed = jnp.where(here[i], observation[:features], 0.0)
+            local = policy(observed, smooth)
+            selected = jnp.concatenate([local, middle[local.shape[0] :].astype(local.dtype)])
+            action = jnp.where(here[i], selected, action)
         return action
 
     def for_problem(self, interface: Interface, key) -> "Stages":
         checked = Stages(self.policies, interface)
         keys = jax.random.split(key, len(self.policies))
         made = [
-            policy.for_problem(stage, each)
-            for policy, stage, each in zip(checked.policies, interface.stages, keys)
+            policy.for_problem(stage, item)
+            for policy, stage, item in zip(checked.policies, interface.stages, keys)
         ]
         return Stages(made, interface)

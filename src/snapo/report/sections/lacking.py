@@ -40,7 +40,7 @@ def unless_left_out(section: Told, *parts: str) -> Told:
 
 def not_asked(run: Folder) -> list[Text]:
     """A sentence that names the parts that were not asked for; none where all were."""
-    names = [each for each in run.get(LEFT_OUT, []) if run.left_out(each)]
+    names = [item for item in run.get(LEFT_OUT, []) if run.left_out(item)]
     if not names:
         return []
     listed = ", ".join(names)

@@ -18,8 +18,8 @@ PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and t
 
 def history(run: Folder) -> Section:
     """The objective and the gradient norm over the steps of training, and adjoints by step."""
-    found = evidence.history(run, run.unit)
-    return replace(found, blocks=[*found.blocks, *_adjoints(run)])
+    result = evidence.history(run, run.unit)
+    return replace(result, blocks=[*result.blocks, *_adjoints(run)])
 
 
 def _adjoints(run: Folder) -> list[Block]:
@@ -27,16 +27,16 @@ def _adjoints(run: Folder) -> list[Block]:
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
         return []
-    known = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
+    available = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
     leaves = [name for name in run.adjoints if name not in ("step", "usual", "largest")]
-    known += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
+    available += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
     lines = []
-    for place, (name, label, colour) in enumerate(known):
+    for position, (name, label, colour) in enumerate(available):
         values = run.column("adjoints", name)
         if values is not None and (values > 0).any():
-            style = STYLES[(place - 2) % len(STYLES)] if place > 1 else "-"
-            shown = np.where(values > 0, values, np.nan)
-            lines.append(charts.Line(label, shown, colour, style))
+            style = STYLES[(position - 2) % len(STYLES)] if position > 1 else "-"
+            displayed = np.where(values > 0, values, np.nan)
+            lines.append(charts.Line(label, displayed, colour, style))
     if not lines:
         return []
 
@@ -44,8 +44,8 @@ def _adjoints(run: Folder) -> list[Block]:
         charts.trace(axes, steps, lines, "log scale", log=True)
         axes.set_xlabel(str(run.get("step", "step")).capitalize())
 
-    most = float(np.nanmax(lines[-1].values if len(lines) < 2 else lines[1].values))
-    alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(most)}."
+    maximum = float(np.nanmax(lines[-1].values if len(lines) < 2 else lines[1].values))
+    alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
         f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
@@ -60,16 +60,16 @@ def _growth(run: Folder, leaves: list[str]) -> str:
     """By how much the adjoints grow, and how training went back."""
     names = ("usual", "largest", *leaves)
     columns = (run.column("adjoints", name) for name in names)
-    usual, largest, *parts = (() if each is None else tuple(each) for each in columns)
-    told = Growth(0, usual, largest, dict(zip(leaves, parts))).words()
+    usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
+    summary = Growth(0, usual, largest, dict(zip(leaves, parts))).words()
     window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
     if window is not None:
-        told += f" Training went back through windows of {window} steps."
+        summary += f" Training went back through windows of {window} steps."
     if clip is not None:
-        told += f" At its end training bounded each path's own adjoint at {number(clip)}."
+        summary += f" At its end training bounded each path's own adjoint at {number(clip)}."
     if keep is not None and keep < 1:
-        told += f" A share of {number(keep)} of it went on at every step back."
-    return told
+        summary += f" A share of {number(keep)} of it went on at every step back."
+    return summary
 
 
 def making(run: Folder) -> Section:
@@ -80,12 +80,12 @@ def making(run: Folder) -> Section:
 
 def _times(run: Folder) -> list[Facts]:
     """The stages of the training and the total; the parts have theirs in their table."""
-    found = [
-        (name.capitalize(), seconds(each), evidence.TOTAL if name == "total" else "wall clock")
-        for name, each in evidence.spent(run).items()
+    results = [
+        (name.capitalize(), seconds(item), evidence.TOTAL if name == "total" else "wall clock")
+        for name, item in evidence.spent(run).items()
         if name not in run.parts
     ]
-    return [Facts(found)] if found else []
+    return [Facts(results)] if results else []
 
 
 def _parts(run: Folder) -> Table:

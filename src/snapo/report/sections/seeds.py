@@ -14,75 +14,79 @@ MOST = 40  # seeds in the picture; all stand in the table
 
 def seeds(run: Folder) -> Section:
     """The value of every seed with its interval, and the spread beside the Monte Carlo error."""
-    found = run.get("by_seed")
-    errors = [finite(found.get(name)) for name in ("standard_error", "deviation")]
-    values = [row["value"] for row in found["rows"]]
-    places = decimals([each for each in errors if each] or values, 2)
-    table = _table(found, places)
-    shown = [row for row in found["rows"] if finite(row["value"]) is not None][:MOST]
-    blocks: list[Any] = [Text(_sentence(found, run.unit, places)), table]
-    if len(shown) > 1:
-        blocks.insert(1, _picture(found, shown, run.unit, places))
+    result = run.get("by_seed")
+    errors = [finite(result.get(name)) for name in ("standard_error", "deviation")]
+    values = [row["value"] for row in result["rows"]]
+    digits = decimals([error for error in errors if error] or values, 2)
+    table = _table(result, digits)
+    displayed = [row for row in result["rows"] if finite(row["value"]) is not None][:MOST]
+    blocks: list[Any] = [Text(_sentence(result, run.unit, digits)), table]
+    if len(displayed) > 1:
+        blocks.insert(1, _picture(result, displayed, run.unit, digits))
     return Section("seeds", "Between seeds", "Seeds", blocks)
 
 
-def _sentence(found: dict[str, Any], unit: str, places: int) -> str:
-    mean, worst, best = (number(found[name], places) for name in ("mean", "worst", "highest"))
-    spread, error = (number(found[name], places) for name in ("deviation", "standard_error"))
-    paths = number(found["paths"], 0)
+def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
+    mean, worst, best = (number(result[name], digits) for name in ("mean", "worst", "highest"))
+    spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
+    paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(found['rows'])} seeds. On {paths} paths that all of them "
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
         f"share they are worth {mean} {unit} on average, {worst} at worst and {best} at best"
     ).replace("  ", " ")
-    if finite(found["deviation"]) is not None:
+    if finite(result["deviation"]) is not None:
         text += (
             f"; their standard deviation is {spread}, and the Monte Carlo error of these paths, "
             f"the same for all, {error}"
         )
-    return f"{text}. This page is the run of seed {found['best']}."
+    return f"{text}. This page is the run of seed {result['best']}."
 
 
-def _picture(found: dict[str, Any], shown: list[dict[str, Any]], unit: str, places: int) -> Chart:
+def _picture(
+    result: dict[str, Any], displayed: list[dict[str, Any]], unit: str, digits: int
+) -> Chart:
     """Differences to the best, which are known far better than the values themselves."""
-    names = [str(row["seed"]) for row in shown]
-    below = [-row["below_best"] for row in shown]
-    errors = [charts.INTERVAL * (finite(row["below_best_error"]) or 0.0) for row in shown]
+    names = [str(row["seed"]) for row in displayed]
+    below = [-row["below_best"] for row in displayed]
+    errors = [charts.INTERVAL * (finite(row["below_best_error"]) or 0.0) for row in displayed]
 
     def paint(axes, _=None):
         line = {"ecolor": LIGHT["withdraw"], "elinewidth": 1.6, "capsize": 4.0}
-        axes.errorbar(range(len(shown)), below, yerr=errors, fmt="o", color=LIGHT["main"], **line)
+        axes.errorbar(
+            range(len(displayed)), below, yerr=errors, fmt="o", color=LIGHT["main"], **line
+        )
         axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
-        axes.set_xticks(range(len(shown)), names)
-        axes.set_xlim(-0.6, len(shown) - 0.4)
+        axes.set_xticks(range(len(displayed)), names)
+        axes.set_xlim(-0.6, len(displayed) - 0.4)
         axes.set_xlabel("Seed")
         unit_above(axes, unit)
 
-    told = "; ".join(f"seed {name} {number(each, places)}" for name, each in zip(names, below))
+    summary = "; ".join(f"seed {name} {number(item, digits)}" for name, item in zip(names, below))
     caption = (
         "What the policy of each seed is worth less than the best one, path by path on common "
         "paths, with 95 % intervals."
     )
-    return Chart(draw("seeds-picture", f"Difference to the best: {told}.", paint, 220), caption)
+    return Chart(draw("seeds-picture", f"Difference to the best: {summary}.", paint, 220), caption)
 
 
-def _table(found: dict[str, Any], places: int) -> Table:
+def _table(result: dict[str, Any], digits: int) -> Table:
     head = [
         ("Seed", ""), ("Verdict", ""), ("Value", ""), ("", ""), ("Below the best", ""), ("", ""),
         ("Time", ""),
     ]  # fmt: skip
     rows = []
-    for row in found["rows"]:
-        best = row["seed"] == found["best"]
+    for row in result["rows"]:
+        best = row["seed"] == result["best"]
         verdict = [row["status"], row["convergence"], "" if row["within"] else "breaks a limit"]
         below = ("the best", "") if best else (row["below_best"], row["below_best_error"])
         rows.append(
             (
                 str(row["seed"]),
                 ", ".join(filter(None, verdict)),
-                *measured(row["value"], row["standard_error"], places),
-                *(below if best else measured(*below, places)),
+                *measured(row["value"], row["standard_error"], digits),
+                *(below if best else measured(*below, digits)),
                 seconds(row["seconds"]),
             )
         )
-    chosen = frozenset(i for i, row in enumerate(found["rows"]) if row["seed"] == found["best"])
-    return Table(head, rows, "Seeds on common paths", 2, chosen)
+    selected = frozenset(i for i, row in enumerate(result["rows"]) if row["seed"] == result["best"])
+    return Table(head, rows, "Seeds on common paths", 2, selected)

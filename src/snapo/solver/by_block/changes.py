@@ -59,33 +59,33 @@ class Plan(NamedTuple):
 
 def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> Plan:
     """How the weights of these totals change without each block; blocks follow one another."""
-    whole, ends = objective.weights(totals), np.cumsum(sizes)
-    none = Plan(whole, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
+    complete, endpoints = objective.weights(totals), np.cumsum(sizes)
+    none = Plan(complete, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
     if objective.linear or len(sizes) < 2:
         return none
-    names = list(whole)
-    change = _changes(objective, totals, whole, ends)
+    names = list(complete)
+    change = _changes(objective, totals, complete, endpoints)
     size = np.sqrt(np.mean(change**2, axis=0))
-    largest = max(np.max(np.abs(weight)) for weight in whole.values())
+    largest = max(np.max(np.abs(weight)) for weight in complete.values())
     if not np.max(size) > NOTHING * largest:
         return none
-    room = max(int(sizes[0]), min(int(ends[-1]), ENOUGH))
-    sample, worth = _sample(size.sum(0), room)
-    owners = np.searchsorted(ends, sample, side="right")
-    parts, pieces = _common(change, size, sample, worth, owners)
-    split = [dict(zip(names, piece)) for piece in pieces]
+    room = max(int(sizes[0]), min(int(endpoints[-1]), ENOUGH))
+    sample, value = _sample(size.sum(0), room)
+    owners = np.searchsorted(endpoints, sample, side="right")
+    parts, segments = _common(change, size, sample, value, owners)
+    split = [dict(zip(names, piece)) for piece in segments]
     return none._replace(sample=sample, pieces=split, parts=parts)
 
 
-def _changes(objective: Objective, totals, whole: Weights, ends: np.ndarray) -> np.ndarray:
+def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarray) -> np.ndarray:
     """[B, outputs, N]: weights without block b, less N / (N - n_b) times the old ones."""
-    names, count = list(whole), int(ends[-1])
-    change = np.zeros((len(ends), len(names), count))
-    for b, (first, last) in enumerate(zip([0, *ends[:-1]], ends)):
-        kept = np.r_[0:first, last:count]
-        left = objective.weights({name: total[kept] for name, total in totals.items()})
+    names, count = list(weights), int(endpoints[-1])
+    change = np.zeros((len(endpoints), len(names), count))
+    for b, (first, last) in enumerate(zip([0, *endpoints[:-1]], endpoints)):
+        selected = np.r_[0:first, last:count]
+        left = objective.weights({name: total[selected] for name, total in totals.items()})
         for k, name in enumerate(names):
-            change[b, k, kept] = left[name] - whole[name][kept] * (count / len(kept))
+            change[b, k, selected] = left[name] - weights[name][selected] * (count / len(selected))
     return change
 
 
@@ -94,46 +94,48 @@ def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
 
     Systematic sampling with probabilities in proportion to `size` [N], at most one.
     """
-    chance = np.zeros(len(size))
-    sure = np.zeros(len(size), bool)
+    probability = np.zeros(len(size))
+    certain = np.zeros(len(size), bool)
     while True:
-        rest = size[~sure].sum()
-        chance[sure] = 1.0
-        chance[~sure] = size[~sure] * ((room - sure.sum()) / rest) if rest > 0 else 0.0
-        if not np.any(chance > 1 + NOTHING):
+        rest = size[~certain].sum()
+        probability[certain] = 1.0
+        probability[~certain] = (
+            size[~certain] * ((room - certain.sum()) / rest) if rest > 0 else 0.0
+        )
+        if not np.any(probability > 1 + NOTHING):
             break
-        sure |= chance >= 1
-    steps = np.floor(np.cumsum(np.minimum(chance, 1.0)) + 0.5)
+        certain |= probability >= 1
+    steps = np.floor(np.cumsum(np.minimum(probability, 1.0)) + 0.5)
     taken = np.diff(steps, prepend=0.0) > 0
     # As many paths as there is room for: those without a change fill it.
     spare = np.flatnonzero(~taken)[: max(0, room - int(taken.sum()))]
     sample = np.union1d(np.flatnonzero(taken), spare)
-    worth = np.where(taken, 1 / np.where(taken, chance, 1.0), 0.0)[sample]
-    return sample, worth
+    value = np.where(taken, 1 / np.where(taken, probability, 1.0), 0.0)[sample]
+    return sample, value
 
 
-def _common(change, size, sample, worth, owners) -> tuple[np.ndarray, np.ndarray]:
+def _common(change, size, sample, value, owners) -> tuple[np.ndarray, np.ndarray]:
     """`parts` [B, K] and `pieces` [K, outputs, R] whose product is nearly the change.
 
     The sum of the change over paths is kept exactly, in one piece for each output that changes.
     """
     blocks, outputs = change.shape[:2]
     sums = change.sum(2)
-    shape = size[:, sample] * worth
+    shape = size[:, sample] * value
     norm = shape.sum(1)
-    chosen = np.flatnonzero(norm > 0)
-    pieces = np.zeros((len(chosen), outputs, len(sample)))
-    pieces[np.arange(len(chosen)), chosen] = shape[chosen] / norm[chosen, None]
-    seen = _filled(change[:, :, sample], owners) * worth
-    rest = seen - np.tensordot(seen.sum(2)[:, chosen], pieces, axes=1)
+    selected = np.flatnonzero(norm > 0)
+    segments = np.zeros((len(selected), outputs, len(sample)))
+    segments[np.arange(len(selected)), selected] = shape[selected] / norm[selected, None]
+    observed = _filled(change[:, :, sample], owners) * value
+    rest = observed - np.tensordot(observed.sum(2)[:, selected], segments, axes=1)
     # Singular vectors, from the small matrix of the blocks' products.
     rest = rest.reshape(blocks, -1)
     squares, vectors = np.linalg.eigh(rest @ rest.T)
-    leading = np.flatnonzero(squares > (SMALL * np.linalg.norm(seen)) ** 2)[-FURTHER:]
+    leading = np.flatnonzero(squares > (SMALL * np.linalg.norm(observed)) ** 2)[-FURTHER:]
     left = vectors[:, leading]
-    parts = np.concatenate([sums[:, chosen], left], 1)
+    parts = np.concatenate([sums[:, selected], left], 1)
     right = (left.T @ rest).reshape(len(leading), outputs, len(sample))
-    return parts, np.concatenate([pieces, right])
+    return parts, np.concatenate([segments, right])
 
 
 def _filled(change: np.ndarray, owners: np.ndarray) -> np.ndarray:
@@ -142,7 +144,7 @@ def _filled(change: np.ndarray, owners: np.ndarray) -> np.ndarray:
     To first order the changes of a path add up to zero over the blocks.
     """
     filled = change.copy()
-    most = np.max(np.abs(change), axis=0)
+    maximum = np.max(np.abs(change), axis=0)
     paths = np.arange(len(owners))
-    filled[owners, :, paths] = np.clip(-np.sum(change, axis=0), -most, most).T
+    filled[owners, :, paths] = np.clip(-np.sum(change, axis=0), -maximum, maximum).T
     return filled

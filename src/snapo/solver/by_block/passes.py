@@ -78,53 +78,53 @@ class Way(NamedTuple):
         plans, blocks, dropped = self._plans(objectives, blocks)
         every = np.concatenate(blocks)
         passes = self._passes(blocks, _parts(plans, blocks))
-        found = []
-        for k, own in enumerate(plans):
-            further = self._joined(every[own.sample], own.pieces, len(blocks[0]))
-            found.append(self._found(own, [each[k] for each in passes], further, dropped))
-        return found
+        results = []
+        for k, local in enumerate(plans):
+            further = self._joined(every[local.sample], local.pieces, len(blocks[0]))
+            results.append(self._found(local, [item[k] for item in passes], further, dropped))
+        return results
 
     def _found(
         self, plan: Plan, passes: list[Pulled], further: list[Pulled], dropped: int
     ) -> Found:
         """One objective's derivatives from the passes of its blocks and of its pieces."""
         count = int(plan.sizes.sum())
-        bad = np.array([each.bad for each in passes])
-        dropped += int(bad.sum())
+        invalid = np.array([item.bad for item in passes])
+        dropped += int(invalid.sum())
         # The paths that are left have the weight of those that are not.
-        scale = count / max(1, count - bad.sum())
-        known = all(np.isfinite(weight).all() for weight in plan.whole.values())
-        if not known or dropped > DROPPED * (count + dropped):
+        scale = count / max(1, count - invalid.sum())
+        available = all(np.isfinite(weight).all() for weight in plan.whole.values())
+        if not available or dropped > DROPPED * (count + dropped):
             # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
-        plan = plan._replace(sizes=plan.sizes - bad)
-        sums, pieces = self._carried(passes), self._carried(further)
-        found = {n: Estimate(plan.estimate(scale * sums[n], pieces[n])) for n in sums}
-        slopes = np.stack([each.policy for each in passes])
+        plan = plan._replace(sizes=plan.sizes - invalid)
+        sums, segments = self._carried(passes), self._carried(further)
+        estimates = {n: Estimate(plan.estimate(scale * sums[n], segments[n])) for n in sums}
+        slopes = np.stack([entry.policy for entry in passes])
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
         policy = Estimate(plan.estimate(scale * slopes, others))
-        return Found(found, policy, dropped, _joined_totals(passes))
+        return Found(estimates, policy, dropped, _joined_totals(passes))
 
     def _plans(
         self, objectives: Sequence[Objective], blocks: list[np.ndarray]
     ) -> tuple[list[Plan], list[np.ndarray], int]:
         """The weights, the blocks without paths that are not finite, and the number of those."""
         sizes = [len(block) for block in blocks]
-        names = tuple(dict.fromkeys(name for each in objectives for name in each.outputs))
+        names = tuple(dict.fromkeys(name for item in objectives for name in item.outputs))
         if all(objective.linear for objective in objectives):
             nothing = {name: np.zeros(sum(sizes)) for name in names}
-            return [plan(each, nothing, sizes) for each in objectives], blocks, 0
+            return [plan(entry, nothing, sizes) for entry in objectives], blocks, 0
         parts = []
-        for own in _batches(blocks):
-            found = self._totals(np.concatenate(blocks[own]))
-            edges = np.cumsum(sizes[own])[:-1]
-            split = {name: np.split(found[name], edges) for name in names}
+        for local in _batches(blocks):
+            result = self._totals(np.concatenate(blocks[local]))
+            edges = np.cumsum(sizes[local])[:-1]
+            split = {name: np.split(result[name], edges) for name in names}
             parts += [{n: x[k] for n, x in split.items()} for k in range(len(edges) + 1)]
-        good = [finite(part, names) for part in parts]
-        dropped = sum(int(np.sum(~each)) for each in good)
+        valid = [finite(part, names) for part in parts]
+        dropped = sum(int(np.sum(~value)) for value in valid)
         if dropped and dropped <= DROPPED * sum(sizes):
-            blocks = [block[each] for block, each in zip(blocks, good)]
-            parts = [{n: x[each] for n, x in part.items()} for part, each in zip(parts, good)]
+            blocks = [block[each] for block, each in zip(blocks, valid)]
+            parts = [{n: x[each] for n, x in part.items()} for part, each in zip(parts, valid)]
         totals = {n: np.concatenate([part[n] for part in parts]) for n in names}
         sizes = [len(block) for block in blocks]
         return [plan(each, totals, sizes) for each in objectives], blocks, dropped
@@ -142,7 +142,9 @@ class Way(NamedTuple):
         if len(weights[0]) > 1:
             return [self._pull(*part) for part in zip(blocks, weights)]
         return [
-            each for own in _batches(blocks) for each in self._together(blocks[own], weights[own])
+            item
+            for local in _batches(blocks)
+            for item in self._together(blocks[local], weights[local])
         ]
 
     def _together(
@@ -151,7 +153,7 @@ class Way(NamedTuple):
         """One pass for each block in one call; one by one where a number is not finite."""
         if len(blocks) > 1:
             draws, decider, options = self._asked(np.concatenate(blocks))
-            joined = {n: np.concatenate([each[n] for each, *_ in weights]) for n in weights[0][0]}
+            joined = {n: np.concatenate([item[n] for item, *_ in weights]) for n in weights[0][0]}
             sizes = [len(block) for block in blocks]
             result = self.bound.adjoints(decider, draws, self.smooth, joined, sizes, **options)
             if all_finite(result, joined):
@@ -166,10 +168,10 @@ class Way(NamedTuple):
         """One pass for all weights {output: [N]} on the same paths."""
         draws, decider, options = self._asked(paths)
         columns = _columns(weights, len(paths))
-        result, bad = adjoint_of_good_weights(
+        result, invalid = adjoint_of_good_weights(
             self.bound, decider, draws, self.smooth, columns, **options
         )
-        return self._pulled(result, bad, len(weights))
+        return self._pulled(result, invalid, len(weights))
 
     def _asked(self, paths: np.ndarray) -> tuple[Draws, Policy | None, dict[str, Any]]:
         """The noise of these paths, who decides there, and the recorded decisions."""
@@ -179,41 +181,43 @@ class Way(NamedTuple):
         if self.recorded is None:
             # By the program that records those of the value, which is compiled already.
             valued = self.bound.engine.bind(self.problem)
-            rolled = valued.values(self.policy, draws, self.smooth, record=DECIDED)
-            actions = rolled.record["action"]
+            rollout = valued.values(self.policy, draws, self.smooth, record=DECIDED)
+            actions = rollout.record["action"]
         else:
             actions = self.recorded[:, in_a_row(paths)]
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
-    def _pulled(self, result: Adjoint, bad: int, count: int) -> list[Pulled]:
+    def _pulled(self, result: Adjoint, invalid: int, count: int) -> list[Pulled]:
         """The derivatives of each of so many columns."""
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
         schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
         if count == 1:
-            return [Pulled(schedule, _flat(leaves), bad)]
+            return [Pulled(schedule, _flat(leaves), invalid)]
         return [
-            Pulled(jax.tree.map(lambda x, k=k: x[k], schedule), _flat(x[k] for x in leaves), bad)
+            Pulled(
+                jax.tree.map(lambda x, k=k: x[k], schedule), _flat(x[k] for x in leaves), invalid
+            )
             for k in range(count)
         ]
 
-    def _joined(self, paths: np.ndarray, weights: list[Weights], most: int) -> list[Pulled]:
+    def _joined(self, paths: np.ndarray, weights: list[Weights], maximum: int) -> list[Pulled]:
         """For each of the weights, the sum of passes on no more than so many paths each."""
         if not weights:
             return []
         passes = [
-            self._pull(paths[k : k + most], _cut(weights, slice(k, k + most)))
-            for k in range(0, len(paths), most)
+            self._pull(paths[k : k + maximum], _cut(weights, slice(k, k + maximum)))
+            for k in range(0, len(paths), maximum)
         ]
-        return jax.tree.map(lambda *each: sum(each[1:], each[0]), *passes)
+        return jax.tree.map(lambda *item: sum(item[1:], item[0]), *passes)
 
     def _carried(self, passes: list[Pulled]) -> dict[str, np.ndarray]:
         """Derivatives by every input, {name: [passes, *shape]}."""
-        problem, found = self.problem, [each.schedule for each in passes]
+        problem, schedules = self.problem, [item.schedule for item in passes]
         if not self.inputs:
             return {}
-        if not found:
+        if not schedules:
             return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
-        return pull_back(problem.simulator, problem.inputs, found)
+        return pull_back(problem.simulator, problem.inputs, schedules)
 
 
 def _batches(blocks: list[np.ndarray]) -> Iterator[slice]:
@@ -235,10 +239,10 @@ def _split(totals: Totals, sizes: list[int]) -> list[Totals]:
 
 def _joined_totals(passes: list[Pulled]) -> Totals | None:
     """Those of all passes, where all are known."""
-    known = [each.totals for each in passes if each.totals is not None]
-    if len(known) < len(passes):
+    available = [item.totals for item in passes if item.totals is not None]
+    if len(available) < len(passes):
         return None
-    return {name: np.concatenate([each[name] for each in known]) for name in known[0]}
+    return {name: np.concatenate([entry[name] for entry in available]) for name in available[0]}
 
 
 def _row(result: Adjoint, k: int) -> Adjoint:
@@ -248,23 +252,24 @@ def _row(result: Adjoint, k: int) -> Adjoint:
 
 def _parts(plans: list[Plan], blocks: list[np.ndarray]) -> list[list[Weights]]:
     """By block, the weights of its paths under every plan."""
-    ends = np.cumsum([0, *map(len, blocks)])
+    endpoints = np.cumsum([0, *map(len, blocks)])
     return [
-        _cut([plan.whole for plan in plans], slice(first, last)) for first, last in pairwise(ends)
+        _cut([plan.whole for plan in plans], slice(first, last))
+        for first, last in pairwise(endpoints)
     ]
 
 
 def _cut(weights: list[Weights], paths: slice) -> list[Weights]:
-    return [{name: w[paths] for name, w in each.items()} for each in weights]
+    return [{name: w[paths] for name, w in weight.items()} for weight in weights]
 
 
 def _columns(weights: list[Weights], paths: int) -> Weights:
     """{output: [N]} of one, or {output: [K, N]} of several, zero where one has no such output."""
     if len(weights) == 1:
         return weights[0]
-    names = dict.fromkeys(name for each in weights for name in each)
+    names = dict.fromkeys(name for weight in weights for name in weight)
     nothing = np.zeros(paths)
-    return {name: np.stack([each.get(name, nothing) for each in weights]) for name in names}
+    return {name: np.stack([item.get(name, nothing) for item in weights]) for name in names}
 
 
 def _flat(leaves: Iterable[np.ndarray]) -> np.ndarray:

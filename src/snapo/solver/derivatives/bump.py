@@ -66,9 +66,9 @@ class Reaction(NamedTuple):
     @property
     def estimate(self) -> tuple[float, float]:
         """The reaction and its standard error."""
-        found = Estimate(self.reaction)
-        error = float(found.standard_error) if len(self.reaction) > 1 else 0.0
-        return float(found.value), float(np.hypot(error, self.extra))
+        estimate = Estimate(self.reaction)
+        error = float(estimate.standard_error) if len(self.reaction) > 1 else 0.0
+        return float(estimate.value), float(np.hypot(error, self.extra))
 
     @property
     def bump(self) -> np.ndarray:
@@ -91,11 +91,11 @@ class Reaction(NamedTuple):
         return float(2 * stats.t.sf(abs(value) / error, degrees))
 
 
-def one_percent(given: Input) -> np.ndarray:
+def one_percent(values: Input) -> np.ndarray:
     """The bump: a hundredth of every number; where all are zero, of the input's `move`."""
-    if given.value.any():
-        return MOVE * given.value
-    return np.full(given.value.shape, MOVE * (given.move or 0.0))
+    if values.value.any():
+        return MOVE * values.value
+    return np.full(values.value.shape, MOVE * (values.move or 0.0))
 
 
 def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
@@ -103,12 +103,12 @@ def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) 
 
     Paths that are not finite are left out; all are NaN where more than a few are not.
     """
-    good = finite(totals, objective.outputs)
-    if np.sum(~good) > DROPPED * good.size:
+    valid = finite(totals, objective.outputs)
+    if np.sum(~valid) > DROPPED * valid.size:
         return np.full(len(blocks), np.nan)
-    shares = np.full(good.size, np.nan)
+    shares = np.full(valid.size, np.nan)
     with np.errstate(invalid="ignore"):
-        shares[good] = objective.influence({name: x[good] for name, x in totals.items()})
+        shares[valid] = objective.influence({name: x[valid] for name, x in totals.items()})
     return np.array([np.nanmean(shares[block]) for block in blocks])
 
 
@@ -135,47 +135,47 @@ def reactions(
     are all where the value is no number, as after a ruin. A held derivative that is not a number,
     as one that is lost in a rounding, counts as zero: all of the bump is reaction.
     """
-    count = max((len(each.blocks) for each in held.values()), default=BLOCKS)
+    count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, most, centre, engine)
     if not np.isfinite(bumper.value):
         return {}
-    moves = {name: one_percent(given) for name, given in problem.named.items()}
+    moves = {name: one_percent(values) for name, values in problem.named.items()}
     moves = {name: by for name, by in moves.items() if by.any()}
     along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
-    found = {name: bumper.screened(name, by, along[name]) for name, by in moves.items()}
-    for name in sorted(found, key=lambda name: _uncertainty(found[name]), reverse=True):
-        if not settled(found[name], PRECISE) and bumper.spent < rollouts:
-            refined = bumper.refined(name, moves[name], found[name])
-            found[name] = refined if np.isfinite(refined.estimate[0]) else found[name]
-    return {name: bumper.cornered(name, moves[name], each) for name, each in found.items()}
+    table = {name: bumper.screened(name, by, along[name]) for name, by in moves.items()}
+    for name in sorted(table, key=lambda name: _uncertainty(table[name]), reverse=True):
+        if not settled(table[name], PRECISE) and bumper.spent < rollouts:
+            refined = bumper.refined(name, moves[name], table[name])
+            table[name] = refined if np.isfinite(refined.estimate[0]) else table[name]
+    return {name: bumper.cornered(name, moves[name], entry) for name, entry in table.items()}
 
 
-def settled(found: Reaction, precise: float, negligible: float = 0.0) -> bool:
+def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool:
     """Whether no more paths are needed: nothing reacts, or so little that it may be nothing, known
     to a share `precise` of the held derivative; or surely less than `negligible`."""
-    if not found.tested or not np.isfinite(found.reaction).all():
+    if not reaction.tested or not np.isfinite(reaction.reaction).all():
         return True
-    value, error = found.estimate
-    if len(found.reaction) < 2:
+    value, error = reaction.estimate
+    if len(reaction.reaction) < 2:
         return False
     if abs(value) + 2 * error <= negligible:
         return True
-    return abs(value) <= 2 * error <= 2 * precise * abs(float(np.mean(found.held)))
+    return abs(value) <= 2 * error <= 2 * precise * abs(float(np.mean(reaction.held)))
 
 
-def _uncertainty(found: Reaction) -> float:
+def _uncertainty(reaction: Reaction) -> float:
     """The error of the reaction relative to the held derivative; above 1 where that is surely
     wrong, and the bump will be reported."""
-    value, error = found.estimate
+    value, error = reaction.estimate
     if not np.isfinite(value):
         return 0.0
-    size = max(abs(float(np.mean(found.held))), abs(value), np.finfo(float).tiny)
+    size = max(abs(float(np.mean(reaction.held))), abs(value), np.finfo(float).tiny)
     return error / size + (1.0 if abs(value) > SIGNIFICANT * error else 0.0)
 
 
-def blocks_along(found: Estimate, direction: np.ndarray) -> np.ndarray:
+def blocks_along(estimate: Estimate, direction: np.ndarray) -> np.ndarray:
     """[B]: a derivative along a direction of its input, by block."""
-    return (found.blocks * direction).reshape(len(found.blocks), -1).sum(1)
+    return (estimate.blocks * direction).reshape(len(estimate.blocks), -1).sum(1)
 
 
 class _Bumper:
@@ -187,7 +187,7 @@ class _Bumper:
         policy: Policy,
         paths: int,
         count: int,
-        most: int | None,
+        maximum: int | None,
         centre: Totals | None,
         engine: Engine | None,
     ):
@@ -196,11 +196,11 @@ class _Bumper:
         blocks = source.blocks(source.available(paths), count)
         # Interleaved blocks, as those of Sobol points are, can only be taken together.
         apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))
-        ends = np.cumsum([len(block) for block in blocks])
-        fitting = len(blocks) if most is None else max(2, int(np.sum(ends <= most)))
+        endpoints = np.cumsum([len(block) for block in blocks])
+        fitting = len(blocks) if maximum is None else max(2, int(np.sum(endpoints <= maximum)))
         self.blocks = blocks[:fitting] if apart else blocks
-        least = max(FEWEST, len(blocks) // FEW)
-        self.few = min(len(self.blocks), least) if apart else len(blocks)
+        minimum = max(FEWEST, len(blocks) // FEW)
+        self.few = min(len(self.blocks), minimum) if apart else len(blocks)
         self.spent = 0  # paths valued so far
         self.centre = self._totals(problem, len(self.blocks)) if centre is None else centre
         self.value = worth(problem.objective, self.centre)
@@ -218,14 +218,14 @@ class _Bumper:
             return still
         return self._moved(name, by, held, self.few, mirrored=True)
 
-    def refined(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+    def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
         """The same with all paths and, where that is not enough, with a wider move."""
-        held, count = found.held, len(self.blocks)
-        if len(found.reaction) < count:
-            found = self._moved(name, by, held, count)
-        if settled(found, PRECISE):
-            return found
-        return _joined(found, self._moved(name, WIDE * by, WIDE * held, count))
+        held, count = result.held, len(self.blocks)
+        if len(result.reaction) < count:
+            result = self._moved(name, by, held, count)
+        if settled(result, PRECISE):
+            return result
+        return _joined(result, self._moved(name, WIDE * by, WIDE * held, count))
 
     def _moved(
         self,
@@ -269,22 +269,22 @@ class _Bumper:
             bool(np.any(np.abs(reaction) > ROUND_OFF * scale * np.sqrt(size))),
         )
 
-    def _two_sided(self, found: Reaction) -> bool:
+    def _two_sided(self, reaction: Reaction) -> bool:
         """Whether more and less of the input differ by much."""
-        size = max(abs(found.up), abs(found.down))
-        least = max(MATERIAL * size, NEGLIGIBLE * abs(self.value))
-        return abs(found.up - found.down) > max(SIGNIFICANT * found.side_error, least)
+        size = max(abs(reaction.up), abs(reaction.down))
+        minimum = max(MATERIAL * size, NEGLIGIBLE * abs(self.value))
+        return abs(reaction.up - reaction.down) > max(SIGNIFICANT * reaction.side_error, minimum)
 
-    def cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+    def cornered(self, name: str, by: np.ndarray, reaction: Reaction) -> Reaction:
         """With the kind of a corner, where both sides differ by much."""
-        if not self._two_sided(found):
-            return found
-        gap = abs(found.up - found.down)
-        half = self._moved(name, by / 2, found.held / 2, len(found.reaction))
+        if not self._two_sided(reaction):
+            return reaction
+        gap = abs(reaction.up - reaction.down)
+        half = self._moved(name, by / 2, reaction.held / 2, len(reaction.reaction))
         left = abs(half.up - half.down)
         if left <= max(CORNER * gap, SIGNIFICANT * half.side_error):
-            return found
-        return found._replace(corner="kink" if left < JUMP * gap else "jump")
+            return reaction
+        return reaction._replace(corner="kink" if left < JUMP * gap else "jump")
 
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
@@ -299,7 +299,7 @@ def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Prob
     A build takes longer than a few paths. What is mirrored is off by its curvature, which moves a
     value near its top by far less.
     """
-    here, there = (jax.tree.flatten(each.simulator) for each in (problem, more))
+    here, there = (jax.tree.flatten(item.simulator) for item in (problem, more))
     if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
         return None
     leaves = []

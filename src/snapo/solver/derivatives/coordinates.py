@@ -29,9 +29,9 @@ class Coordinates(NamedTuple):
     policy: Policy
     directions: np.ndarray
 
-    def at(self, place: np.ndarray) -> Policy:
+    def at(self, position: np.ndarray) -> Policy:
         """The policy at a place [n]."""
-        return moved(self.policy, place @ self.directions)
+        return moved(self.policy, position @ self.directions)
 
     def leading(self, count: int) -> "Coordinates":
         """The first few alone."""

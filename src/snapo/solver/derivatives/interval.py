@@ -94,13 +94,13 @@ class Reported(NamedTuple):
             np.tensordot(change, direction, axes=direction.ndim)
             for change in (self.slopes, self.others)
         )
-        found = self._interval(Estimate(blocks), unseen, slopes, others)
+        interval = self._interval(Estimate(blocks), unseen, slopes, others)
         if self.sides is None or times is None:
-            return found
+            return interval
         less, more = sorted(times * side for side in self.sides)
-        half = found.sampling + found.policy
-        value = float(np.clip(found.value, less, more))
-        return found._replace(value=value, low=less - half, high=more + half)
+        half = interval.sampling + interval.policy
+        value = float(np.clip(interval.value, less, more))
+        return interval._replace(value=value, low=less - half, high=more + half)
 
     def numbers(self) -> list[Interval]:
         """The interval of every number, in C order."""
@@ -119,8 +119,8 @@ class Reported(NamedTuple):
 
     def capped(self, gap: float) -> "Reported":
         """With this bound on the policy's gap, where it is the smaller one."""
-        least = min(gap, self.curvature.gap)
-        return self._replace(curvature=self.curvature._replace(gap=least))
+        minimum = min(gap, self.curvature.gap)
+        return self._replace(curvature=self.curvature._replace(gap=minimum))
 
     def _interval(
         self, estimate: Estimate, unseen: float, slopes: np.ndarray, others: np.ndarray
@@ -136,11 +136,11 @@ class Reported(NamedTuple):
         kappa = max(
             float(slopes @ inverse @ slopes), float(np.mean(others**2)) if len(others) else 0
         )
-        whole = half * np.hypot(sampling, np.sqrt(max(top, 0.0))) + np.sqrt(
+        complete = half * np.hypot(sampling, np.sqrt(max(top, 0.0))) + np.sqrt(
             2 * max(gap, 0.0) * max(kappa, 0.0)
         )
-        width, whole = float(half * sampling), float(whole)
-        return Interval(value, value - whole, value + whole, width, whole - width)
+        width, complete = float(half * sampling), float(complete)
+        return Interval(value, value - complete, value + complete, width, complete - width)
 
 
 def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:

@@ -58,13 +58,13 @@ def margin_of(
     the surface."""
     on = _Derivatives(problem, surface, engine, paths)
     half, pairs = (len(surface.places) - 1) // 2, _pairs(surface)
-    chosen = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
-    places = surface.places[chosen]
-    design = np.concatenate([np.ones((len(places), 1)), places], axis=1)
+    selected = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
+    positions = surface.places[selected]
+    design = np.concatenate([np.ones((len(positions), 1)), positions], axis=1)
     solve = np.linalg.pinv(design)[1:]
-    held = [on.held(surface.at(place)) for place in places]
+    held = [on.held(surface.at(position)) for position in positions]
     slopes = {
-        name: np.tensordot(solve, np.stack([each[name] for each in held]), axes=1)
+        name: np.tensordot(solve, np.stack([item[name] for item in held]), axes=1)
         for name in problem.named
     }
     return Margin(surface, slopes, _random(on, policy, surface, np.random.default_rng(seed)))
@@ -88,17 +88,17 @@ def with_margin(
     surface = margin.surface
     curvature = Curvature(surface.inverse, surface.covariance, gap)
     on = _Derivatives(problem, surface, engine, surface.paths)
-    found = {}
-    for name, each in table.items():
+    entries = {}
+    for name, item in table.items():
         slopes, others = margin.slopes[name], margin.others[name]
-        if each.source == THROUGH:
+        if item.source == THROUGH:
             # The bump has its own: one number, divided as the change along the bump is.
-            share = spread_of(each.estimate, each.by)
-            shared = share if np.isfinite(share).all() else np.zeros(each.by.shape)
+            share = spread_of(item.estimate, item.by)
+            shared = share if np.isfinite(share).all() else np.zeros(item.by.shape)
             slopes = np.multiply.outer(on.bumps(policy, name), shared)
-            others = np.zeros((0, *each.by.shape))
-        found[name] = each._replace(slopes=slopes, others=others, curvature=curvature)
-    return found
+            others = np.zeros((0, *item.by.shape))
+        entries[name] = item._replace(slopes=slopes, others=others, curvature=curvature)
+    return entries
 
 
 class _Derivatives:
@@ -115,9 +115,9 @@ class _Derivatives:
 
     def held(self, policy: Policy) -> dict[str, np.ndarray]:
         """{input: the held derivative}."""
-        way = Way(self.problem, self.bound, policy, Exact(), held=True)
-        found = way.derivatives([np.arange(self.paths)]).inputs
-        return {name: each.value for name, each in found.items()}
+        path = Way(self.problem, self.bound, policy, Exact(), held=True)
+        inputs = path.derivatives([np.arange(self.paths)]).inputs
+        return {name: item.value for name, item in inputs.items()}
 
     def bumps(self, policy: Policy, name: str) -> np.ndarray:
         """[n]: how the bump by one percent changes with every coordinate, per radius."""
@@ -125,8 +125,8 @@ class _Derivatives:
         by = one_percent(self.problem.named[name])
         sides = [self.problem.moved({name: value + sign * by}) for sign in (1.0, -1.0)]
 
-        def bump(place: np.ndarray) -> float:
-            move = (surface.radius * place) @ surface.coordinates.directions
+        def bump(position: np.ndarray) -> float:
+            move = (surface.radius * position) @ surface.coordinates.directions
             high, low = (self._value(side, moved(policy, move)) for side in sides)
             return (high - low) / 2
 
@@ -137,8 +137,8 @@ class _Derivatives:
         return self._value(self.problem, policy)
 
     def _value(self, problem: Problem, policy: Policy) -> float:
-        found = path_totals(problem, policy, self.paths, engine=self.engine)
-        return float(np.mean(block_means(problem.objective, found, self.blocks)))
+        result = path_totals(problem, policy, self.paths, engine=self.engine)
+        return float(np.mean(block_means(problem.objective, result, self.blocks)))
 
 
 def _random(
@@ -173,5 +173,5 @@ def _random(
             if np.isfinite(change).all():
                 changes[name].append(change)
     return {
-        name: np.reshape(each, (-1, *before[name].shape)) for name, each in changes.items()
+        name: np.reshape(item, (-1, *before[name].shape)) for name, item in changes.items()
     }  # fmt: skip

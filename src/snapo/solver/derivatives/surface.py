@@ -60,9 +60,9 @@ class Surface(NamedTuple):
         """The policy at the top."""
         return self.coordinates.at(self.top)
 
-    def at(self, place: np.ndarray) -> Policy:
+    def at(self, position: np.ndarray) -> Policy:
         """The policy at a place in radii from the centre."""
-        return self.coordinates.at(self.centre + self.radius * place)
+        return self.coordinates.at(self.centre + self.radius * position)
 
 
 class _Value:
@@ -81,19 +81,19 @@ class _Value:
         self.blocks = source.blocks(paths)
         self.origin = self._at(np.zeros(len(coordinates.directions)))
 
-    def __call__(self, place: np.ndarray) -> np.ndarray:
-        return self._at(place) - self.origin
+    def __call__(self, position: np.ndarray) -> np.ndarray:
+        return self._at(position) - self.origin
 
-    def _at(self, place: np.ndarray) -> np.ndarray:
-        found = path_totals(
+    def _at(self, position: np.ndarray) -> np.ndarray:
+        result = path_totals(
             self.problem,
-            self.coordinates.at(place),
+            self.coordinates.at(position),
             self.paths,
             engine=self.engine,
             source=self.source,
             controls=False,
         )
-        return block_means(self.problem.objective, found, self.blocks)
+        return block_means(self.problem.objective, result, self.blocks)
 
 
 def fresh(source: Scenarios, number: int) -> Scenarios:
@@ -125,16 +125,16 @@ def surface_of(
         return None
     rng, centre = np.random.default_rng(seed), np.zeros(count)
     for number in range(ROUNDS):
-        radius, fitted = _fitted(value, centre, radius, rng, target)
-        if fitted is None:
+        radius, fit = _fitted(value, centre, radius, rng, target)
+        if fit is None:
             return None
-        step = _step(fitted, lambda place, c=centre, r=radius: value(c + r * place))
+        step = _step(fit, lambda position, c=centre, r=radius: value(c + r * position))
         top = centre + radius * step
         if number + 1 < ROUNDS:
             centre = top
     return Surface(
-        coordinates, centre, radius, top, fitted.places, fitted.inverse,
-        fitted.covariance, target, max(fitted.gain, 0.0), source, paths,
+        coordinates, centre, radius, top, fit.places, fit.inverse,
+        fit.covariance, target, max(fit.gain, 0.0), source, paths,
     )  # fmt: skip
 
 
@@ -192,21 +192,21 @@ class _Fitted(NamedTuple):
     @property
     def covariance(self) -> np.ndarray:
         """Of the top, with a prior of one radius."""
-        found = self.inverse @ self.noise @ self.inverse
-        return found @ np.linalg.inv(np.eye(len(found)) + found)
+        inverse = self.inverse @ self.noise @ self.inverse
+        return inverse @ np.linalg.inv(np.eye(len(inverse)) + inverse)
 
 
 def _fitted(
     value: _Value, centre: np.ndarray, radius: np.ndarray, rng: np.random.Generator, target: float
 ) -> tuple[np.ndarray, _Fitted | None]:
     """The surface around a centre, over smaller radii where no quadratic fits."""
-    found = None
+    fit = None
     for _ in range(TRIES + 1):
-        found = _fit(value, centre, radius, rng, target)
-        if found is None or found.lack < LACK * target:
+        fit = _fit(value, centre, radius, rng, target)
+        if fit is None or fit.lack < LACK * target:
             break
         radius = radius / CLOSER
-    return radius, found
+    return radius, fit
 
 
 def _fit(value: _Value, centre, radius, rng, target: float) -> _Fitted | None:
@@ -216,35 +216,37 @@ def _fit(value: _Value, centre, radius, rng, target: float) -> _Fitted | None:
     size = 1 + count + len(pairs)
     half = rng.standard_normal((int(np.ceil(POINTS * size / 2)) + 2, count))
     half *= (rng.uniform(0.5, 1.3, len(half)) / np.linalg.norm(half, axis=1))[:, None]
-    places = np.concatenate([np.zeros((1, count)), half, -half])
-    heights = np.stack([value(centre + radius * place) for place in places])
+    positions = np.concatenate([np.zeros((1, count)), half, -half])
+    heights = np.stack([value(centre + radius * position) for position in positions])
     if not np.isfinite(heights).all():
         return None
-    squares = np.stack([places[:, i] * places[:, j] for i, j in pairs], axis=1)
-    solve = np.linalg.pinv(np.concatenate([np.ones((len(places), 1)), places, squares], axis=1))
+    squares = np.stack([positions[:, i] * positions[:, j] for i, j in pairs], axis=1)
+    solve = np.linalg.pinv(
+        np.concatenate([np.ones((len(positions), 1)), positions, squares], axis=1)
+    )
     by_block = solve @ heights
     means = by_block.mean(1)
     curvature = np.zeros((count, count))
     for (i, j), coefficient in zip(pairs, means[1 + count :]):
         curvature[i, j] += coefficient
         curvature[j, i] += coefficient
-    design = np.concatenate([np.ones((len(places), 1)), places, squares], axis=1)
+    design = np.concatenate([np.ones((len(positions), 1)), positions, squares], axis=1)
     missing = heights.mean(1) - design @ means
-    variance = float(missing @ missing) / max(1, len(places) - size)
+    variance = float(missing @ missing) / max(1, len(positions) - size)
     slopes = by_block[1 : 1 + count]
     noise = variance * (solve @ solve.T)[1 : 1 + count, 1 : 1 + count]
     if slopes.shape[1] > 1:
         noise = noise + np.atleast_2d(np.cov(slopes)) / slopes.shape[1]
     values, vectors = np.linalg.eigh(curvature)
     inverse = (vectors / -np.minimum(values, -FLAT * target)) @ vectors.T
-    return _Fitted(places, means[1 : 1 + count], inverse, noise, float(np.sqrt(variance)))
+    return _Fitted(positions, means[1 : 1 + count], inverse, noise, float(np.sqrt(variance)))
 
 
-def _step(found: _Fitted, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _step(result: _Fitted, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """The step to the top in radii, shrunk as its noise asks, and taken where the value rises."""
-    step, count = found.step, len(found.gradient)
+    step, count = result.step, len(result.gradient)
     ridge = 1e-30 * np.eye(count)
-    chi = float(found.gradient @ np.linalg.solve(found.noise + ridge, found.gradient))
+    chi = float(result.gradient @ np.linalg.solve(result.noise + ridge, result.gradient))
     shrink = max(0.0, 1 - max(count - 2, 1) / chi) if chi > 0 else 0.0
     length = float(np.linalg.norm(step))
     step = shrink * (min(1.0, STEP / length) if length else 1.0) * step

@@ -79,31 +79,31 @@ def verdicts(
     - `lost`: inputs whose derivative no adjoint sees, as it is lost in a rounding (`Problem.lost`):
       the bump is reported.
     """
-    probabilities = {name: each.probability() for name, each in reactions.items()}
+    probabilities = {name: item.probability() for name, item in reactions.items()}
     refuted = holm(probabilities)
-    found = {}
-    for name, each in reactions.items():
+    table = {}
+    for name, reaction in reactions.items():
         source = HELD
-        if each.corner == "jump" or not np.isfinite(each.reaction).all():
+        if reaction.corner == "jump" or not np.isfinite(reaction.reaction).all():
             source = UNKNOWN
-        elif each.corner == "kink":
+        elif reaction.corner == "kink":
             source = RANGE
-        elif name in refuted or name in lost or (reacting and each.tested):
+        elif name in refuted or name in lost or (reacting and reaction.tested):
             source = THROUGH
-        held, bump = (_pair(blocks) for blocks in (each.held, each.bump))
-        found[name] = Verdict(
+        held, bump = (_pair(blocks) for blocks in (reaction.held, reaction.bump))
+        table[name] = Verdict(
             source,
             held,
-            (bump[0], float(np.hypot(bump[1], each.extra))),
-            each.estimate,
-            each.up,
-            each.down,
-            each.side_error,
+            (bump[0], float(np.hypot(bump[1], reaction.extra))),
+            reaction.estimate,
+            reaction.up,
+            reaction.down,
+            reaction.side_error,
             probabilities[name],
-            each.tested,
-            each.corner,
+            reaction.tested,
+            reaction.corner,
         )
-    return found
+    return table
 
 
 def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
@@ -122,17 +122,17 @@ def reported(
     held: Mapping[str, Estimate],
     smooth: Mapping[str, Estimate] | None,
     reactions: Mapping[str, Reaction],
-    found: Mapping[str, Verdict],
+    results: Mapping[str, Verdict],
 ) -> dict[str, Reported]:
     """{input: the derivative that is reported}, with the sampling error alone."""
     result = {}
-    for name, given in problem.named.items():
-        by = one_percent(given)
-        if name not in found:
+    for name, values in problem.named.items():
+        by = one_percent(values)
+        if name not in results:
             result[name] = plain(held[name], by)
             continue
         soft = None if smooth is None else smooth[name]
-        result[name] = _of(found[name], reactions[name], held[name], soft, by)
+        result[name] = _of(results[name], reactions[name], held[name], soft, by)
     return result
 
 
@@ -155,9 +155,9 @@ def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
 def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
     """The held derivative with its sampling error alone."""
     empty = np.zeros((0, *by.shape))
-    whole = blocks_along(held, by)
+    complete = blocks_along(held, by)
     nothing = np.zeros(by.shape)
-    return Reported(source, held, by, whole, nothing, empty, empty, Curvature.nothing())
+    return Reported(source, held, by, complete, nothing, empty, empty, Curvature.nothing())
 
 
 def _of(
@@ -177,30 +177,30 @@ def _of(
     if not verdict.tested or not error > 0:
         return base
     weight = _weight(reaction) if reaction.complete and len(reaction.held) > 1 else 0.0
-    whole = reaction.held
+    complete = reaction.held
     estimate = held
     if weight:
-        whole = reaction.held + weight * reaction.reaction
+        complete = reaction.held + weight * reaction.reaction
         moves = weight * reaction.reaction.reshape(-1, *(1,) * by.ndim)
         estimate = Estimate(held.blocks + moves * share)
     left = (1 - weight) * (error if weight else max(error, abs(value)))
-    return base._replace(estimate=estimate, whole=whole, unseen=left * np.abs(share))
+    return base._replace(estimate=estimate, whole=complete, unseen=left * np.abs(share))
 
 
 def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarray) -> Reported:
     """Between both one-sided derivatives; a held one that is not between them gives way."""
     less, more = sorted((verdict.down, verdict.up))
-    found = base._replace(
+    result = base._replace(
         sides=(verdict.down, verdict.up), unseen=verdict.side_error / SHARE_UNSEEN * np.abs(share)
     )
     if less <= verdict.held[0] <= more:
-        return found
-    return found._replace(whole=reaction.bump, estimate=_spread(reaction.bump, share))
+        return result
+    return result._replace(whole=reaction.bump, estimate=_spread(reaction.bump, share))
 
 
-def _spread(whole: np.ndarray, share: np.ndarray) -> Estimate:
+def _spread(complete: np.ndarray, share: np.ndarray) -> Estimate:
     """A change along a bump [b], divided among the numbers of the input."""
-    return Estimate(whole.reshape(-1, *(1,) * share.ndim) * share)
+    return Estimate(complete.reshape(-1, *(1,) * share.ndim) * share)
 
 
 def _through(
@@ -208,20 +208,20 @@ def _through(
 ) -> Reported:
     """The bump; of an input with many numbers the smooth derivatives, scaled to it, where their sum
     agrees with it."""
-    whole = reaction.held.mean() - reaction.held[: len(reaction.reaction)].mean() + reaction.bump
-    value, error = _pair(whole)
+    complete = reaction.held.mean() - reaction.held[: len(reaction.reaction)].mean() + reaction.bump
+    value, error = _pair(complete)
     error = float(np.hypot(error, reaction.extra))
     extra = np.abs(share) * (reaction.extra / SHARE_UNSEEN)
     if base.by.size == 1:
-        return base._replace(estimate=_spread(whole, share), whole=whole, unseen=extra)
-    nan = np.full((len(whole), *base.by.shape), np.nan)
-    found = base._replace(estimate=Estimate(nan), whole=whole, unseen=extra)
+        return base._replace(estimate=_spread(complete, share), whole=complete, unseen=extra)
+    nan = np.full((len(complete), *base.by.shape), np.nan)
+    result = base._replace(estimate=Estimate(nan), whole=complete, unseen=extra)
     if smooth is None:
-        return found
+        return result
     soft, soft_error = _pair(blocks_along(smooth, base.by))
     if not abs(soft - value) < AGREE * np.hypot(soft_error, error) or not soft:
-        return found
-    return found._replace(estimate=Estimate(smooth.blocks * (value / soft)))
+        return result
+    return result._replace(estimate=Estimate(smooth.blocks * (value / soft)))
 
 
 def _weight(reaction: Reaction) -> float:
@@ -236,5 +236,5 @@ def _weight(reaction: Reaction) -> float:
 
 
 def _pair(blocks: np.ndarray) -> tuple[float, float]:
-    found = Estimate(blocks)
-    return float(found.value), float(found.standard_error) if len(blocks) > 1 else 0.0
+    estimate = Estimate(blocks)
+    return float(estimate.value), float(estimate.standard_error) if len(blocks) > 1 else 0.0

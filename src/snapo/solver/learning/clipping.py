@@ -37,31 +37,31 @@ FEW = 64  # of a bound, which is a median
 
 def fell(norms: Sequence[float], since: int, first: int = FIRST) -> bool:
     """Whether the last gradient is far below the largest of the `first` steps after `since`."""
-    own = np.asarray(norms[since:])
-    return 0 < len(own) <= first and bool(own[-1] * APART < own.max())
+    local = np.asarray(norms[since:])
+    return 0 < len(local) <= first and bool(local[-1] * APART < local.max())
 
 
 def leapt(norms: Sequence[float], since: int) -> bool:
     """Whether the last gradient is far above the usual one of all before it, after `since`."""
-    own = np.asarray(norms[since:])
-    return len(own) > 3 and bool(own[-1] > APART * np.median(own[:-1]))
+    local = np.asarray(norms[since:])
+    return len(local) > 3 and bool(local[-1] > APART * np.median(local[:-1]))
 
 
 def held_down(norms: Sequence[float], since: int, forget: float) -> bool:
     """Whether Adam's mean square of all gradients after `since`, of which it keeps a share `forget`
     a step, is far above the usual size of the last ones: its steps are as many times too short."""
-    own = np.asarray(norms[since:])
-    if len(own) < 2 * FIRST:
+    local = np.asarray(norms[since:])
+    if len(local) < 2 * FIRST:
         return False
-    weights = forget ** np.arange(len(own))[::-1]
-    return bool(np.median(own[-FIRST:]) * HELD < np.sqrt(np.average(own**2, weights=weights)))
+    weights = forget ** np.arange(len(local))[::-1]
+    return bool(np.median(local[-FIRST:]) * HELD < np.sqrt(np.average(local**2, weights=weights)))
 
 
 def bound(norms: np.ndarray) -> float | None:
     """The bound for `engine.Clip` from norms [T, N] of a short memory; None where the usual path
     has none that is finite."""
-    found = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
-    return found if 0 < found < np.inf else None
+    median = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
+    return median if 0 < median < np.inf else None
 
 
 def due(step: int) -> bool:

@@ -104,13 +104,13 @@ def ending(
     if not np.isfinite(worth(problem.objective, exact)):
         return Ending("")
     does_nothing = idle.equal_on_all_paths(problem, exact)
-    kept = untrained is progress.best
-    over_start = NONE if kept else _over(problem, untrained, exact, engine)
+    selected = untrained is progress.best
+    over_start = NONE if selected else _over(problem, untrained, exact, engine)
     notes = [idle.advice(worth(problem.objective, exact))] if does_nothing else []
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
         taken = _decisions(problem, progress.best, held_paths, decisions, engine)
-        actions = np.concatenate([each[2] for each in taken], axis=1)
+        actions = np.concatenate([item[2] for item in taken], axis=1)
         still = constant_decisions(problem.action, actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
@@ -174,16 +174,16 @@ def _further(
     Within limits it counts at their prices: a policy that breaks one is no worse a measure.
     """
     rated = problem.priced(progress.dual.prices or [0.0] * len(problem.constraints))
-    known = exact[problem.objective.outputs[0]]
-    best, spread = worth(problem.objective, exact), float(np.nanstd(known))
+    available = exact[problem.objective.outputs[0]]
+    best, spread = worth(problem.objective, exact), float(np.nanstd(available))
     size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
     times = further.times(progress, training)
-    paths, most = ENOUGH, len(known)
+    paths, maximum = ENOUGH, len(available)
     while True:
         late = _over(rated, progress.halfway, exact, engine, paths)
-        found = Further(late.value, late.error, times, size)
-        if found.improving or found.known or paths >= most:
-            return found
+        result = Further(late.value, late.error, times, size)
+        if result.improving or result.known or paths >= maximum:
+            return result
         paths *= 4
 
 
@@ -210,8 +210,8 @@ def _short(
             f"{Gain(more.late, more.late_error)}"
         )
     moved = parameters(progress.best) - parameters(progress.halfway)
-    way = float(np.linalg.norm(moved))
-    if gradient is not None and further.restless(*gradient, way, more.size):
+    path = float(np.linalg.norm(moved))
+    if gradient is not None and further.restless(*gradient, path, more.size):
         return f"the gradient is {gradient[0] / gradient[1]:.2g} times its noise"
     return ""
 
@@ -238,11 +238,11 @@ def _over(
     """On the first chunks of the evaluation, whose kernels are there."""
     source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
     blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])), enough)
-    found = [
+    totals = [
         bound.values(other, source.draws(block, problem.simulator), Exact()).totals
         for block in blocks
     ]
-    return _gain(problem, exact, [float64(each) for each in found], np.concatenate(blocks))
+    return _gain(problem, exact, [float64(item) for item in totals], np.concatenate(blocks))
 
 
 def _decisions(
@@ -254,15 +254,15 @@ def _decisions(
 ) -> list[tuple[np.ndarray, Draws, np.ndarray]]:
     """The paths, their scenarios and the decisions [T, paths, size], by block."""
     bound, source = engine.bind(problem), problem.sources.evaluation
-    found = []
+    rows = []
     for paths in _first(source.blocks(source.available(held_paths))):
         draws = source.draws(paths, problem.simulator)
         if recorded is None:
             taken = bound.values(policy, draws, Exact(), record=DECIDED).record["action"]
         else:
             taken = recorded[:, in_a_row(paths)]
-        found.append((paths, draws, np.asarray(taken)))
-    return found
+        rows.append((paths, draws, np.asarray(taken)))
+    return rows
 
 
 def _over_constants(
@@ -274,19 +274,19 @@ def _over_constants(
     """The best constant decision [size] of some, and the gain over it: see `rivals`."""
     unpriced = _unpriced(problem)
     bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
-    paths = np.concatenate([each[0] for each in taken])
-    found = []
-    for constant in rivals(problem.action, np.concatenate([each[2] for each in taken], axis=1)):
+    paths = np.concatenate([entry[0] for entry in taken])
+    pairs = []
+    for constant in rivals(problem.action, np.concatenate([value[2] for value in taken], axis=1)):
         parts: list[Totals] = []
         for _, draws, like in taken:
-            each = np.full(like.shape[1], 1 / like.shape[1])
-            weights = dict.fromkeys(outputs, each)
+            item = np.full(like.shape[1], 1 / like.shape[1])
+            weights = dict.fromkeys(outputs, item)
             same = np.broadcast_to(constant.astype(like.dtype), like.shape)
             # The held derivatives have this kernel compiled already.
             passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
             parts.append(float64(passed.totals))
-        found.append((constant, _gain(problem, exact, parts, paths)))
-    return min(found, key=lambda each: each[1].value)
+        pairs.append((constant, _gain(problem, exact, parts, paths)))
+    return min(pairs, key=lambda each: each[1].value)
 
 
 def _first(blocks: list[np.ndarray], enough: int = ENOUGH) -> list[np.ndarray]:
@@ -300,11 +300,11 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
     objective = problem.objective
     mine = {name: np.asarray(total)[paths] for name, total in exact.items()}
     other = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    good = finite(mine, objective.outputs) & finite(other, objective.outputs)
-    if not good.any():
+    valid = finite(mine, objective.outputs) & finite(other, objective.outputs)
+    if not valid.any():
         return Gain(np.inf, 0.0)
-    mine, other = ({n: total[good] for n, total in each.items()} for each in (mine, other))
-    paths = paths[good]
+    mine, other = ({n: total[valid] for n, total in item.items()} for item in (mine, other))
+    paths = paths[valid]
     with np.errstate(invalid="ignore"):
         value = objective.value(mine) - objective.value(other)
         spread = objective.influence(mine) - objective.influence(other)
@@ -324,7 +324,7 @@ def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.nd
     for limit in problem.constraints:
         influence = limit.measure.influence(other)
         error = statistics.mean(influence, groups).standard_error
-        beyond = limit.excess(other) - max(limit.excess(mine), 0.0)
-        if beyond > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
+        outside = limit.excess(other) - max(limit.excess(mine), 0.0)
+        if outside > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
             return True
     return False

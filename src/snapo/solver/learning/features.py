@@ -76,8 +76,8 @@ class Scale(NamedTuple):
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:
         """The policy with other first layers: `work` takes weights, biases, mean and deviation."""
         columns = _columns(policy, self.mean, 0.0), _columns(policy, self.deviation, 1.0)
-        moved = [number for each in layers(policy) for number in work(*each, *columns)]
-        return eqx.tree_at(lambda tree: [x for each in layers(tree) for x in each], policy, moved)
+        moved = [number for layer in layers(policy) for number in work(*layer, *columns)]
+        return eqx.tree_at(lambda tree: [x for item in layers(tree) for x in item], policy, moved)
 
 
 def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.ndarray:
@@ -105,7 +105,7 @@ def networks(policy: Policy) -> list[Network | None]:
 
 def undrawn(policy: Policy) -> bool:
     """Whether a policy is a recipe, whose networks are still to be drawn."""
-    return all(each is None for each in networks(policy))
+    return all(network is None for network in networks(policy))
 
 
 def to_be_drawn(policy: Policy) -> bool:
@@ -115,7 +115,11 @@ def to_be_drawn(policy: Policy) -> bool:
 
 def layers(policy: Policy) -> list[tuple[Any, Any]]:
     """Weights and biases of the first layers of a policy's networks."""
-    return [(each.weights[0], each.biases[0]) for each in networks(policy) if each is not None]
+    return [
+        (network.weights[0], network.biases[0])
+        for network in networks(policy)
+        if network is not None
+    ]
 
 
 def plain(weights, bias, mean, deviation) -> tuple[Any, Any]:
@@ -155,21 +159,21 @@ def fixed(problem: Problem) -> Scale | None:
     draws = problem.sources.training.batch(0, PATHS, simulator)
     actions = np.zeros((horizon, draws.size, simulator.action.size), np.float32)
     states = bound.values(None, draws, Exact(), actions=actions, record=("state",)).record["state"]
-    seen = [
+    observed = [
         np.asarray(
             observations(simulator, schedule.constants, schedule.steps, _set(states, moved, x))
         )
         for x in MOVED
     ]
-    rows = seen[0].reshape(horizon * draws.size, -1).astype(np.float64)
+    rows = observed[0].reshape(horizon * draws.size, -1).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        alike = np.all([np.all(each == seen[0], axis=(0, 1)) for each in seen], axis=0)
+        same = np.all([np.all(item == observed[0], axis=(0, 1)) for item in observed], axis=0)
         mean, deviation = rows.mean(0), rows.std(0)
-        known = alike & (deviation > VARIES * np.maximum(1.0, np.abs(mean)))
-    known &= np.isfinite(mean) & np.isfinite(deviation)
-    if not known.any():
+        available = same & (deviation > VARIES * np.maximum(1.0, np.abs(mean)))
+    available &= np.isfinite(mean) & np.isfinite(deviation)
+    if not available.any():
         return None
-    mean, deviation = np.where(known, mean, 0.0), np.where(known, deviation, 1.0)
+    mean, deviation = np.where(available, mean, 0.0), np.where(available, deviation, 1.0)
     return Scale(tuple(mean.tolist()), tuple(deviation.tolist()))
 
 
@@ -181,11 +185,11 @@ class _Unmoved(Around):
     def step(self, constants, now, state, action, noise, smooth):
         after, _ = self.own.step(constants, now, state, action, noise, smooth)
         flags = jax.tree.leaves(self.moved)
-        kept = [
+        selected = [
             old if flag else new
             for old, new, flag in zip(jax.tree.leaves(state), jax.tree.leaves(after), flags)
         ]
-        return jax.tree.unflatten(jax.tree.structure(state), kept), {}
+        return jax.tree.unflatten(jax.tree.structure(state), selected), {}
 
     def terminal(self, constants, state, smooth):
         return {}
@@ -212,13 +216,13 @@ def _moved(problem: Problem) -> PyTree:
     action = np.zeros(simulator.action.size, np.float32)
     noise = np.zeros(simulator.noise_size, np.float32)
 
-    def step(action, leaves, noise, given):
-        state, (constants, now) = jax.tree.unflatten(structure, leaves), given
+    def step(action, leaves, noise, inputs):
+        state, (constants, now) = jax.tree.unflatten(structure, leaves), inputs
         return jax.tree.leaves(simulator.step(constants, now, state, action, noise, Exact())[0])
 
-    given = constants, at(schedule.steps, 0)
-    program = jax.make_jaxpr(step)(action, leaves, noise, given).jaxpr
-    moved, other = [False] * len(leaves), [False] * (1 + len(jax.tree.leaves(given)))
+    values = constants, at(schedule.steps, 0)
+    program = jax.make_jaxpr(step)(action, leaves, noise, values).jaxpr
+    moved, other = [False] * len(leaves), [False] * (1 + len(jax.tree.leaves(values)))
     while True:
         after = _follows(program, [True, *moved, *other])
         both = [a or b for a, b in zip(moved, after)]
@@ -229,8 +233,8 @@ def _moved(problem: Problem) -> PyTree:
 
 def _follows(program, marks: list[bool]) -> list[bool]:
     """Which results of a program follow from a marked argument."""
-    known = {var for var, mark in zip(program.invars, marks) if mark}
+    available = {var for var, mark in zip(program.invars, marks) if mark}
     for eqn in program.eqns:
-        if any(not hasattr(var, "val") and var in known for var in eqn.invars):
-            known.update(eqn.outvars)
-    return [not hasattr(var, "val") and var in known for var in program.outvars]
+        if any(not hasattr(var, "val") and var in available for var in eqn.invars):
+            available.update(eqn.outvars)
+    return [not hasattr(var, "val") and var in available for var in program.outvars]

@@ -56,16 +56,16 @@ def fitted(
     if isinstance(training, TrainingPlan):
         return training
     paths, steps, rate = training.paths, training.steps, training.learning_rate
-    decay, explored, free = training.decay, training.exploration, training.steps == "auto"
-    if explored == "auto":
-        explored = EXPLORED if free and _explores(problem.action, training) else 0.0
-    horizon, sure = problem.simulator.horizon, explored == 0 and not problem.is_random
+    decay, exploring, free = training.decay, training.exploration, training.steps == "auto"
+    if exploring == "auto":
+        exploring = EXPLORED if free and _explores(problem.action, training) else 0.0
+    horizon, certain = problem.simulator.horizon, exploring == 0 and not problem.is_random
     if paths == "auto":
         work = horizon * max(1, parameters(policy).size)
         paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
-        paths = min(paths, ALIKE) if sure else paths
+        paths = min(paths, ALIKE) if certain else paths
     # The gradient of fewer paths is noisier, which more steps average out.
-    noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not sure else 1.0
+    noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not certain else 1.0
     if steps == "auto":
         steps = round(noisy * _within(STEPS, LONG // horizon))
     if rate == "auto":
@@ -81,7 +81,7 @@ def fitted(
     few_values = any(holds(problem.action, kind) for kind in (Choice, Integers, Stop))
     starts = SEVERAL if fresh and free and few_values else 1
     return TrainingPlan.of(
-        training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=explored,
+        training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=exploring,
         validation_every=every(steps), starts=starts,
     )  # fmt: skip
 
@@ -97,7 +97,7 @@ def _width(policy: Policy) -> int:
     """The number of units in the widest layer of all networks; 1 where there is none."""
     nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, Network))
     networks = [node for node in nodes if isinstance(node, Network)]
-    return max((bias.size for each in networks for bias in each.biases[:-1]), default=1)
+    return max((bias.size for network in networks for bias in network.biases[:-1]), default=1)
 
 
 def _within(limits: tuple[int, int], number: int) -> int:

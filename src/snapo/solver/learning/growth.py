@@ -38,16 +38,16 @@ class Growth(NamedTuple):
     def words(self) -> str:
         """One sentence: by how much they grow, at which step and in which part of the state."""
         largest, times = np.asarray(self.largest), self.times
-        place = int(np.argmax(largest))
+        position = int(np.argmax(largest))
         if not self.large:
             return f"Adjoints grow {times:,.3g}-fold on their way back: no more than usual."
-        half = _explodes(largest, place)
-        state = max(self.leaves, key=lambda name: self.leaves[name][place], default="state")
-        apart = largest[place] / max(self.usual[place], np.finfo(float).tiny)
+        half = _explodes(largest, position)
+        state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
+        apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Adjoints grow {times:,.2g}-fold on their way back from the last step to step {place} "
-            f"of {largest.size}, a hundredfold before step {half}, most in the state {state!r}; "
-            f"there the largest of the paths is {apart:,.2g} times the usual one."
+            f"Adjoints grow {times:,.2g}-fold on their way back from the last step to step "
+            f"{position} of {largest.size}, a hundredfold before step {half}, most in the state "
+            f"{state!r}; there the largest of the paths is {apart:,.2g} times the usual one."
         )
 
     def table(self) -> list[tuple]:
@@ -62,7 +62,7 @@ class Growth(NamedTuple):
     @classmethod
     def of(cls, norms: Norms, step: int) -> "Growth":
         """The record of norms that were measured at a step of training."""
-        leaves = {name: _root_mean_square(each) for name, each in norms.leaves.items()}
+        leaves = {name: _root_mean_square(leaf) for name, leaf in norms.leaves.items()}
         return cls(step, _row(np.median(norms.whole, 1)), _row(norms.whole.max(1)), leaves)
 
     @classmethod
@@ -71,14 +71,14 @@ class Growth(NamedTuple):
         if stored is None:
             return None
         step, usual, largest, leaves = stored
-        leaves = {name: tuple(each) for name, each in leaves.items()}
+        leaves = {name: tuple(leaf) for name, leaf in leaves.items()}
         return cls(int(step), tuple(usual), tuple(largest), leaves)
 
 
-def _explodes(largest: np.ndarray, place: int) -> int:
+def _explodes(largest: np.ndarray, position: int) -> int:
     """The step from which on adjoints, on their way back to `place`, exceed the limit."""
-    over = largest[place:] > TAME * largest[-1]
-    return place + int(np.flatnonzero(over)[-1])
+    over = largest[position:] > TAME * largest[-1]
+    return position + int(np.flatnonzero(over)[-1])
 
 
 def _root_mean_square(norms: np.ndarray) -> tuple[float, ...]:

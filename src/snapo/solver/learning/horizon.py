@@ -35,24 +35,24 @@ def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
 
 def wild(norms: Sequence[float], paths: int = MANY) -> bool:
     """Whether the first gradients show chaos: they are erratic, or one of them fell far."""
-    found = np.asarray(norms, float)
-    return bool(np.any(found * GROWTH < np.maximum.accumulate(found))) or erratic(norms, paths)
+    result = np.asarray(norms, float)
+    return bool(np.any(result * GROWTH < np.maximum.accumulate(result))) or erratic(norms, paths)
 
 
 def fell(norms: Sequence[float]) -> bool:
     """Whether gradients fell for good: training leaves what was wild by itself."""
-    found = np.asarray(norms, float)
-    return bool(np.median(found[-USUAL:]) * GROWTH < np.median(found[:USUAL]))
+    result = np.asarray(norms, float)
+    return bool(np.median(result[-USUAL:]) * GROWTH < np.median(result[:USUAL]))
 
 
 def window(norms: np.ndarray) -> int | None:
     """The length of windows for adjoints of these norms [T, N]; None for the whole horizon."""
     norms = _finite(norms)
     usual = np.median(norms, axis=1)
-    seen = usual > 0
-    if not seen.any() or not grows(norms):
+    observed = usual > 0
+    if not observed.any() or not grows(norms):
         return None
-    tails = norms.max(1)[seen] / usual[seen]
+    tails = norms.max(1)[observed] / usual[observed]
     if not np.median(tails) > TAILS:
         return None
     return _agreeing(norms)

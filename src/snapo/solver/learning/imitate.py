@@ -29,8 +29,8 @@ class Imitating(Around):
     rule: Frozen
     scale: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, own: Simulator, rule: Policy, scale: tuple[float, ...]):
-        self.own, self.rule, self.scale = own, Frozen(rule), scale
+    def __init__(self, simulator: Simulator, rule: Policy, scale: tuple[float, ...]):
+        self.own, self.rule, self.scale = simulator, Frozen(rule), scale
 
     def step(self, constants, now, state, action, noise, smooth):
         right = self.rule.array(self.own.observe(constants, now, state), smooth)

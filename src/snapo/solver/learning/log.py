@@ -62,10 +62,10 @@ SCALARS = ("objective", "exact", "exact_error", "gradient_norm", "temperature")
 
 def _event(record: Record) -> bytes:
     """An `Event` of TensorFlow's event.proto: wall time 1, step 2, summary 5 of values 1."""
-    found = {name: float(getattr(record, name)) for name in SCALARS}
+    table = {name: float(getattr(record, name)) for name in SCALARS}
     values = b"".join(
         _text(1, _text(1, name.encode()) + _single(2, value))
-        for name, value in found.items()
+        for name, value in table.items()
         if np.isfinite(value) and (name, value) != ("exact_error", 0.0)
     )
     return _double(1, time.time()) + b"\x10" + _varint(record.step) + _text(5, values)
@@ -93,11 +93,11 @@ def crc32c(data: bytes) -> int:
 
 
 def _varint(number: int) -> bytes:
-    found = bytearray()
+    numbers = bytearray()
     while number > 127:
-        found.append(number & 127 | 128)
+        numbers.append(number & 127 | 128)
         number >>= 7
-    return bytes([*found, number])
+    return bytes([*numbers, number])
 
 
 def _text(field: int, data: bytes) -> bytes:

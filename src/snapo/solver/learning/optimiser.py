@@ -130,26 +130,28 @@ class Parts(NamedTuple):
         """Those of `trainable`."""
         moving, fixed = trainable(policy)
         # Where a leaf is trained, what is fixed has a hole.
-        whole = jax.tree.map(lambda _: True, moving), jax.tree.map(lambda _: False, fixed)
-        marks = jax.tree.leaves(eqx.combine(*whole))
+        complete = jax.tree.map(lambda _: True, moving), jax.tree.map(lambda _: False, fixed)
+        marks = jax.tree.leaves(eqx.combine(*complete))
         leaves, structure = jax.tree.flatten(policy)
-        places = tuple(place for place, mark in enumerate(marks) if mark)
-        return cls(structure, places, np.cumsum([np.size(leaves[place]) for place in places]))
+        positions = tuple(position for position, mark in enumerate(marks) if mark)
+        return cls(
+            structure, positions, np.cumsum([np.size(leaves[location]) for location in positions])
+        )
 
     def vector(self, tree: PyTree) -> np.ndarray:
         """The trained numbers of a policy, or its gradient, whose other leaves may be missing."""
         leaves, structure = jax.tree.flatten(tree)
         if structure != self.structure:
             return flat(trainable(tree)[0])
-        found = [np.ravel(np.asarray(leaves[place])) for place in self.trained]
-        return np.concatenate([np.zeros(0, np.float32), *found])
+        results = [np.ravel(np.asarray(leaves[position])) for position in self.trained]
+        return np.concatenate([np.zeros(0, np.float32), *results])
 
     def moved(self, policy: PyTree, vector: Array) -> PyTree:
         """The policy with other numbers."""
         leaves = jax.tree.leaves(policy)
-        for place, part in zip(self.trained, np.split(np.asarray(vector), self.ends[:-1])):
-            like = leaves[place]
-            leaves[place] = part.reshape(like.shape).astype(like.dtype, copy=False)
+        for position, part in zip(self.trained, np.split(np.asarray(vector), self.ends[:-1])):
+            like = leaves[position]
+            leaves[position] = part.reshape(like.shape).astype(like.dtype, copy=False)
         return jax.tree.unflatten(self.structure, leaves)
 
 

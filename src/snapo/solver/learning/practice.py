@@ -75,8 +75,8 @@ class MoreNoise(Scenarios):
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return self.own.groups(paths)
 
-    def available(self, wanted: int) -> int:
-        return self.own.available(wanted)
+    def available(self, requested: int) -> int:
+        return self.own.available(requested)
 
     def _longer(self, drawn: Draws, step: int) -> Draws:
         if isinstance(drawn, Counter):  # it counts as many as a simulator asks for
@@ -110,17 +110,17 @@ def practised(problem: Problem, training: TrainingPlan) -> Problem:
 
     **Raises:** `ValueError` for settings that this problem cannot have.
     """
-    if found := refused(problem, training):
-        key, why = found
+    if result := refused(problem, training):
+        key, why = result
         raise ValueError(f"Training: {key} is {getattr(training, key)!r}, and {why}.")
-    own = simulator = problem.simulator
+    local = simulator = problem.simulator
     sources = problem.sources
     if training.spread != 1:
         simulator = Wide(simulator, training.spread)  # pyright: ignore[reportCallIssue]
     if training.exploration:
         hot, cold = training.temperature_start, training.temperature_end
         simulator = Exploring(simulator, training.exploration, hot, cold)  # pyright: ignore[reportCallIssue]
-        sources = replace(sources, training=MoreNoise(sources.training, own, training.seed))
-    if simulator is own:
+        sources = replace(sources, training=MoreNoise(sources.training, local, training.seed))
+    if simulator is local:
         return problem
     return replace(problem, simulator=simulator, sources=sources).prepared(problem.schedule)

@@ -148,7 +148,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     if problem is not None:
         training = fitted(training, problem, policy)
     plan = training if isinstance(training, TrainingPlan) else TrainingPlan.of(training)
-    given = training.clip if isinstance(training.clip, int | float) else None
+    values = training.clip if isinstance(training.clip, int | float) else None
     keep = training.keep if isinstance(training.keep, int | float) else 1.0
     window, critic = None, None
     if isinstance(training.window, int):
@@ -168,7 +168,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
         **empty,
         critic=critic,
         window=window,
-        clip=given,
+        clip=values,
         keep=keep,
     )
 
@@ -176,8 +176,10 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
 def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
     """Whether a rate that the problem chose may have led training astray: its first step did not
     break, nor its first value."""
-    known = progress.step > 0 and np.isfinite(progress.best_value)
-    return known and "learning_rate" in training.automatic and len(progress.slowed) < MOST_SLOWED
+    available = progress.step > 0 and np.isfinite(progress.best_value)
+    return (
+        available and "learning_rate" in training.automatic and len(progress.slowed) < MOST_SLOWED
+    )
 
 
 def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:

@@ -70,16 +70,16 @@ class Training:
 
     def __post_init__(self):
         free = self._free
-        for name, least in COUNTS.items():
+        for name, minimum in COUNTS.items():
             value, more = getattr(self, name), " or 'auto'" if name in free else ""
             none = value is None and name in ("patience", "window")
             auto = value == "auto" and name in (*free, "window")
             if not (none or auto):
-                count(f"Training: {name}", value, least, more)
-        for name, (test, words) in NUMBERS.items():
+                count(f"Training: {name}", value, minimum, more)
+        for name, (test, text) in NUMBERS.items():
             value, more = getattr(self, name), " or 'auto'" if name in free else ""
             if not (more and value == "auto"):
-                number(f"Training: {name}", value, (test, words + more))
+                number(f"Training: {name}", value, (test, text + more))
         if self.keep != "auto":
             number("Training: keep", self.keep, (SHARE[0], f"{SHARE[1]}, or 'auto'"))
         if self.exploration not in (0, "auto") and not self.cools:
@@ -130,11 +130,11 @@ class TrainingPlan(Training):
     @classmethod
     def of(cls, training: Training, **numbers: Any) -> "TrainingPlan":
         """The plan of a training, with these numbers in place of what is "auto" in it."""
-        named = {each.name: getattr(training, each.name) for each in fields(training)}
-        free = tuple(name for name in FOLLOWING if named[name] == "auto")
-        known = {name: value for name, value in named.items() if name not in free}
-        chosen = {name: value for name, value in numbers.items() if name in free}
-        settings: dict[str, Any] = {"automatic": free} | known | chosen
+        by_name = {field.name: getattr(training, field.name) for field in fields(training)}
+        free = tuple(name for name in FOLLOWING if by_name[name] == "auto")
+        available = {name: value for name, value in by_name.items() if name not in free}
+        selected = {name: value for name, value in numbers.items() if name in free}
+        settings: dict[str, Any] = {"automatic": free} | available | selected
         return cls(**settings)
 
     def temperature(self, step: int) -> float:
@@ -157,8 +157,8 @@ COUNTS = {
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
     """Refuses what is no finite number, or not one of those allowed: a test and its words."""
     plain = isinstance(value, int | float | np.integer | np.floating)
-    known = float(value) if plain and not isinstance(value, bool) else np.nan
-    if not (np.isfinite(known) and allowed[0](known)):
+    available = float(value) if plain and not isinstance(value, bool) else np.nan
+    if not (np.isfinite(available) and allowed[0](available)):
         raise ValueError(f"{name} is {value!r}; allowed is {allowed[1]}.")
 
 

@@ -32,17 +32,17 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
 
     **Raises:** `ValueError` where the policy has no network: its starts would all be one.
     """
-    if count > 1 and not any(_is_network(each) for each in _nodes(policy)):
+    if count > 1 and not any(_is_network(node) for node in _nodes(policy)):
         raise ValueError(
             f"Training: starts is {count}, and {type(policy).__name__} has no network whose first "
             "weights could be others; allowed is 1."
         )
     rng = [np.random.default_rng((seed, number)) for number in range(count)]
-    return [policy, *(_redrawn(policy, each) for each in rng[1:])]
+    return [policy, *(_redrawn(policy, item) for item in rng[1:])]
 
 
 def race(
-    begun: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
+    started: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
 ) -> tuple[Progress, tuple[Round, ...]]:
     """The start that is left, and the rounds in which the others fell out.
 
@@ -50,11 +50,11 @@ def race(
     - `steps`: of a whole run; `run(progress, until)` trains up to step `until` and validates.
     """
     every = max(1, round(ROUND * steps))
-    left, rounds = dict(enumerate(begun)), []
+    left, rounds = dict(enumerate(started)), []
     while len(left) > 1:
         until = every + next(iter(left.values())).step
-        left = {number: run(each, until) for number, each in left.items()}
-        values = {number: float(each.best_value) for number, each in left.items()}
+        left = {number: run(item, until) for number, item in left.items()}
+        values = {number: float(entry.best_value) for number, entry in left.items()}
         ranked = sorted(left, key=lambda number: -np.nan_to_num(values[number], nan=-np.inf))
         rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))
         left = {number: left[number] for number in ranked[: (len(left) + 1) // 2]}
@@ -64,20 +64,20 @@ def race(
 def words(rounds: tuple[Round, ...]) -> str:
     """Who won a race, how far apart the starts were at equal steps, and what to try."""
     count, winner = len(rounds[0].values), rounds[-1].values[0][0]
-    told, furthest = [], 0.0
+    summary, furthest = [], 0.0
     for step, values in rounds:
         mine = dict(values)[winner]
         others = [value - mine for number, value in values if number != winner]
         size = abs(mine)
         if not np.isfinite([size, *others]).all() or not size:
-            told.append(f"at step {step} not all of them had a value to compare with")
+            summary.append(f"at step {step} not all of them had a value to compare with")
             continue
-        ends = [100 * each / size for each in (min(others), max(others))]
-        furthest = max(furthest, *map(abs, ends))
-        both = list(dict.fromkeys(map(_percent, ends)))
+        endpoints = [100 * item / size for item in (min(others), max(others))]
+        furthest = max(furthest, *map(abs, endpoints))
+        both = list(dict.fromkeys(map(_percent, endpoints)))
         who = "the other was" if len(others) == 1 else "the others were"
-        told.append(f"{who} {' to '.join(both)} at step {step}")
-    said = "; ".join(told)
+        summary.append(f"{who} {' to '.join(both)} at step {step}")
+    metadata = "; ".join(summary)
     more = (
         f" Where a policy starts matters here: try more of them (starts={2 * count})."
         if furthest > APART
@@ -85,7 +85,7 @@ def words(rounds: tuple[Round, ...]) -> str:
     )
     return (
         f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} went on: "
-        f"{said}.{more}"
+        f"{metadata}.{more}"
     )
 
 

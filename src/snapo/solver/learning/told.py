@@ -20,8 +20,8 @@ from .starts import words
 def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
     """With the adjoints of the trained rule, where a user said how to go back and nothing else
     measured them."""
-    given = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
-    if progress.growth is not None or not any(given):
+    values = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
+    if progress.growth is not None or not any(values):
         return progress
     smooth = Smooth(np.float32(training.temperature(progress.step)))
     problem = remembering(problem, progress.best)
@@ -45,9 +45,9 @@ def chosen(progress: Progress) -> tuple[str, ...]:
 def _slowed(steps: tuple[int, ...]) -> str:
     """One sentence on the steps that broke, after which the rate was lowered."""
     *first, last = map(str, steps)
-    told = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
+    summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
-        f"Training broke at {told}, where too many paths were not finite, and went on each time "
+        f"Training broke at {summary}, where too many paths were not finite, and went on each time "
         "from the best policy so far with a quarter of the learning rate."
     )
 
@@ -80,10 +80,10 @@ def went_back(progress: Progress) -> str:
         )
     if not ways:
         return "Training did nothing about it; Training(clip=…) or Training(keep=…) would."
-    told = "; ".join(ways)
-    return f"{told[0].upper()}{told[1:]}."
+    summary = "; ".join(ways)
+    return f"{summary[0].upper()}{summary[1:]}."
 
 
 def _before(there: Iterable[bool]) -> int:
     """The number of steps before the first of which this is true."""
-    return next((number for number, each in enumerate(there) if each), 0)
+    return next((number for number, item in enumerate(there) if item), 0)

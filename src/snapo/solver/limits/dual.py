@@ -41,7 +41,7 @@ class Dual(NamedTuple):
     @classmethod
     def read(cls, plain) -> "Dual":
         """From its fields as lists."""
-        return cls(*(tuple(each) for each in plain))
+        return cls(*(tuple(item) for item in plain))
 
     def due(self, step: int) -> bool:
         """Whether it is time to measure units: their derivatives cost as much as a step."""
@@ -58,16 +58,16 @@ class Dual(NamedTuple):
     ) -> "Dual":
         """With the units of prices on these paths, smoothed over the measurements before."""
         lengths = np.array([
-            np.linalg.norm(slope_of(bound, policy, draws, smooth, each))
-            for each in (objective, *(limit.measure for limit in limits))
+            np.linalg.norm(slope_of(bound, policy, draws, smooth, item))
+            for item in (objective, *(limit.measure for limit in limits))
         ])  # fmt: skip
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = lengths[0] / lengths[1:]
-        known = np.isfinite(found) & (found > 0)
-        before = np.array(self.units) if self.units else np.where(known, found, np.nan)
-        known_before = np.where(np.isnan(before), found, before)
-        smoothed = known_before**KEPT * np.where(known, found, known_before) ** (1 - KEPT)
-        return self._replace(units=tuple(np.where(known, smoothed, before).tolist()))
+            length = lengths[0] / lengths[1:]
+        available = np.isfinite(length) & (length > 0)
+        before = np.array(self.units) if self.units else np.where(available, length, np.nan)
+        known_before = np.where(np.isnan(before), length, before)
+        smoothed = known_before**KEPT * np.where(available, length, known_before) ** (1 - KEPT)
+        return self._replace(units=tuple(np.where(available, smoothed, before).tolist()))
 
 
 def moved(
@@ -76,18 +76,18 @@ def moved(
     """The prices after a step with these exact totals; `slower`, 1 to 0, slows multipliers down
     towards the end."""
     old = np.array(dual.multipliers or (0.0,) * len(limits))
-    excess = np.array([each.excess(totals) for each in limits])
+    excess = np.array([limit.excess(totals) for limit in limits])
     if not np.all(np.isfinite(excess)):
         return dual
-    own = np.array([_deviation(each.measure, totals) for each in limits])
+    local = np.array([_deviation(item.measure, totals) for item in limits])
     # Where no derivative tells a unit, deviations do.
     units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
-    units = np.where(np.isnan(units), _deviation(objective, totals) / own, units)
-    far = units * excess / np.maximum(own, np.abs(excess))
+    units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
+    far = units * excess / np.maximum(local, np.abs(excess))
     # On a long way to the level the damping part leads alone: a multiplier that adds up all the way
     # goes far beyond. With much room it falls by a tenth at least, whatever the unit has become.
-    move = far * own / np.maximum(own, np.abs(excess))
-    move = np.where(excess < -own, np.minimum(far, -old), move)
+    move = far * local / np.maximum(local, np.abs(excess))
+    move = np.where(excess < -local, np.minimum(far, -old), move)
     multipliers = np.maximum(old + slower * MOVE * move, 0.0)
     prices = np.maximum(multipliers + DAMP * far, 0.0)
     return dual._replace(multipliers=tuple(multipliers.tolist()), prices=tuple(prices.tolist()))

@@ -59,10 +59,10 @@ class LimitFound(NamedTuple):
         return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
 
     def __str__(self) -> str:
-        worth = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
+        value = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
         return (
             f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
-            f"to {self.high:,.6g}), {self.met}; {worth if self.binds else 'it has no price'}"
+            f"to {self.high:,.6g}), {self.met}; {value if self.binds else 'it has no price'}"
         )
 
 
@@ -79,48 +79,51 @@ def limits_found(
     limits, source = problem.constraints, problem.sources.evaluation
     if not limits:
         return ()
-    measured = [of_shares(worth_of_groups(each.measure, totals, source)) for each in limits]
+    measured = [of_shares(worth_of_groups(item.measure, totals, source)) for item in limits]
     multipliers = dual.multipliers or (0.0,) * len(limits)
     binds = np.zeros(len(limits), bool)
     met = []
-    for i, (each, found) in enumerate(zip(limits, measured)):
-        excess, half = each.sign * (found.value - each.level), found.value - found.interval()[0]
-        deviation = float(each.measure.influence(totals).std())
-        alike = _alike(half, each.level)
-        binds[i] = multipliers[i] > 0 and -excess <= max(alike, ROOM * deviation)
-        beyond = excess > max(alike, NEARLY * deviation)
-        met.append("met" if excess <= 0 else "not met" if beyond else "met nearly")
+    for i, (limit, result) in enumerate(zip(limits, measured)):
+        excess, half = (
+            limit.sign * (result.value - limit.level),
+            result.value - result.interval()[0],
+        )
+        deviation = float(limit.measure.influence(totals).std())
+        same = _alike(half, limit.level)
+        binds[i] = multipliers[i] > 0 and -excess <= max(same, ROOM * deviation)
+        outside = excess > max(same, NEARLY * deviation)
+        met.append("met" if excess <= 0 else "not met" if outside else "met nearly")
     prices, errors = _prices(problem, policy, binds, smooth, engine)
     return tuple(
         LimitFound(
-            each.name, each.level, found.value, found.standard_error, *found.interval(),
-            each.sign * prices[i], errors[i], each.sign * multipliers[i], met[i],
+            entry.name, entry.level, results.value, results.standard_error, *results.interval(),
+            entry.sign * prices[i], errors[i], entry.sign * multipliers[i], met[i],
         )
-        for i, (each, found) in enumerate(zip(limits, measured))
+        for i, (entry, results) in enumerate(zip(limits, measured))
     )  # fmt: skip
 
 
-def notes_of(found: tuple[LimitFound, ...]) -> tuple[str, ...]:
+def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
     """The limits that are not met, and those that have room, in sentences."""
-    return tuple(sentence for each in found if (sentence := _note(each)))
+    return tuple(sentence for item in limits if (sentence := _note(item)))
 
 
-def _note(found: LimitFound) -> str:
-    if found.met == "not met":
-        return f"Limit not met on fresh paths: {found}. Try more steps; or no policy may meet it."
-    if found.binds:
+def _note(limit: LimitFound) -> str:
+    if limit.met == "not met":
+        return f"Limit not met on fresh paths: {limit}. Try more steps; or no policy may meet it."
+    if limit.binds:
         return ""
-    if found.multiplier and found.at_level:
+    if limit.multiplier and limit.at_level:
         return (
-            f"Limit without a price, though it leaves no room: {found.name}. All decisions are at "
-            "bounds of their set, where none has a derivative. Training ended at a price of "
-            f"{found.multiplier:,.4g} for it."
+            f"Limit without a price, though it leaves no room: {limit.name}. All decisions "
+            "are at bounds of their set, where none has a derivative. Training ended at a price "
+            f"of {limit.multiplier:,.4g} for it."
         )
-    room = f"Limit with room, and so without a price: {found.name}, and it is {found.value:,.6g}."
-    if found.multiplier:
+    room = f"Limit with room, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
+    if limit.multiplier:
         room += (
-            f" Training ended at a price of {found.multiplier:,.4g} for it: its decisions may be "
-            "caught at a bound of their set. Try more steps or a lower learning_rate."
+            f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "
+            "may be caught at a bound of their set. Try more steps or a lower learning_rate."
         )
     return room
 
@@ -130,20 +133,20 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Smooth,
     prices, errors = np.zeros(len(binds)), np.zeros(len(binds))
     if not binds.any():
         return prices, errors
-    bind = [each for each, on in zip(problem.constraints, binds) if on]
-    wanted = [problem.objective, *(each.measure for each in bind)]
-    signs = np.array([1.0, *(each.sign for each in bind)])[:, None]
+    bind = [constraint for constraint, on in zip(problem.constraints, binds) if on]
+    requested = [problem.objective, *(item.measure for item in bind)]
+    signs = np.array([1.0, *(entry.sign for entry in bind)])[:, None]
     bound, source = engine.bind(problem), problem.sources.evaluation
     blocks = source.blocks(source.available(PATHS), BLOCKS)
     draws = [source.draws(block, problem.simulator) for block in blocks]
     slopes = np.array([
-        [slope_of(bound, policy, block, smooth, each) for each in wanted] for block in draws
+        [slope_of(bound, policy, block, smooth, value) for value in requested] for block in draws
     ]) * signs  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
-    whole = _least_squares(slopes.mean(0))
+    complete = _least_squares(slopes.mean(0))
     without = (slopes.sum(0) - slopes) / (len(slopes) - 1)
     left = np.array([_least_squares(each) for each in without])
     spread = (len(left) - 1) / len(left) * np.sum((left - left.mean(0)) ** 2, axis=0)
-    prices[binds], errors[binds] = whole, np.sqrt(spread)
+    prices[binds], errors[binds] = complete, np.sqrt(spread)
     return prices, errors
 
 

@@ -65,8 +65,11 @@ class Run(NamedTuple):
     @property
     def effort(self) -> Effort:
         """What the derivatives may take beside the training."""
-        steps, most = max(1, self.progress.step), min(self.evaluation.search_paths, self.held_paths)
-        return Effort.beside(steps * self.training.paths, self.problem.simulator.horizon, most)
+        steps, maximum = (
+            max(1, self.progress.step),
+            min(self.evaluation.search_paths, self.held_paths),
+        )
+        return Effort.beside(steps * self.training.paths, self.problem.simulator.horizon, maximum)
 
     @property
     def smooth(self) -> Smooth:
@@ -85,8 +88,8 @@ def measure(run: Run) -> dict[str, Any]:
         selection = _selection(run, surface)
         run = run._replace(progress=replace(run.progress, best=selection.policy))
         progress, policy = run.progress, selection.policy
-        given = problem, policy, evaluation.paths, run.held_paths
-        exact, decisions = totals_and_decisions(*given, engine=engine)
+        values = problem, policy, evaluation.paths, run.held_paths
+        exact, decisions = totals_and_decisions(*values, engine=engine)
     value = estimate(objective, exact, source, controls)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
@@ -95,15 +98,15 @@ def measure(run: Run) -> dict[str, Any]:
     table, soft = _sensitivities(run, within, selection, surface, exact, decisions)
     gap, gap_error = _smoothing_gap(problem, policy, exact, soft, run.smooth, engine)
     gradient = table and table.policy_gradient
-    given = problem, run.start, progress, training, exact, run.held_paths, decisions
-    ended = ending(*given, engine, gradient)
+    values = problem, run.start, progress, training, exact, run.held_paths, decisions
+    ended = ending(*values, engine, gradient)
     norm, noise = gradient or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
         "evaluate": value.dropped,
         "sensitivities": table.dropped if table else 0,
     }
-    kept = selection.kind == START
+    selected = selection.kind == START
     unseen = words(problem.partly_observed, remembered(policy) > 0)
     broken = why_broken(problem, progress, training, run.engines.train)
     notes = (
@@ -139,7 +142,7 @@ def measure(run: Run) -> dict[str, Any]:
         "window": progress.window,
         "clip": progress.clip,
         "keep": progress.keep,
-        "convergence": KEPT if kept and ended.word == AS_BEGUN else ended.word,
+        "convergence": KEPT if selected and ended.word == AS_BEGUN else ended.word,
         "status": _status(value.value, progress.status),
     }
 
@@ -148,8 +151,8 @@ def _compiled_meanwhile(run: Run) -> AbstractContextManager:
     """Compiles the smooth derivatives beside the work of the block, where the engine's programs
     serve any number of paths and the objective is known already."""
     problem, engine = run.problem, run.engines.evaluate
-    wanted = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
-    if not wanted or not isinstance(engine, Native):
+    requested = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
+    if not requested or not isinstance(engine, Native):
         return nullcontext()
     return beside(through_policy(problem, run.progress.best, run.smooth, engine).compile)
 
@@ -208,14 +211,14 @@ def _sensitivities(
         problem, policy, paths, table.held,
         most=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
     )  # fmt: skip
-    found = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
-    derivatives = reported(problem, table.held, table.smooth, bumped, found)
+    result = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
+    derivatives = reported(problem, table.held, table.smooth, bumped, result)
     if surface is not None:
         paths = run.effort.gone_back(passes(surface))
         margin = margin_of(problem, policy, surface, paths, run.training.seed, engine)
         gap = _gap(problem, progress, selection, surface)
         derivatives = with_margin(problem, policy, derivatives, margin, gap, engine)
-    return table._replace(verdicts=found, reported=derivatives), soft
+    return table._replace(verdicts=result, reported=derivatives), soft
 
 
 def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Surface) -> float:
@@ -268,11 +271,11 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {each.words()} is that of {each.tail * paths:.0f} of "
+        f"Few paths in the tail: the {item.words()} is that of {item.tail * paths:.0f} of "
         f"{paths:,} paths, and its error is rough below {TAIL}; take "
-        f"{int(np.ceil(round(TAIL / each.tail, 6))):,} paths."
-        for each in measures
-        if each.tail < 1 and each.tail * paths < TAIL
+        f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
+        for item in measures
+        if item.tail < 1 and item.tail * paths < TAIL
     ]
 
 

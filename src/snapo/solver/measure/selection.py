@@ -74,10 +74,10 @@ def select(
     for few in STAGES:
         if paths < 2 * few:
             break
-        found, level = _selected(problem, start, candidates, source, few, engine)
-        plain = found.gain > PLAIN * found.error
-        if plain or found.gain + SURE * found.error <= NOTHING * abs(level):
-            return found
+        result, level = _selected(problem, start, candidates, source, few, engine)
+        plain = result.gain > PLAIN * result.error
+        if plain or result.gain + SURE * result.error <= NOTHING * abs(level):
+            return result
     return _selected(problem, start, candidates, source, paths, engine)[0]
 
 
@@ -139,6 +139,6 @@ def fresh(source: Scenarios) -> Scenarios:
     return source
 
 
-def _error(found: statistics.Sampled) -> float:
+def _error(result: statistics.Sampled) -> float:
     """Its standard error; 0 where there is one path, as without noise."""
-    return found.standard_error if np.isfinite(found.standard_error) else 0.0
+    return result.standard_error if np.isfinite(result.standard_error) else 0.0

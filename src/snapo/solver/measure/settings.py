@@ -71,9 +71,9 @@ class Effort(NamedTuple):
     most: int
 
     @classmethod
-    def beside(cls, trained: int, horizon: int, most: int) -> "Effort":
+    def beside(cls, trained: int, horizon: int, maximum: int) -> "Effort":
         """That of a training on so many paths in all, of so many steps each."""
-        return cls(trained / PURPOSES + SMALL / max(horizon, 1), most)
+        return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
 
     def valued(self, times: int) -> int:
         """Paths that can be valued so many times."""

@@ -49,46 +49,50 @@ def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, eng
     advice = ADVICE
     if record.step > 1:  # the simulator was sound for all policies before
         advice = f"{ADVICE} {LATER.format(rate=progress.rate(training))}"
-    bad = {name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs}
-    bad = {name: paths for name, paths in bad.items() if paths.size}
-    if not bad:
+    invalid = {
+        name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs
+    }
+    invalid = {name: paths for name, paths in invalid.items() if paths.size}
+    if not invalid:
         return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), advice])
-    told = ", ".join(
+    summary = ", ".join(
         f"{paths.size} of {draws.size} paths are not finite in output {name!r}"
-        for name, paths in bad.items()
+        for name, paths in invalid.items()
     )
-    lost = np.flatnonzero(~finite(totals, bad))[:FEW]
-    place = _first(problem, policy, only(draws, lost), smooth)
-    if place is None:
-        return f"{stopped} {told}, by its terminal part or the sum over steps. {advice}"
+    lost = np.flatnonzero(~finite(totals, invalid))[:FEW]
+    position = _first(problem, policy, only(draws, lost), smooth)
+    if position is None:
+        return f"{stopped} {summary}, by its terminal part or the sum over steps. {advice}"
     return (
-        f"{stopped} {told}, first at step {place.step} of the {problem.simulator.horizon} of a "
-        f"path, in {place.name}. {advice}"
+        f"{stopped} {summary}, first at step {position.step} of the {problem.simulator.horizon} "
+        f"of a path, in {position.name}. {advice}"
     )
 
 
-def _by_derivative(problem: Problem, bad: int, paths: int) -> str:
+def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
     """All totals are finite, and the way back is not: the checker knows where."""
-    many = f"the derivatives of {bad} of {paths} paths are" if bad else "the gradient is"
+    many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
-    found = f" {errors[0].where}: {errors[0].what}" if errors else ""
-    return f"{many} not finite, though all totals are.{found}"
+    text = f" {errors[0].where}: {errors[0].what}" if errors else ""
+    return f"{many} not finite, though all totals are.{text}"
 
 
 def _first(problem: Problem, policy, draws, smooth) -> Place | None:
     """Where the course of these paths first leaves the finite numbers."""
     record = ("state", "outputs")
-    course = Xla().bind(problem).values(policy, draws, smooth, record=record).record
-    kinds, places = problem.simulator.totals(), []
+    trajectory = Xla().bind(problem).values(policy, draws, smooth, record=record).record
+    kinds, positions = problem.simulator.totals(), []
     for kind, word in (("state", "state"), ("outputs", "output")):
-        for path, leaf in jax.tree_util.tree_flatten_with_path(course[kind])[0]:
+        for path, leaf in jax.tree_util.tree_flatten_with_path(trajectory[kind])[0]:
             name = jax.tree_util.keystr(path, simple=True, separator=".")
             wrong = _not_finite(np.asarray(leaf), kinds.get(name) == "max")
             if wrong.any():
                 # The state before step t was made by step t - 1.
                 step = int(np.argwhere(wrong)[0][0]) - (kind == "state")
-                places.append(Place(max(step, 0), f"{word} {name}".strip()))
-    return min(places, default=None, key=lambda place: (place.step, place.name[0] != "s"))
+                positions.append(Place(max(step, 0), f"{word} {name}".strip()))
+    return min(
+        positions, default=None, key=lambda position: (position.step, position.name[0] != "s")
+    )
 
 
 def _not_finite(leaf: np.ndarray, largest: bool) -> Any:

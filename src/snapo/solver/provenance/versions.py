@@ -8,10 +8,10 @@ LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "ll
 
 def versions() -> dict[str, str]:
     """What decides the numbers besides the inputs: this package, its libraries and the machine."""
-    found = {"python": platform.python_version(), "machine": platform.machine()}
+    table = {"python": platform.python_version(), "machine": platform.machine()}
     for name in LIBRARIES:
         try:
-            found[name] = version(name)
+            table[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            table[name] = "not installed"
+    return table

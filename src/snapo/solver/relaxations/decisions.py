@@ -44,8 +44,8 @@ class Decisions(NamedTuple):
 
         def decided(left, use):
             action = jnp.full(self.rights, use, noise.dtype)
-            given = self.having(state, left)
-            return simulator.step(schedule.constants, now, given, action, noise, Exact())
+            values = self.having(state, left)
+            return simulator.step(schedule.constants, now, values, action, noise, Exact())
 
         def earned(left, use):
             return self.earned(decided(left, use)[1])
@@ -77,8 +77,8 @@ class Decisions(NamedTuple):
 
     def earned(self, outputs: dict[str, Array]) -> Array:
         """What outputs are worth to the objective."""
-        found = [weight * outputs[name] for name, weight in self.worth.items() if name in outputs]
-        return jnp.asarray(sum(found), jnp.float64)
+        weights = [weight * outputs[name] for name, weight in self.worth.items() if name in outputs]
+        return jnp.asarray(sum(weights), jnp.float64)
 
     def left(self, states: PyTree) -> np.ndarray:
         """[…] whole numbers: the rights left in states of any leading axes."""
@@ -101,8 +101,8 @@ def decisions(problem: Problem) -> Decisions:
         raise NotStopping("its objective is no mean of outputs that are summed over the path")
     right = _right(problem, simulator.action)
     one = {name: np.zeros(1) for name in objective.outputs}
-    worth = {name: float(weight[0]) for name, weight in objective.weights(one).items()}
-    return Decisions(problem, simulator.action.rights, right, worth)
+    value = {name: float(weight[0]) for name, weight in objective.weights(one).items()}
+    return Decisions(problem, simulator.action.rights, right, value)
 
 
 def _right(problem: Problem, action: Stop) -> int:
@@ -120,27 +120,27 @@ def _right(problem: Problem, action: Stop) -> int:
     moved = [i for i, (a, b) in enumerate(zip(never.values(), ever.values())) if np.any(a != b)]
     start = np.asarray(action.initial())
     for i in moved:
-        name, found = list(never.items())[i]
-        if found.shape[2:] != (action.rights,) or np.any(found != start):
+        name, result = list(never.items())[i]
+        if result.shape[2:] != (action.rights,) or np.any(result != start):
             raise NotStopping(f"its decisions move the state {name or 'itself'}, not rights alone")
     if len(moved) != 1:
-        what = "more than one part of the state" if moved else "no state that `Stop.use` moves"
-        raise NotStopping(f"it holds the rights in {what}")
+        message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
+        raise NotStopping(f"it holds the rights in {message}")
     return moved[0]
 
 
-def _states(rolled) -> dict[str, np.ndarray]:
+def _states(rollout) -> dict[str, np.ndarray]:
     """{name: [T + 1, N, …]} of every leaf of the states."""
     return {
         jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(whole(rolled))
+        for path, leaf in jax.tree_util.tree_leaves_with_path(whole(rollout))
     }
 
 
-def whole(rolled) -> PyTree:
+def whole(rollout) -> PyTree:
     """The states of a rollout, leaves [T + 1, N, …]: those of every step and the last ones."""
     return jax.tree.map(
         lambda a, b: np.concatenate([np.asarray(a), np.asarray(b)[None]]),
-        rolled.record["state"],
-        rolled.state,
+        rollout.record["state"],
+        rollout.state,
     )

@@ -25,7 +25,7 @@ class Relaxation(Protocol):
     @property
     def words(self) -> str: ...
 
-    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+    def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
 
         `rolled` has the policy's states ("state": leaves [T, N, …]) and final states on the same
@@ -34,7 +34,7 @@ class Relaxation(Protocol):
         """
         ...
 
-    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+    def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         """[N] the penalties of the policy's own decisions: of mean zero."""
         ...
 

@@ -58,49 +58,49 @@ class StopRelaxation:
             self._better = jax.jit(jax.vmap(better))
         self._kept: list[tuple[Rollout, np.ndarray, np.ndarray]] = []
 
-    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        earnings, surprises = self._table(rolled, draws)
+    def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        earnings, innovations = self._table(rollout, draws)
         with jax.enable_x64(True):
-            ahead = self._end(rolled.state)
-            for earned, surprise in zip(earnings[::-1], surprises[::-1]):
+            ahead = self._end(rollout.state)
+            for earned, innovation in zip(earnings[::-1], innovations[::-1]):
                 # `better` adds the worth of what is left to what a decision earns less its penalty.
-                ahead = self._better(earned - scale[0] * surprise, ahead)
+                ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]
 
-    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        surprises = self._table(rolled, draws)[1]
-        left = self.decisions.left(whole(rolled))
-        found = np.zeros(left.shape[1])
-        for surprise, before, after in zip(surprises, left, left[1:]):
-            found += surprise[np.arange(left.shape[1]), before, before - after]
-        return scale[0] * found
+    def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        innovations = self._table(rollout, draws)[1]
+        left = self.decisions.left(whole(rollout))
+        result = np.zeros(left.shape[1])
+        for innovation, before, after in zip(innovations, left, left[1:]):
+            result += innovation[np.arange(left.shape[1]), before, before - after]
+        return scale[0] * result
 
-    def _table(self, rolled: Rollout, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
+    def _table(self, rollout: Rollout, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
         """[T, N, rights + 1, 2] twice: every decision's earnings, and the surprise in them and in
         the value of what is left."""
-        for known, earnings, surprises in self._kept:
-            if known is rolled:
-                return earnings, surprises
-        states, found = rolled.record["state"], []
+        for available, earnings, innovations in self._kept:
+            if available is rollout:
+                return earnings, innovations
+        states, results = rollout.record["state"], []
         for t in range(self.horizon):
             shifts = np.random.default_rng([SHIFTS, t]).random((draws.size, self.points.shape[1]))
             with jax.enable_x64(True):
-                given = np.int32(t), at(states, t), _noise(draws, t, self.size), shifts
-                found.append([np.asarray(x) for x in self._surprises(*given)])
-        earnings, surprises = map(np.stack, zip(*found))
-        self._kept.append((rolled, earnings, surprises))
-        return earnings, surprises
+                values = np.int32(t), at(states, t), _noise(draws, t, self.size), shifts
+                results.append([np.asarray(x) for x in self._surprises(*values)])
+        earnings, innovations = map(np.stack, zip(*results))
+        self._kept.append((rollout, earnings, innovations))
+        return earnings, innovations
 
     def _compiled(self) -> tuple[Callable, Callable]:
         """What every step computes on all paths, and what the last states earn."""
-        problem, schedule, fitted, last = self.decisions, self.schedule, self.fitted, self.horizon
+        problem, schedule, resolved, last = self.decisions, self.schedule, self.fitted, self.horizon
 
         def worth(t, state):
             """The value at step t, or of the last state."""
             return jax.lax.cond(
                 t == last,
                 lambda: problem.end(schedule, state),
-                lambda: value(problem, schedule, fitted, jnp.minimum(t, last - 1), state),
+                lambda: value(problem, schedule, resolved, jnp.minimum(t, last - 1), state),
             )
 
         def decided(t, state, noise):
@@ -115,12 +115,12 @@ class StopRelaxation:
             uniform = jnp.clip((self.points + shift) % 1.0, 1e-12, 1 - 1e-12)
             nested = ndtri(uniform)[:, : self.size]
             mean = jax.vmap(lambda z: decided(t, state, z)[1])(nested).mean(0)
-            earnings, found = decided(t, state, noise)
-            return earnings, found - mean
+            earnings, result = decided(t, state, noise)
+            return earnings, result - mean
 
         def all_paths(t, states, noise, shifts):
-            given = states, noise, shifts
-            return jax.lax.map(lambda x: one(t, *x), given, batch_size=TOGETHER)
+            values = states, noise, shifts
+            return jax.lax.map(lambda x: one(t, *x), values, batch_size=TOGETHER)
 
         both = jax.jit(all_paths), jax.jit(jax.vmap(lambda state: problem.end(schedule, state)))
         version = problem.problem.version
@@ -131,5 +131,5 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
     """[N, size] the noise of step t."""
     if isinstance(draws, Stored):
         return np.asarray(draws.step_noise)[t]
-    many = jax.vmap(lambda each: each.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
+    many = jax.vmap(lambda item: item.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
     return np.asarray(many(draws))

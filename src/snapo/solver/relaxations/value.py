@@ -28,13 +28,13 @@ LEAST = 1e-9  # of a number's size: a smaller deviation is none
 
 def exponents(numbers: int) -> list[tuple[int, ...]]:
     """The factors of every monomial, by degree: (), (0,), (1,), (0, 0), …; at most `MOST`."""
-    found: list[tuple[int, ...]] = []
+    results: list[tuple[int, ...]] = []
     for degree in range(DEGREE + 1):
         more = list(combinations_with_replacement(range(numbers), degree))
-        if degree > 1 and len(found) + len(more) > MOST:
+        if degree > 1 and len(results) + len(more) > MOST:
             break
-        found += more
-    return found
+        results += more
+    return results
 
 
 class Scale(NamedTuple):
@@ -55,10 +55,10 @@ class Scale(NamedTuple):
 def functions(numbers: Float[Array, " d"], scale: Scale) -> Float[Array, " functions"]:
     """The monomials of one path's numbers."""
     x = jnp.clip((numbers - scale.centre) * scale.per, -REACH, REACH)
-    found: dict[tuple[int, ...], Array] = {(): jnp.ones((), x.dtype)}
+    table: dict[tuple[int, ...], Array] = {(): jnp.ones((), x.dtype)}
     for factors in exponents(x.shape[0])[1:]:
-        found[factors] = found[factors[:-1]] * x[factors[-1]]
-    return jnp.stack(list(found.values()))
+        table[factors] = table[factors[:-1]] * x[factors[-1]]
+    return jnp.stack(list(table.values()))
 
 
 RIDGE = 1e-10  # of the normal equations, against their largest diagonal number
@@ -72,12 +72,12 @@ class Fitted(NamedTuple):
 
 
 def value(
-    decisions: Decisions, schedule, fitted: Fitted, t: Array, state: PyTree
+    decisions: Decisions, schedule, resolved: Fitted, t: Array, state: PyTree
 ) -> Float[Array, " left"]:
     """One path: the value at step t, by the rights left."""
     numbers, earnings = known(decisions, schedule, t, state)
-    found = at(fitted.waiting, t) @ functions(numbers, at(fitted.scales, t))
-    return better(earnings, found)
+    result = at(resolved.waiting, t) @ functions(numbers, at(resolved.scales, t))
+    return better(earnings, result)
 
 
 def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Float[Array, " left"]:
@@ -101,13 +101,13 @@ def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted
     draws = source.draws(np.arange(source.available(paths)), simulator)
     waits = np.zeros((simulator.horizon, draws.size, decisions.rights))
     states = whole(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
-    each = jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0))
-    numbers_of = followed(jax.jit(each), problem.version)
+    item = jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0))
+    numbers_of = followed(jax.jit(item), problem.version)
     functions_of = jax.jit(jax.vmap(functions, (0, None)))
     better_of = jax.jit(jax.vmap(better))
     last = jax.vmap(lambda state: decisions.end(schedule, state))
-    ends = followed(jax.jit(last), problem.version)
-    ahead = np.asarray(ends(at(states, simulator.horizon)))
+    endpoints = followed(jax.jit(last), problem.version)
+    ahead = np.asarray(endpoints(at(states, simulator.horizon)))
     scales, waiting = [], []
     for t in reversed(range(simulator.horizon)):
         numbers, earnings = numbers_of(jnp.asarray(t), at(states, t))
@@ -115,9 +115,9 @@ def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted
         basis = np.asarray(functions_of(numbers, scale))
         normal = basis.T @ basis
         normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
-        found = np.linalg.solve(normal, basis.T @ ahead).T
-        ahead = np.asarray(better_of(earnings, basis @ found.T))
+        result = np.linalg.solve(normal, basis.T @ ahead).T
+        ahead = np.asarray(better_of(earnings, basis @ result.T))
         scales.insert(0, scale)
-        waiting.insert(0, found)
-    centre, per = (jnp.stack(each) for each in zip(*scales))
+        waiting.insert(0, result)
+    centre, per = (jnp.stack(entry) for entry in zip(*scales))
     return Fitted(Scale(centre, per), jnp.stack(waiting))

@@ -46,24 +46,27 @@ class Figures:
 
         **Raises:** `ValueError` where the solution has no sensitivities.
         """
-        found = self._solution.sensitivities
-        if found is None:
+        sensitivities = self._solution.sensitivities
+        if sensitivities is None:
             raise ValueError("plot.tornado: this solution was made without sensitivities.")
         bars = []
-        for name, given in found.inputs.items():
-            if given.move:
-                by, words = np.full(given.value.shape, given.move), f"+{given.move:g} {given.unit}"
+        for name, values in sensitivities.inputs.items():
+            if values.move:
+                by, text = (
+                    np.full(values.value.shape, values.move),
+                    f"+{values.move:g} {values.unit}",
+                )
             else:
-                by, words = one_percent(given), "+1 %"
-            interval = found.along(name, by)
+                by, text = one_percent(values), "+1 %"
+            interval = sensitivities.along(name, by)
             if np.isfinite(interval.value):
-                bars.append((interval, f"{name} {words}".rstrip()))
+                bars.append((interval, f"{name} {text}".rstrip()))
         bars = sorted(bars, key=lambda bar: abs(bar[0].value))[-count:]
         figure, ax = _axes(ax, height=1.2 + 0.32 * len(bars))
         names = [name for _, name in bars]
         effects = [interval.value for interval, _ in bars]
         whiskers = [(x.value - x.low, x.high - x.value) for x, _ in bars]
-        ax.barh(names, effects, color=[INK if each >= 0 else BAD for each in effects])
+        ax.barh(names, effects, color=[INK if effect >= 0 else BAD for effect in effects])
         spread = np.reshape(whiskers, (-1, 2)).T
         ax.errorbar(effects, names, xerr=spread, fmt="none", ecolor="black", lw=1)
         ax.axvline(0, color="black", lw=0.8)
@@ -87,10 +90,10 @@ class Figures:
         figure, ax = _axes(ax)
         ax.hist(values, BINS, color=SOFT, edgecolor=INK, lw=0.4)
         low, high = np.quantile(values, [0.05, 0.95])
-        for place, words in ((low, "5 %"), (values.mean(), "mean"), (high, "95 %")):
-            ax.axvline(place, color=INK, lw=1.2 if words == "mean" else 0.8)
+        for position, text in ((low, "5 %"), (values.mean(), "mean"), (high, "95 %")):
+            ax.axvline(position, color=INK, lw=1.2 if text == "mean" else 0.8)
             ax.annotate(
-                f"{words}\n{place:,.4g}", (place, 1), xycoords=("data", "axes fraction"),
+                f"{text}\n{position:,.4g}", (position, 1), xycoords=("data", "axes fraction"),
                 xytext=(3, -3), textcoords="offset points", va="top", fontsize="small",
             )  # fmt: skip
         ax.set_xlabel(f"{output}, total of a path")
@@ -128,15 +131,15 @@ class Figures:
 
         **Raises:** `KeyError` for a name that is no state's, `ValueError` as `fan`.
         """
-        found, policy = self._played("policy", problem)
+        result, policy = self._played("policy", problem)
         names = (state,) if other is None else (state, other)
-        series = rolled(found, policy)
+        series = rolled(result, policy)
         points = POINTS if other is None else CELLS
         ranges = []
         for name in names:
             low, high = np.nanquantile(chosen(series, name, "policy"), [0.005, 0.995])
             ranges.append(np.linspace(low, high, points))
-        decided = decisions(found, policy, names, ranges, step)
+        decided = decisions(result, policy, names, ranges, step)
         figure, ax = _axes(ax)
         if other is None:
             for i in range(decided.shape[1]):
@@ -151,13 +154,15 @@ class Figures:
         ax.set_xlabel(state)
         return figure
 
-    def _played(self, what: str, problem: Problem | None) -> tuple[Problem, Policy]:
+    def _played(self, subject: str, problem: Problem | None) -> tuple[Problem, Policy]:
         """The problem and the policy, where there are both."""
         problem = problem or self._solution.problem
         if problem is None:
-            raise ValueError(f"plot.{what}: a loaded solution needs a problem: {what}(…, problem).")
+            raise ValueError(
+                f"plot.{subject}: a loaded solution needs a problem: {subject}(…, problem)."
+            )
         if self._solution.policy is None:
-            raise ValueError(f"plot.{what}: this solution came without its policy.")
+            raise ValueError(f"plot.{subject}: this solution came without its policy.")
         return problem, self._solution.policy
 
     def training(self, *, ax: Any = None) -> Any:
@@ -183,8 +188,8 @@ def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        what = "solution.plot needs matplotlib: pip install 'snapo[cli]'"
-        raise ModuleNotFoundError(what) from None
+        message = "solution.plot needs matplotlib: pip install 'snapo[cli]'"
+        raise ModuleNotFoundError(message) from None
     figure = Figure(figsize=(7.2, height), layout="constrained")
     ax = figure.subplots()
     ax.spines[["top", "right"]].set_visible(False)

@@ -26,6 +26,6 @@ def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
 
                 return pyarrow.table(dict(columns))
     except ModuleNotFoundError:
-        what = f"frame: {backend} is not installed: pip install {backend}"
-        raise ModuleNotFoundError(what) from None
+        message = f"frame: {backend} is not installed: pip install {backend}"
+        raise ModuleNotFoundError(message) from None
     raise ValueError(f"frame: {backend!r}; allowed is one of {', '.join(BACKENDS)}.")

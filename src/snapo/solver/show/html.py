@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: Sequence[int] = (0,)) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
     """A table of texts; columns not in `words` are figures, flush right."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
-        sides = ("left" if i in words else "right" for i in range(len(row)))
+        sides = ("left" if i in text else "right" for i in range(len(row)))
         return "".join(
             f'<{tag} style="text-align:{side}">{escape(cell)}</{tag}>'
             for side, cell in zip(sides, row)

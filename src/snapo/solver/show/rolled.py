@@ -23,14 +23,14 @@ PATHS, POINTS, CELLS = 1024, 121, 61
 
 def rolled(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
     """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
-    course = simulate(problem, policy, paths=paths)
-    return {**course.states, **course.actions, **course.outputs}
+    trajectory = simulate(problem, policy, paths=paths)
+    return {**trajectory.states, **trajectory.actions, **trajectory.outputs}
 
 
-def chosen(series: dict[str, np.ndarray], name: str, what: str) -> np.ndarray:
+def chosen(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
     """One of the series. **Raises:** `KeyError` for a name that is none."""
     if name not in series:
-        raise KeyError(f"plot.{what}: nothing is called {name!r}; there are {sorted(series)}.")
+        raise KeyError(f"plot.{subject}: nothing is called {name!r}; there are {sorted(series)}.")
     return series[name]
 
 
@@ -52,13 +52,13 @@ def decisions(
         state = middle
         for name, value in zip(names, values):
             state = _put(state, name, value)
-        seen = problem.simulator.observe(schedule.constants, now, state)
-        return policy(seen, Exact())
+        observed = problem.simulator.observe(schedule.constants, now, state)
+        return policy(observed, Exact())
 
     call = decide
     for axis in reversed(range(len(names))):
         call = jax.vmap(call, tuple(0 if i == axis else None for i in range(len(names))))
-    grid = [jnp.asarray(each, jnp.float32) for each in ranges]
+    grid = [jnp.asarray(item, jnp.float32) for item in ranges]
     version = of_rollout(problem.simulator, policy, schedule)
     return np.asarray(followed(jax.jit(call), version)(*grid), np.float64)
 
@@ -67,12 +67,12 @@ def _put(state: Any, name: str, value: Any) -> Any:
     """The state with one number replaced: "stock", "stock.0", or "state" of a plain array."""
     flat, tree = jax.tree_util.tree_flatten_with_path(state)
     leaves = []
-    for way, leaf in flat:
-        own = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
-        own = own or "state"
-        if name == own and leaf.size == 1:
+    for path, leaf in flat:
+        local = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in path)
+        local = local or "state"
+        if name == local and leaf.size == 1:
             leaf = jnp.reshape(value, leaf.shape)
-        elif name.startswith(f"{own}.") and name[len(own) + 1 :].isdigit():
-            leaf = leaf.ravel().at[int(name[len(own) + 1 :])].set(value).reshape(leaf.shape)
+        elif name.startswith(f"{local}.") and name[len(local) + 1 :].isdigit():
+            leaf = leaf.ravel().at[int(name[len(local) + 1 :])].set(value).reshape(leaf.shape)
         leaves.append(leaf)
     return jax.tree.unflatten(tree, leaves)

@@ -19,19 +19,19 @@ BINS = 40
 
 def tables_of(solution: Solution) -> dict[str, Table]:
     """Result, sensitivities, training, and the histogram of every output."""
-    found = {"result": Table(("what", "value"), list(flat(solution.summary())))}
+    tables = {"result": Table(("what", "value"), list(flat(solution.summary())))}
     if solution.sensitivities is not None:
         rows = list(solution.sensitivities.rows())
-        found["sensitivities"] = Table(Row._fields, rows, sensitivities(rows))
+        tables["sensitivities"] = Table(Row._fields, rows, sensitivities(rows))
     if solution.history:
-        found["training"] = Table(Record._fields, solution.history, TRAINING)
+        tables["training"] = Table(Record._fields, solution.history, TRAINING)
     for name, totals in solution.totals.items():
         values = np.asarray(totals, np.float64)
         counts, edges = np.histogram(values[np.isfinite(values)], BINS)
         rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
         picture = Picture("bar", "from", ("paths",))
-        found[f"total {name}"] = Table(("from", "to", "paths"), rows, picture)
-    return found
+        tables[f"total {name}"] = Table(("from", "to", "paths"), rows, picture)
+    return tables
 
 
 TRAINING = Picture("line", "step", ("objective",))

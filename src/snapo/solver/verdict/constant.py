@@ -56,30 +56,30 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
     ]
 
 
-def words(found: list[Constant], of: int) -> str:
+def words(constants: list[Constant], of: int) -> str:
     """A sentence on decisions that never change, of so many."""
-    if len(found) == of:
-        limit = ", at its limit" if at_limit(found) else ""
-        where = told(np.concatenate([each.value for each in found]))
+    if len(constants) == of:
+        limit = ", at its limit" if at_limit(constants) else ""
+        where = told(np.concatenate([item.value for item in constants]))
         return f"The decision never changes ({where}{limit})"
-    if len(found) == 1:
-        one = found[0]
+    if len(constants) == 1:
+        one = constants[0]
         return f"Decision {one.number} of {of}{one.named} never changes ({one.where})"
-    more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
-    listed = ", ".join(f"{each.number}{each.named} ({each.where})" for each in found[:TOLD])
-    return f"{len(found)} of {of} decisions never change: {listed}{more}"
+    more = f" and {len(constants) - TOLD} more" if len(constants) > TOLD else ""
+    listed = ", ".join(f"{entry.number}{entry.named} ({entry.where})" for entry in constants[:TOLD])
+    return f"{len(constants)} of {of} decisions never change: {listed}{more}"
 
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
     """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
     [T, paths, size]; empty where all are taken, or one alone, which is a constant decision."""
-    found = []
+    messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)
         if 0 < len(idle) < size - 1:
             of = f" of {name}" if name else ""
-            found.append(f"{', '.join(map(str, idle[:LONG]))} of 0 to {size - 1}{of}")
-    return f"Options that are never taken: {'; '.join(found)}" if found else ""
+            messages.append(f"{', '.join(map(str, idle[:LONG]))} of 0 to {size - 1}{of}")
+    return f"Options that are never taken: {'; '.join(messages)}" if messages else ""
 
 
 def _choices(action: Actions, name: str = "", first: int = 0) -> Iterator[tuple[str, int, int]]:
@@ -87,33 +87,33 @@ def _choices(action: Actions, name: str = "", first: int = 0) -> Iterator[tuple[
     if isinstance(action, Choice):
         yield name, first, action.size
     elif isinstance(action, Product):
-        for own, each in zip(action.names, action.sets):
-            yield from _choices(each, f"{name}.{own}" if name else own, first)
-            first += each.size
+        for local, item in zip(action.names, action.sets):
+            yield from _choices(item, f"{name}.{local}" if name else local, first)
+            first += item.size
 
 
-def at_limit(found: list[Constant]) -> bool:
+def at_limit(constants: list[Constant]) -> bool:
     """Whether all of these decisions lie at limits."""
-    return all(each.limit for each in found)
+    return all(item.limit for item in constants)
 
 
 def rivals(action: Actions, actions: np.ndarray) -> list[np.ndarray]:
     """Constant decisions [size] that a rule should beat: the mean of the decisions [T, paths, size]
     that it takes, and where limits are finite the few decisions at all of them."""
     mean = actions.mean((0, 1))
-    ends = [_ends(action, group, mean) for group in action.together()]
-    if math.prod(map(len, ends)) > CORNERS:
-        corners = [[each[0] for each in ends], [each[-1] for each in ends]]
+    endpoints = [_ends(action, group, mean) for group in action.together()]
+    if math.prod(map(len, endpoints)) > CORNERS:
+        corners = [[entry[0] for entry in endpoints], [value[-1] for value in endpoints]]
     else:
-        corners = list(itertools.product(*ends))
-    found = [mean]
+        corners = list(itertools.product(*endpoints))
+    results = [mean]
     for corner in corners:
-        each = mean.copy()
+        item = mean.copy()
         for group, numbers in zip(action.together(), corner):
-            each[group] = numbers
-        found.append(each)
+            item[group] = numbers
+        results.append(item)
     with jax.enable_x64(True):
-        settled = [np.asarray(action.settle(each, Exact())) for each in found]
+        settled = [np.asarray(action.settle(result, Exact())) for result in results]
     return [np.asarray(each) for each in dict.fromkeys(tuple(each.tolist()) for each in settled)]
 
 
@@ -131,4 +131,4 @@ def told(numbers: np.ndarray) -> str:
     """The numbers of a decision in words."""
     if numbers.size > LONG:
         return f"{numbers.size} numbers"
-    return ", ".join(f"{each:.4g}" for each in numbers)
+    return ", ".join(f"{number:.4g}" for number in numbers)

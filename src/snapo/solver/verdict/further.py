@@ -66,8 +66,8 @@ def times(progress: Progress, training: TrainingPlan) -> float:
     With a shortfall of c / way, that gain is c / half - c / way, and twice the way gains c / 2 way.
     """
     half = _way(training, compared_step(progress, training))
-    way = _way(training, progress.step)
-    return max(1.0, 0.5 * half / (way - half)) if way > half else 1.0
+    path = _way(training, progress.step)
+    return max(1.0, 0.5 * half / (path - half)) if path > half else 1.0
 
 
 def too_short(training: TrainingPlan, step: int) -> bool:
@@ -75,13 +75,13 @@ def too_short(training: TrainingPlan, step: int) -> bool:
     return step < WARMUPS * training.warmup
 
 
-def restless(norm: float, noise: float, way: float, size: float) -> bool:
+def restless(norm: float, noise: float, path: float, size: float) -> bool:
     """Whether the policy's gradient is surely not zero, and could still bring something.
 
     Without noise nothing says so: at a bend of the smooth value it is not zero either.
     """
-    known = np.isfinite([norm, noise]).all() and noise > 0
-    return bool(known and norm > SETTLED * noise and norm * way > MATTERS * size)
+    available = np.isfinite([norm, noise]).all() and noise > 0
+    return bool(available and norm > SETTLED * noise and norm * path > MATTERS * size)
 
 
 def _way(training: TrainingPlan, step: int) -> float:

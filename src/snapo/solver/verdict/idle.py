@@ -30,10 +30,10 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 
     An error of zero does not say so: antithetic pairs have none where noise counts linearly.
     """
-    found = [np.asarray(totals[name]) for name in problem.objective.outputs]
+    results = [np.asarray(totals[name]) for name in problem.objective.outputs]
     return problem.is_random and all(
         np.isfinite(total).all() and np.ptp(total) <= NONE * np.max(np.abs(total))
-        for total in found
+        for total in results
     )
 
 

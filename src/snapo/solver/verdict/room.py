@@ -32,9 +32,9 @@ def room(
 
     - `bound`: as `Bound.row` has it; `exact`: the exact value, of which no policy has more.
     """
-    found = [_below_exact(value, error, exact), _below_bound(bound)]
-    known = [each for each in found if each is not None and each.share <= USEFUL]
-    return min(known, key=lambda each: each.share) if known else None
+    results = [_below_exact(value, error, exact), _below_bound(bound)]
+    available = [item for item in results if item is not None and item.share <= USEFUL]
+    return min(available, key=lambda entry: entry.share) if available else None
 
 
 def _below_exact(value, error, exact) -> Room | None:

@@ -32,7 +32,7 @@ def ends_for_good(problem: Problem) -> bool:
     for stop, go in (extremes, extremes[::-1]):
         stopped = after(first, stop)
         later = [after(stopped, action) for action in extremes]
-        states = [_numbers(each) for each in (first, after(first, go), stopped, *later)]
+        states = [_numbers(item) for item in (first, after(first, go), stopped, *later)]
         if any(_is_flag(*leaves) for leaves in zip(*states)):
             return True
     return False
@@ -55,5 +55,5 @@ def _is_flag(first, gone_on, stopped, *later) -> bool:
     """Whether a number of the state is 0 or 1, changes by a stop alone, and never again."""
     if first.size != 1 or first.item() not in (0.0, 1.0):
         return False
-    kept = gone_on == first and all(each == stopped for each in later)
-    return bool(kept and stopped == 1.0 - first)
+    selected = gone_on == first and all(item == stopped for item in later)
+    return bool(selected and stopped == 1.0 - first)

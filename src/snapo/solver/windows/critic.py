@@ -39,8 +39,8 @@ class Critic(eqx.Module):
         """The length of an observation."""
         return self.network.weights[0].shape[1] - 1
 
-    def __call__(self, seen: Float[Array, " features"], left: Float[Array, ""]):
-        return self.shift + self.scale * self.network(jnp.append(seen, left))[0]
+    def __call__(self, observed: Float[Array, " features"], left: Float[Array, ""]):
+        return self.shift + self.scale * self.network(jnp.append(observed, left))[0]
 
 
 class Learner(NamedTuple):
@@ -78,45 +78,45 @@ def blank(features: int, seed: int = 0) -> Learner:
     return Learner(critic, _ADAM.init(eqx.filter(network, eqx.is_inexact_array)))
 
 
-def worth_ahead(objective: Objective, rolled: Rollout) -> tuple[np.ndarray, np.ndarray]:
+def worth_ahead(objective: Objective, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
     """The worth of all outputs from each step on, [T, N], and which paths [N] are finite."""
-    totals = float64(rolled.totals)
+    totals = float64(rollout.totals)
     paths = next(iter(totals.values())).size
-    worth = np.zeros((len(jax.tree.leaves(rolled.record["state"])[0]), paths))
+    value = np.zeros((len(jax.tree.leaves(rollout.record["state"])[0]), paths))
     for name, weight in flat_weights(objective, paths).items():
         # An output of `terminal` alone lies ahead of every step.
-        earned = float64(rolled.record["outputs"]).get(name, np.zeros(()))
+        earned = float64(rollout.record["outputs"]).get(name, np.zeros(()))
         with np.errstate(invalid="ignore"):  # a path that exploded is left out below
             before = np.cumsum(earned, axis=0) - earned if earned.ndim else earned
-            worth += paths * weight * (totals[name] - before)
-    return worth, np.asarray(np.isfinite(worth).all(0))
+            value += paths * weight * (totals[name] - before)
+    return value, np.asarray(np.isfinite(value).all(0))
 
 
 def fitted(
-    problem: Problem, known: Learner, states, worth, good, firsts, length: int, step: int
+    problem: Problem, available: Learner, states, value, valid, firsts, length: int, step: int
 ) -> Learner:
     """The critic after some steps of regression on states at the ends of windows."""
-    ends = np.unique(firsts[firsts + length < problem.simulator.horizon] + length)
-    if not ends.size or not good.any():
-        return known
-    target = worth[ends][:, good]
-    critic = known.critic
+    endpoints = np.unique(firsts[firsts + length < problem.simulator.horizon] + length)
+    if not endpoints.size or not valid.any():
+        return available
+    target = value[endpoints][:, valid]
+    critic = available.critic
     if not float(critic.scale):
         spread = max(float(target.std()), 1e-12)
         scale = (jnp.asarray(x, jnp.float32) for x in (target.mean(), spread))
         critic = Critic(critic.network, *scale)
-    left = (problem.simulator.horizon - ends) / problem.simulator.horizon
-    chosen = jax.tree.map(lambda leaf: leaf[ends][:, good], states)
-    nows = jax.tree.map(lambda leaf: np.asarray(leaf)[ends], problem.schedule.steps)
-    shown = observations(problem.simulator, problem.schedule.constants, nows, chosen)
+    left = (problem.simulator.horizon - endpoints) / problem.simulator.horizon
+    selected = jax.tree.map(lambda leaf: leaf[endpoints][:, valid], states)
+    nows = jax.tree.map(lambda leaf: np.asarray(leaf)[endpoints], problem.schedule.steps)
+    displayed = observations(problem.simulator, problem.schedule.constants, nows, selected)
     lefts = np.broadcast_to(left[:, None, None], (*target.shape, 1))
-    x = np.concatenate([shown, lefts], axis=2).reshape(target.size, -1)
+    x = np.concatenate([displayed, lefts], axis=2).reshape(target.size, -1)
     y = (target.reshape(-1) - float(critic.shift)) / float(critic.scale)
     rng = np.random.default_rng((step, 1))
     fits = FITS if step else FIRST_FITS
     rows = rng.integers(0, y.size, (fits, min(SAMPLE, y.size)))
-    given = jnp.asarray(x[rows], jnp.float32), jnp.asarray(y[rows], jnp.float32)
-    network, optimiser = _regress(critic.network, known.optimiser, *given)
+    values = jnp.asarray(x[rows], jnp.float32), jnp.asarray(y[rows], jnp.float32)
+    network, optimiser = _regress(critic.network, available.optimiser, *values)
     return Learner(Critic(network, critic.shift, critic.scale), optimiser)
 
 

@@ -49,10 +49,10 @@ class Windowed(Around):
         return self.own.step(constants["own"], now, state, action, noise, smooth)
 
     def terminal(self, constants, state, smooth):
-        seen = self.own.observe(constants["own"], constants["end"], state)
+        observed = self.own.observe(constants["own"], constants["end"], state)
         # What the horizon's end alone gives lies ahead: it is part of the critic's worth.
         later = dict.fromkeys(self.own.terminal(constants["own"], state, smooth), jnp.zeros(()))
-        return later | {AHEAD: constants["critic"](seen, constants["left"])}
+        return later | {AHEAD: constants["critic"](observed, constants["left"])}
 
     def state_scale(self, constants):
         return self.own.state_scale(constants["own"])
@@ -79,7 +79,7 @@ class Sweep(NamedTuple):
 def sweep(
     problem: Problem,
     bound: BoundEngine,
-    known: Learner,
+    learner: Learner,
     policy: PyTree,
     draws: Draws,
     smooth: Smooth,
@@ -87,13 +87,13 @@ def sweep(
     step: int,
 ) -> Sweep:
     """The first states of all windows, [T, N] a leaf, and the critic fitted anew."""
-    rolled = bound.values(policy, draws, smooth, record=("state", "outputs"))
-    worth, good = worth_ahead(problem.objective, rolled)
-    states, firsts = rolled.record["state"], starts(problem.simulator.horizon, length)
-    known = fitted(problem, known, states, worth, good, firsts, length, step)
-    totals = {name: total[good] for name, total in float64(rolled.totals).items()}
-    objective = problem.objective.value(totals) if good.any() else float("nan")
-    return Sweep(objective, states, known)
+    rollout = bound.values(policy, draws, smooth, record=("state", "outputs"))
+    value, valid = worth_ahead(problem.objective, rollout)
+    states, firsts = rollout.record["state"], starts(problem.simulator.horizon, length)
+    learner = fitted(problem, learner, states, value, valid, firsts, length, step)
+    totals = {name: total[valid] for name, total in float64(rollout.totals).items()}
+    objective = problem.objective.value(totals) if valid.any() else float("nan")
+    return Sweep(objective, states, learner)
 
 
 def window_adjoint(
@@ -126,8 +126,8 @@ def window_adjoint(
 
 def _turn(number: int, count: int) -> int:
     """Which window is next: each once a round, in an order that a round's number shuffles."""
-    turn, place = divmod(number, count)
-    return int(np.random.default_rng(turn).permutation(count)[place])
+    turn, position = divmod(number, count)
+    return int(np.random.default_rng(turn).permutation(count)[position])
 
 
 def _ending(problem: Problem, critic: Critic, end: int) -> tuple[Simulator, Schedule]:

@@ -48,8 +48,8 @@ class ValueBounds:
     def of(cls, result: solver.Bound) -> "ValueBounds":
         """Its row."""
         row = result.row()
-        ends = {name: BoundInterval(**row.pop(name)) for name in ("lower", "upper", "gap")}
-        return cls(**ends, **row)
+        endpoints = {name: BoundInterval(**row.pop(name)) for name in ("lower", "upper", "gap")}
+        return cls(**endpoints, **row)
 
 
 def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
@@ -90,7 +90,7 @@ def bound(run: Folder) -> Section:
 
 def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
     """Lower and upper bound with their 95 % intervals, and the gap between them in a sentence."""
-    places = decimals([result.upper.value], 6)
+    digits = decimals([result.upper.value], 6)
     rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
     columns = [
         Column("", lambda row: row[0]),
@@ -100,9 +100,9 @@ def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
     ]
     caption = f"Bounds on {number(result.paths, 0)} paths"
     blocks: list[Block] = [
-        Text(sentence(run, result, places)),
-        _chart(run, result, rows, places),
-        table([*rows, ("Gap, path by path", result.gap)], columns, caption, places=places),
+        Text(sentence(run, result, digits)),
+        _chart(run, result, rows, digits),
+        table([*rows, ("Gap, path by path", result.gap)], columns, caption, places=digits),
     ]
     low, high = result.sure
     if low is not None and high is not None:
@@ -111,26 +111,26 @@ def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
     return blocks
 
 
-def sentence(run: Folder, result: ValueBounds, places: int) -> str:
+def sentence(run: Folder, result: ValueBounds, digits: int) -> str:
     """ "No policy whatever earns more than EUR 78,498 …"."""
     top, gap, low = (finite(x) for x in (result.upper.high, result.gap.high, result.lower.value))
     if top is None or gap is None or low is None:
         return "There are too few paths for an interval."
-    if little := result.says_little:
-        return f"This bound {little}. No policy earns more than {run.worth(top, None, places)}."
+    if small := result.says_little:
+        return f"This bound {small}. No policy earns more than {run.worth(top, None, digits)}."
     share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
     return (
-        f"No policy whatever earns more than {run.worth(top, None, places)}, and the trained one"
-        f" leaves at most {run.worth(gap, None, places)}{share} on the table (95 % intervals)."
+        f"No policy whatever earns more than {run.worth(top, None, digits)}, and the trained one"
+        f" leaves at most {run.worth(gap, None, digits)}{share} on the table (95 % intervals)."
     )
 
 
 def _chart(
-    run: Folder, result: ValueBounds, rows: Sequence[tuple[str, BoundInterval]], places: int
+    run: Folder, result: ValueBounds, rows: Sequence[tuple[str, BoundInterval]], digits: int
 ) -> Chart:
     exact = finite(run.get("dynamic_programming"))
     texts = "; ".join(
-        f"{name}: {number(x.value, places)}, {number(x.low, places)} to {number(x.high, places)}"
+        f"{name}: {number(x.value, digits)}, {number(x.low, digits)} to {number(x.high, digits)}"
         for name, x in rows
     )
 

@@ -21,31 +21,31 @@ def headline(run: Folder) -> Section:
     if value is None:
         return Section("value", "Value", "Value", [lacking(run, "training")])
     error = finite(run.result.get("standard_error"))
-    places = decimals([value], 6) if not error else max(0, decimals([error], 2))
-    text = f"{number(value, places)}{SPACE}{unit}".rstrip(SPACE)
+    digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
+    text = f"{number(value, digits)}{SPACE}{unit}".rstrip(SPACE)
     objective = str(run.get("objective", "the objective"))
     note = f"{objective}, of the exact simulator on fresh paths; ± one standard error"
-    known = plus_minus(error, places)
-    blocks: list[Block] = [Headline("Value", text, known, note, marks=marks(run)), *notes(run)]
-    facts = _facts(run, value, places)
+    available = plus_minus(error, digits)
+    blocks: list[Block] = [Headline("Value", text, available, note, marks=marks(run)), *notes(run)]
+    facts = _facts(run, value, digits)
     return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
 
 
 def marks(run: Folder) -> list[Mark]:
     """The state of the run, and of its checks together."""
     status = str(run.result.get("status", ""))
-    found = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
+    result = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
     held = [passed for _, passed in checks(run)]
     if held:
-        found.append(Mark(all(held), f"{sum(held)} of {len(held)} checks hold"))
-    return found
+        result.append(Mark(all(held), f"{sum(held)} of {len(held)} checks hold"))
+    return result
 
 
-def _facts(run: Folder, value: float, places: int) -> list[tuple[str, str, str]]:
+def _facts(run: Folder, value: float, digits: int) -> list[tuple[str, str, str]]:
     facts = []
-    for name, each in (run.result.get("references") or {}).items():
-        if finite(each) is not None:
-            facts.append((name.replace("_", " ").capitalize(), number(each, places), run.unit))
+    for name, item in (run.result.get("references") or {}).items():
+        if finite(item) is not None:
+            facts.append((name.replace("_", " ").capitalize(), number(item, digits), run.unit))
     gap = finite(run.result.get("smoothing_gap"))
     if gap is not None:
         share = f"{part_of(gap / abs(value))} of the value; " if value else ""

@@ -142,7 +142,7 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
     sides = (bump.up, bump.down) if bump and bump.two_sided else (None, None)
     held, held_error = table.held[name].along(along)
     smooth, smooth_error = _along(table.smooth, name, along)
-    seen, seen_error = bump.bump if bump else (None, None)
+    observed, seen_error = bump.bump if bump else (None, None)
     return InputMove(
         name,
         entry.words,
@@ -157,7 +157,7 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
         held_error=held_error,
         smooth=smooth,
         smooth_error=smooth_error,
-        bump=seen,
+        bump=observed,
         bump_error=seen_error,
         more=sides[0],
         less=sides[1],
@@ -207,12 +207,12 @@ def show(run: Folder, result: InputMoves) -> Sequence[Block]:
 
 def _tornado(run: Folder, moves: Sequence[InputMove]) -> Chart:
     drawn = moves[:LONGEST]
-    places = decimals([move.effect for move in drawn], 4)
+    digits = decimals([move.effect for move in drawn], 4)
     swings = [
         Swing(
             f"{readable(move.input)} {move.size}",
             float(move.effect or 0.0),
-            f"{number(move.effect, places, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
+            f"{number(move.effect, digits, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
             move.half_width,
         )
         for move in drawn
@@ -228,16 +228,16 @@ def _tornado(run: Folder, moves: Sequence[InputMove]) -> Chart:
 
 
 def _moves(run: Folder, moves: Sequence[InputMove]) -> Table:
-    places = decimals([move.effect for move in moves], 4)
+    digits = decimals([move.effect for move in moves], 4)
     rows = [
         (
             readable(move.input),
             move.words,
             move.size,
-            *(number(x, places) for x in (move.effect, move.low, move.high)),
+            *(number(x, digits) for x in (move.effect, move.low, move.high)),
             *(rough(x) for x in (move.sampling, move.policy)),
             move.source or "",
-            *_at_bump(move, places),
+            *_at_bump(move, digits),
         )
         for move in moves
     ]
@@ -247,12 +247,12 @@ def _moves(run: Folder, moves: Sequence[InputMove]) -> Table:
     return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 8}))
 
 
-def _at_bump(move: InputMove, places: int) -> tuple[str, str]:
+def _at_bump(move: InputMove, digits: int) -> tuple[str, str]:
     """The change at a bump, and its error; of more and of less apart, where they differ."""
     if move.more is None or move.less is None:
-        return measured(move.bump, move.bump_error, places)
-    text = f"{number(move.more, places)} more, {number(move.less, places)} less"
-    return text, plus_minus(move.bump_error, places)
+        return measured(move.bump, move.bump_error, digits)
+    text = f"{number(move.more, digits)} more, {number(move.less, digits)} less"
+    return text, plus_minus(move.bump_error, digits)
 
 
 def _derivatives(run: Folder) -> Table:
@@ -269,14 +269,14 @@ def _derivatives(run: Folder) -> Table:
 
 
 def _line(row: Sensitivity, value_unit: str) -> tuple[str, ...]:
-    places = min(9, decimals([row.value, row.held, row.smooth], 4))
+    digits = min(9, decimals([row.value, row.held, row.smooth], 4))
     return (
         readable(row.input), row.label,
-        *(number(x, places) for x in (row.value, row.low, row.high)),
+        *(number(x, digits) for x in (row.value, row.low, row.high)),
         unit_words(derivative_unit(value_unit, row.unit)), row.source,
-        *measured(row.held, row.held_error, places),
-        *measured(row.smooth, row.smooth_error, places),
-        rough(row.moved), plus_minus(row.moved_error, places),
+        *measured(row.held, row.held_error, digits),
+        *measured(row.smooth, row.smooth_error, digits),
+        rough(row.moved), plus_minus(row.moved_error, digits),
     )  # fmt: skip
 
 

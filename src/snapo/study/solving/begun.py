@@ -23,19 +23,19 @@ from .given import Given
 KEPT, GAIN = "given policy", "gain over the given policy"
 
 
-def begun_with(study: Study, given: Given, file: str) -> Study:
+def begun_with(study: Study, values: Given, file: str) -> Study:
     """The study with `given` in the place of its untrained policy; `file` is that of its case.
 
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
-        what = f"{file} trains no policy, so that there is nothing to begin with"
-        raise CaseError("--policy", "", str(given.source), what)
-    setup = _fitted(study.setup, given)
+        message = f"{file} trains no policy, so that there is nothing to begin with"
+        raise CaseError("--policy", "", str(values.source), message)
+    setup = _fitted(study.setup, values)
     setup()  # what does not fit is refused before anything is written
     after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
     parts = [
-        Part(KEPT, _kept(given)),
+        Part(KEPT, _kept(values)),
         *study.parts[:after],
         Part(GAIN, _gain, (KEPT, TRAINING.name)),
         *study.parts[after:],
@@ -43,23 +43,23 @@ def begun_with(study: Study, given: Given, file: str) -> Study:
     return replace(study, parts=parts, setup=setup, result=_told(study.result))
 
 
-def _fitted(setup: Callable[[], Setup], given: Given) -> Callable[[], Setup]:
+def _fitted(setup: Callable[[], Setup], values: Given) -> Callable[[], Setup]:
     """The setup of a study, which may change while it runs, with the policy in it."""
     made: dict[int, tuple[Setup, Setup]] = {}
 
     def fitted() -> Setup:
-        own = setup()
-        if id(own) not in made:  # the pair keeps `own`, and with it its number
-            made[id(own)] = own, own._replace(policy=given.fitted(own.policy), recipe=None)
-        return made[id(own)][1]
+        local = setup()
+        if id(local) not in made:  # the pair keeps `own`, and with it its number
+            made[id(local)] = local, local._replace(policy=values.fitted(local.policy), recipe=None)
+        return made[id(local)][1]
 
     return fitted
 
 
-def _kept(given: Given) -> Callable[[StudyRun], Mapping[str, Any]]:
+def _kept(values: Given) -> Callable[[StudyRun], Mapping[str, Any]]:
     def work(run: StudyRun) -> Mapping[str, Any]:
-        (run.folder / START).write_bytes(given.content)
-        about = {"policy": str(given.source), "checksum": given.checksum, "value": given.value}
+        (run.folder / START).write_bytes(values.content)
+        about = {"policy": str(values.source), "checksum": values.checksum, "value": values.value}
         return {"began_with": about}
 
     return work
@@ -73,7 +73,7 @@ def _gain(run: StudyRun) -> Mapping[str, Any]:
     totals = path_totals(problem, setup.policy, solution.paths["evaluate"], engine=engine)
     value = estimate(problem.objective, totals, source, controls)
     both = (solution.totals, totals)
-    shares = [worth_of_groups(problem.objective, each, source) for each in both]
+    shares = [worth_of_groups(problem.objective, item, source) for item in both]
     with np.errstate(invalid="ignore"):
         more = statistics.of_shares(np.subtract(*shares))
     return {
@@ -90,12 +90,15 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
     """The result with the start, and with a sentence on it for the report."""
 
     def told(run: StudyRun) -> Mapping[str, Any]:
-        found, start = dict(result(run)), run.get("began_with")
-        if not start or found.get("value") is None:
-            return found
+        results, start = dict(result(run)), run.get("began_with")
+        if not start or results.get("value") is None:
+            return results
         gain = run.get("start_gain") or {}
         sentence = words(start, gain)
-        return found | {"start": {**start, **gain}, "notes": [*found.get("notes", ()), sentence]}
+        return results | {
+            "start": {**start, **gain},
+            "notes": [*results.get("notes", ()), sentence],
+        }
 
     return told
 
@@ -113,5 +116,5 @@ def words(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
 
 
 def _with_error(value: float, error: float | None) -> str:
-    places = max(0, decimals([error], 2)) if finite(error) else 4
-    return " ".join(measured(value, error, places)).strip()
+    positions = max(0, decimals([error], 2)) if finite(error) else 4
+    return " ".join(measured(value, error, positions)).strip()

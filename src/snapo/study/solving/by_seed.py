@@ -75,26 +75,28 @@ def compared(trained: Sequence[Trained]) -> Comparison:
     """The policies of all seeds on common paths: of the first one's problem."""
     setup = _setup(trained[0].study)
     problem, fresh = _measured_on_others(setup)
-    found = [_shares(problem, setup, each) for each in trained]
-    means = [np.mean(each) if each is not None else np.nan for each in found]
+    results = [_shares(problem, setup, item) for item in trained]
+    means = [np.mean(entry) if entry is not None else np.nan for entry in results]
     values = np.array(means, np.float64)
-    within = [_within(each.result) for each in trained]
+    within = [_within(value.result) for value in trained]
     best = _best(values, within)
     rows = tuple(
-        _row(each, shares, found[best], ok) for each, shares, ok in zip(trained, found, within)
+        _row(each, shares, results[best], ok) for each, shares, ok in zip(trained, results, within)
     )
-    known = [each for each in found if each is not None and np.isfinite(each).all()]
-    kept = values[np.isfinite(values)]
-    error = statistics.of_shares(np.mean(known, axis=0)).standard_error if known else np.nan
-    ends = (np.mean, np.min, np.max)
-    mean, worst, highest = (float(each(kept)) if kept.size else np.nan for each in ends)
+    available = [result for result in results if result is not None and np.isfinite(result).all()]
+    selected = values[np.isfinite(values)]
+    error = statistics.of_shares(np.mean(available, axis=0)).standard_error if available else np.nan
+    endpoints = (np.mean, np.min, np.max)
+    mean, worst, highest = (
+        float(endpoint(selected)) if selected.size else np.nan for endpoint in endpoints
+    )
     return Comparison(
         rows,
         trained[best].seed,
         mean,
         worst,
         highest,
-        float(kept.std(ddof=1)) if kept.size > 1 else np.nan,
+        float(selected.std(ddof=1)) if selected.size > 1 else np.nan,
         float(error),
         fresh,
         problem.sources.evaluation.available(setup.evaluation.paths),
@@ -117,10 +119,10 @@ def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
     return problem.prepared(setup.problem.schedule), fresh
 
 
-def _shares(problem: Problem, setup: Setup, each: Trained) -> np.ndarray | None:
+def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     """What independent groups of paths are worth to a seed's policy; None where it has none."""
     try:
-        policy = Solution.load(each.folder, like=_setup(each.study).policy).policy
+        policy = Solution.load(item.folder, like=_setup(item.study).policy).policy
     except CheckpointError:
         return None
     paths, engine = setup.evaluation.paths, setup.engines.evaluate
@@ -132,7 +134,7 @@ def _shares(problem: Problem, setup: Setup, each: Trained) -> np.ndarray | None:
 
 
 def _within(result: Mapping[str, Any]) -> bool:
-    return all(each.get("met") != "not met" for each in result.get("limits") or ())
+    return all(item.get("met") != "not met" for item in result.get("limits") or ())
 
 
 def _best(values: np.ndarray, within: Sequence[bool]) -> int:
@@ -142,44 +144,44 @@ def _best(values: np.ndarray, within: Sequence[bool]) -> int:
     return int(np.argmax(ranked))
 
 
-def _row(each: Trained, shares: np.ndarray | None, best: np.ndarray | None, within: bool) -> Row:
-    known = None if shares is None else statistics.of_shares(shares)
+def _row(item: Trained, shares: np.ndarray | None, best: np.ndarray | None, within: bool) -> Row:
+    available = None if shares is None else statistics.of_shares(shares)
     behind = None if shares is None or best is None else statistics.of_shares(best - shares)
-    result = each.result
+    result = item.result
     return Row(
-        each.seed,
-        known and known.value,
-        known and known.standard_error,
+        item.seed,
+        available and available.value,
+        available and available.standard_error,
         behind and behind.value,
         behind and behind.standard_error,
         within,
         str(result.get("status", "")),
         str(result.get("convergence", "")),
         float((result.get("seconds") or {}).get("total", 0.0)),
-        f"seeds/{each.seed}",
+        f"seeds/{item.seed}",
     )
 
 
-def words(found: Mapping[str, Any]) -> str:
+def words(result: Mapping[str, Any]) -> str:
     """What choosing the best of several does to the value that is reported."""
     from snapo.report.quantity import decimals, finite, number
 
-    rows, best = found["rows"], found["best"]
-    sizes = [finite(found[name]) for name in ("deviation", "standard_error")]
-    places = max(0, decimals([each for each in sizes if each] or [found["mean"]], 2))
-    ends = [number(found[name], places) for name in ("worst", "highest", "mean")]
+    rows, best = result["rows"], result["best"]
+    sizes = [finite(result[name]) for name in ("deviation", "standard_error")]
+    positions = max(0, decimals([size for size in sizes if size] or [result["mean"]], 2))
+    endpoints = [number(result[name], positions) for name in ("worst", "highest", "mean")]
     text = (
-        f"Best of {len(rows)} seeds: {best}. On {found['paths']:,} common paths their values lie "
-        f"between {ends[0]} and {ends[1]}, with the mean {ends[2]}"
+        f"Best of {len(rows)} seeds: {best}. On {result['paths']:,} common paths their values lie "
+        f"between {endpoints[0]} and {endpoints[1]}, with the mean {endpoints[2]}"
     )
     if sizes[0] is not None and sizes[1] is not None:
         text += (
-            f" and the standard deviation {number(sizes[0], places)} between seeds, beside a Monte "
-            f"Carlo error of {number(sizes[1], places)} that all share"
+            f" and the standard deviation {number(sizes[0], positions)} between seeds, beside a "
+            f"Monte Carlo error of {number(sizes[1], positions)} that all share"
         )
-    if found["standard_error"] == 0:  # nothing is random
+    if result["standard_error"] == 0:  # nothing is random
         return f"{text}."
-    if found["fresh"]:
+    if result["fresh"]:
         return f"{text}. The value of this run is on other paths, which that choice has not seen."
     return (
         f"{text}. There are no other paths than those of the value, so that it is that of the best "

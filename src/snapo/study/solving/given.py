@@ -54,29 +54,31 @@ class Given:
         """Of the file: a resumed run must begin with the same."""
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
-    def fitted(self, own: Policy) -> Policy:
+    def fitted(self, local: Policy) -> Policy:
         """The policy of a case, `own`, with the trained numbers of this one.
 
         **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
         """
-        needed = described({"policy": own})
-        for place, word in needed.items():
-            if self.words.get(place, word) != word and not OWN.search(place):
-                has, needs = self.words[place], word
-                raise self._misfit(_name(place), has, needs)
-        leaves = jax.tree_util.tree_flatten_with_path(eqx.filter(own, eqx.is_array))[0]
-        sizes = [each.shape for each in self.arrays], [leaf.shape for _, leaf in leaves]
+        needed = described({"policy": local})
+        for position, word in needed.items():
+            if self.words.get(position, word) != word and not OWN.search(position):
+                has, needs = self.words[position], word
+                raise self._misfit(_name(position), has, needs)
+        leaves = jax.tree_util.tree_flatten_with_path(eqx.filter(local, eqx.is_array))[0]
+        sizes = [array.shape for array in self.arrays], [leaf.shape for _, leaf in leaves]
         if len(sizes[0]) != len(sizes[1]):
             raise self._misfit("sizes", *map(_sizes, sizes))
-        moved = {path for path, _ in _flat(trainable(own)[0])}
-        for (path, leaf), found in zip(leaves, self.arrays):
-            if path in moved and leaf.shape != found.shape:
-                what = f"{jax.tree_util.keystr(path).strip('.')} of size"
-                raise self._misfit(what, _size(found.shape), _size(leaf.shape), _seen(*sizes))
-        return _with(own, moved, self.arrays)
+        moved = {path for path, _ in _flat(trainable(local)[0])}
+        for (path, leaf), result in zip(leaves, self.arrays):
+            if path in moved and leaf.shape != result.shape:
+                message = f"{jax.tree_util.keystr(path).strip('.')} of size"
+                raise self._misfit(message, _size(result.shape), _size(leaf.shape), _seen(*sizes))
+        return _with(local, moved, self.arrays)
 
-    def _misfit(self, what: str, has: str, needs: str, more: str = "") -> CaseError:
-        text = f"this policy does not fit the case: it has {what} {has}, and the case needs {needs}"
+    def _misfit(self, subject: str, has: str, needs: str, more: str = "") -> CaseError:
+        text = (
+            f"this policy does not fit the case: it has {subject} {has}, and the case needs {needs}"
+        )
         return CaseError(str(self.file), "", None, text + more)
 
 
@@ -95,8 +97,10 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> Given:
         else:
             value, file = _of_run(source, kind), source / POLICY
     if not file.is_file():
-        what = "there is no policy here: name the folder that `snapo solve` wrote, its policy.npz, "
-        raise CaseError("--policy", "", str(source), what + "or a file of policy.save")
+        message = (
+            "there is no policy here: name the folder that `snapo solve` wrote, its policy.npz, "
+        )
+        raise CaseError("--policy", "", str(source), message + "or a file of policy.save")
     try:
         content = file.read_bytes()
         if not content.startswith(ZIP):
@@ -105,18 +109,18 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> Given:
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
     except ValueError as error:
-        what = str(error).removeprefix(f"{file}: ").rstrip(".")
-        raise CaseError(str(file), "", None, what) from None
-    words, leaves = _parted(file, header, list(arrays.values()))
-    return Given(source, file, content, tuple(leaves), words, value)
+        message = str(error).removeprefix(f"{file}: ").rstrip(".")
+        raise CaseError(str(file), "", None, message) from None
+    text, leaves = _parted(file, header, list(arrays.values()))
+    return Given(source, file, content, tuple(leaves), text, value)
 
 
 def _of_run(run: Path, kind: str) -> float | None:
     """The value of a run whose policy is whole."""
     record = run_folder.read(run)
     if record["kind"] != kind:
-        what = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
-        raise CaseError(str(run / run_folder.RUN), "", None, what)
+        message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
+        raise CaseError(str(run / run_folder.RUN), "", None, message)
     if record["parts"].get(TRAINING.name, {}).get("state") != "done":
         raise no_policy(run, record)
     run_folder.check_whole(run, record, (POLICY,))
@@ -129,43 +133,45 @@ def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str],
         try:
             policy = load_policy(file)
         except PolicyFileError as error:
-            what = str(error).removeprefix(f"{file}: ").rstrip(".")
-            raise CaseError(str(file), "", None, what) from None
+            message = str(error).removeprefix(f"{file}: ").rstrip(".")
+            raise CaseError(str(file), "", None, message) from None
         arrays = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
-        return described({"policy": policy}), [np.asarray(each) for each in arrays]
-    words = header.get("described") if isinstance(header, dict) else None
-    if not isinstance(words, dict) or not any(each.startswith("policy") for each in words):
-        what = "this file holds no policy: name the folder that `snapo solve` wrote"
-        raise CaseError(str(file), "", None, what)
+        return described({"policy": policy}), [np.asarray(array) for array in arrays]
+    text = header.get("described") if isinstance(header, dict) else None
+    if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
+        message = "this file holds no policy: name the folder that `snapo solve` wrote"
+        raise CaseError(str(file), "", None, message)
     if isinstance(header.get("header"), dict) and "mark" in header["header"]:
-        what = "this is the state of a training: name the folder of its run, or its policy.npz"
-        raise CaseError(str(file), "", None, what)
+        message = "this is the state of a training: name the folder of its run, or its policy.npz"
+        raise CaseError(str(file), "", None, message)
     # Beside the policy stands that from the middle of training; they are in the order of names.
-    count = 2 if "halfway kind" in words else 1
-    found = {place: str(word) for place, word in words.items() if place.startswith("policy")}
-    return found, leaves[len(leaves) - len(leaves) // count :]
+    count = 2 if "halfway kind" in text else 1
+    table = {
+        position: str(word) for position, word in text.items() if position.startswith("policy")
+    }
+    return table, leaves[len(leaves) - len(leaves) // count :]
 
 
 def _flat(tree: Any) -> list[tuple[Any, Any]]:
     return jax.tree_util.tree_flatten_with_path(tree)[0]
 
 
-def _with(own: Policy, moved: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
+def _with(policy: Policy, moved: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
     """The policy with other numbers where they are trained."""
-    numbers, rest = eqx.partition(own, eqx.is_array)
+    numbers, rest = eqx.partition(policy, eqx.is_array)
     flat, structure = jax.tree_util.tree_flatten_with_path(numbers)
     new = [
-        jnp.asarray(found, leaf.dtype) if path in moved else leaf
-        for (path, leaf), found in zip(flat, arrays)
+        jnp.asarray(result, leaf.dtype) if path in moved else leaf
+        for (path, leaf), result in zip(flat, arrays)
     ]
     return eqx.combine(structure.unflatten(new), rest)
 
 
-def _name(place: str) -> str:
+def _name(position: str) -> str:
     """A place of a policy in words: "the activation" of "policy.network.activation"."""
-    if place == "policy kind":
+    if position == "policy kind":
         return "the kind"
-    return place.removeprefix("policy.").replace(" kind", "")
+    return position.removeprefix("policy.").replace(" kind", "")
 
 
 def _size(shape: tuple[int, ...]) -> str:
@@ -178,7 +184,9 @@ def _sizes(shapes: list[tuple[int, ...]]) -> str:
 
 def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
     """The numbers that the first matrices take, where they tell what the policies observe."""
-    first = [next((each[1] for each in shapes if len(each) == 2), None) for shapes in (has, needs)]
+    first = [
+        next((shape[1] for shape in shapes if len(shape) == 2), None) for shapes in (has, needs)
+    ]
     if None in first or first[0] == first[1]:
         return ""
     return f": its network takes {first[0]} numbers, and here there are {first[1]}"

@@ -64,40 +64,40 @@ def place(loaded: Loaded, out: Path | None) -> Path:
     try:
         same = out.resolve() == loaded.file.parent.resolve()
     except (OSError, RuntimeError):  # links in a circle
-        what = "this cannot be the name of a folder: its links go in a circle"
-        raise CaseError(str(out), "", None, what) from None
+        message = "this cannot be the name of a folder: its links go in a circle"
+        raise CaseError(str(out), "", None, message) from None
     if same:
-        what = "this is the folder of the case; a run has a folder of its own"
-        raise CaseError("--out", "", Unquoted(str(out)), what)
+        message = "this is the folder of the case; a run has a folder of its own"
+        raise CaseError("--out", "", Unquoted(str(out)), message)
     run_folder.check_writable(out)
     return out
 
 
-def made_ready(loaded: Loaded, out: Path, wanted: Wanted) -> Ready:
+def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Ready:
     """The study of a case, beginning with a given policy where one is named.
 
     **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
     nothing is written before.
     """
     use_every_core()
-    options: dict[str, Any] = {"engine": wanted.engine}
+    options: dict[str, Any] = {"engine": requested.engine}
     if isinstance(loaded.domain, RunsCode):
         options |= loaded.domain.decides(loaded.case)
-    given = None
-    if wanted.policy is not None:
+    values = None
+    if requested.policy is not None:
         from .given import read
 
-        given = read(wanted.policy, loaded.domain.kind, out, wanted.resume)
-        options["policy"] = given.checksum
+        values = read(requested.policy, loaded.domain.kind, out, requested.resume)
+        options["policy"] = values.checksum
     decides = run_folder.decisive(loaded.file, loaded.data, options)
-    before = run_folder.check_same(out, decides) if wanted.resume else None
-    about = before.get("about") if before else wanted.about
-    asked = Options(wanted.engine, wanted.reference, about)
-    study = _with_notes(loaded.domain.study(loaded.case, asked), loaded.case.notes)
-    if given is not None:
+    before = run_folder.check_same(out, decides) if requested.resume else None
+    about = before.get("about") if before else requested.about
+    request = Options(requested.engine, requested.reference, about)
+    study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
+    if values is not None:
         from .begun import begun_with
 
-        study = begun_with(study, given, str(loaded.file))
+        study = begun_with(study, values, str(loaded.file))
     return Ready(loaded, out, decides, study)
 
 
@@ -110,9 +110,9 @@ def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
 def carried_out(
     ready: Ready,
     resume: bool,
-    tell: "Tell",
+    progress: "Tell",
     began: float,
-    beside: Mapping[str, float] | None = None,
+    adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Does the parts of the study; returns what result.json says.
 
@@ -123,4 +123,6 @@ def carried_out(
     run_folder.copy_case(ready.loaded.file, ready.out)
     spent = time.perf_counter() - began
     domain = ready.loaded.domain
-    return carry_out(domain, ready.study, ready.out, ready.decides, resume, tell, spent, beside)
+    return carry_out(
+        domain, ready.study, ready.out, ready.decides, resume, progress, spent, adjacent
+    )

@@ -33,7 +33,11 @@ TABLE = "seeds"  # the name of the part, and of the folder with the runs
 
 
 def solve_seeds(
-    asked: Asked, tell: "Tell", out: Path | None, wanted: Wanted, seeds: int | Sequence[int]
+    request: Asked,
+    progress: "Tell",
+    out: Path | None,
+    requested: Wanted,
+    seeds: int | Sequence[int],
 ) -> dict[str, Any]:
     """Trains every seed, and carries out the run of the best; returns what result.json says.
 
@@ -42,29 +46,29 @@ def solve_seeds(
     **Raises:** `CaseError` where the case trains nothing, or another run lies in the folder.
     """
     began = time.perf_counter()
-    loaded = load(asked)
-    remarks(loaded.case.notes, tell)
+    loaded = load(request)
+    remarks(loaded.case.notes, progress)
     out = place(loaded, out)
     numbers = _numbers(loaded, seeds)
     trained, ready = [], {}
     for seed in numbers:
-        own = asked._replace(assignments=(*asked.assignments, f"training.seed={seed}"))
-        one = _ready(load(own), out, seed, wanted)
+        local = request._replace(assignments=(*request.assignments, f"training.seed={seed}"))
+        one = _ready(load(local), out, seed, requested)
         if seed == numbers[0]:
-            remarks(one.study.about["notes"], tell, known=loaded.case.notes)
-            if wanted.resume:
+            remarks(one.study.about["notes"], progress, known=loaded.case.notes)
+            if requested.resume:
                 _check_same(out, one)
         ready[seed] = one
-        wanted = wanted._replace(about=one.study.about)  # the checks are those of the case
-        trained.append(_trained(one, seed, wanted, tell, began))
+        requested = requested._replace(about=one.study.about)  # the checks are those of the case
+        trained.append(_trained(one, seed, requested, progress, began))
         began = time.perf_counter()
-    tell(f"comparing {len(numbers)} seeds")
-    found = compared(trained)
-    beside = {"other seeds": _spent(found), "comparison": time.perf_counter() - began}
-    best = replace(ready[found.best], out=out)
-    _adopt(best, out / TABLE / str(found.best), wanted.resume)
-    best = replace(best, study=_with_table(best.study, found))
-    return carried_out(best, True, tell, time.perf_counter(), beside)
+    progress(f"comparing {len(numbers)} seeds")
+    result = compared(trained)
+    adjacent = {"other seeds": _spent(result), "comparison": time.perf_counter() - began}
+    best = replace(ready[result.best], out=out)
+    _adopt(best, out / TABLE / str(result.best), requested.resume)
+    best = replace(best, study=_with_table(best.study, result))
+    return carried_out(best, True, progress, time.perf_counter(), adjacent)
 
 
 def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
@@ -77,30 +81,30 @@ def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
     return list(range(first, first + seeds))
 
 
-def _ready(loaded: Loaded, out: Path, seed: int, wanted: Wanted) -> Ready:
+def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Ready:
     """The run of one seed in its own folder."""
     folder = out / TABLE / str(seed)
-    kept, given = folder / run_folder.START, wanted.policy
+    selected, values = folder / run_folder.START, requested.policy
     # RUN may be the folder of the given policy, and another run by now.
-    if given and wanted.resume and kept.exists() and given.resolve() == out.resolve():
-        wanted = wanted._replace(policy=kept)
-    ready = made_ready(loaded, folder, wanted)
-    if ready.study.setup is None or TRAINING.name not in {each.name for each in ready.study.parts}:
-        what = "this case trains no policy, so that all seeds are the same"
-        raise CaseError("--seeds", "", None, f"{loaded.file}: {what}")
+    if values and requested.resume and selected.exists() and values.resolve() == out.resolve():
+        requested = requested._replace(policy=selected)
+    ready = made_ready(loaded, folder, requested)
+    if ready.study.setup is None or TRAINING.name not in {part.name for part in ready.study.parts}:
+        message = "this case trains no policy, so that all seeds are the same"
+        raise CaseError("--seeds", "", None, f"{loaded.file}: {message}")
     return ready
 
 
-def _trained(one: Ready, seed: int, wanted: Wanted, tell: "Tell", began: float) -> Trained:
+def _trained(one: Ready, seed: int, requested: Wanted, progress: "Tell", began: float) -> Trained:
     """The parts up to the training, done in the seed's folder."""
     parts = chosen(one.study.parts, (KEPT, TRAINING.name))
     study = replace(one.study, parts=parts)
 
     def told(text: str) -> None:
-        tell(f"seed {seed}: {text}")
+        progress(f"seed {seed}: {text}")
 
     told("begins")
-    result = carried_out(replace(one, study=study), wanted.resume, told, began)
+    result = carried_out(replace(one, study=study), requested.resume, told, began)
     return Trained(seed, one.study, one.out, result)
 
 
@@ -127,26 +131,26 @@ def _adopt(best: Ready, source: Path, resume: bool) -> None:
     run_folder.become(best.out, source)
 
 
-def _with_table(study: Study, found: Comparison) -> Study:
+def _with_table(study: Study, comparison: Comparison) -> Study:
     """The study with the table of seeds as its first part, and a sentence in its result."""
 
     def keep(run: StudyRun) -> Mapping[str, Any]:
-        write_csv(run.folder / SEEDS, Row._fields, (_cells(row) for row in found.rows))
-        return {"by_seed": found.table()}
+        write_csv(run.folder / SEEDS, Row._fields, (_cells(row) for row in comparison.rows))
+        return {"by_seed": comparison.table()}
 
     def result(run: StudyRun) -> Mapping[str, Any]:
-        told, table = dict(study.result(run)), run.get("by_seed")
+        summary, table = dict(study.result(run)), run.get("by_seed")
         if not table:
-            return told
-        return told | {"seeds": table, "notes": [words(table), *told.get("notes", ())]}
+            return summary
+        return summary | {"seeds": table, "notes": [words(table), *summary.get("notes", ())]}
 
     return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
 
 
 def _cells(row: Row) -> Iterator[Any]:
-    return ("" if each is None else each for each in row)
+    return ("" if item is None else item for item in row)
 
 
-def _spent(found: Comparison) -> float:
+def _spent(comparison: Comparison) -> float:
     """The seconds of the seeds that are not the best one, whose own are in its run."""
-    return sum(row.seconds for row in found.rows if row.seed != found.best)
+    return sum(row.seconds for row in comparison.rows if row.seed != comparison.best)

@@ -87,7 +87,7 @@ def show(run: Folder, result: Baselines) -> Sequence[Block]:
     bars += [Bar(rule.name, rule.value) for rule in rules]
     if result.optimum is not None:
         bars.append(Bar("optimum, in closed form", result.optimum))
-    places = decimals([bar.value for bar in bars], 5)
+    digits = decimals([bar.value for bar in bars], 5)
     bars.sort(key=lambda bar: -bar.value)
     columns = (
         Column("Rule", "name"),
@@ -95,8 +95,8 @@ def show(run: Folder, result: Baselines) -> Sequence[Block]:
         Column("Policy earns more", lambda x: WithError(x.less, x.less_error), sign=True),
     )
     blocks: list[Block] = [
-        ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", places),
-        table(rules, columns, "Classical rules on the policy's own paths", places=places),
+        ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
+        table(rules, columns, "Classical rules on the policy's own paths", places=digits),
     ]
     if (best := result.optimum) is not None:
         share = 100 * (best - value) / abs(best) if best else 0.0

@@ -19,17 +19,17 @@ def costs(run: Folder) -> Section:
     if not totals:
         return Section("costs", title, short, [lacking(run, "distribution")])
     totals.sort(key=lambda total: -total.mean)
-    places = decimals([total.mean for total in totals], 4)
-    whole = sum(total.mean for total in totals)
+    digits = decimals([total.mean for total in totals], 4)
+    complete = sum(total.mean for total in totals)
     bars = [Bar(_name(x.name), x.mean, x.standard_error) for x in totals]
     caption = "Mean cost of an episode by part, under the trained policy."
     rows = [
-        (bar.name, *measured(bar.value, bar.error, places),
-         percent(bar.value / whole) if whole else "")
+        (bar.name, *measured(bar.value, bar.error, digits),
+         percent(bar.value / complete) if complete else "")
         for bar in bars
     ]  # fmt: skip
     head = [("Part", ""), ("Mean of an episode", ""), ("", ""), ("Share", "")]
-    blocks = [ladder("costs-ladder", bars, caption, places), Table(head, rows, title)]
+    blocks = [ladder("costs-ladder", bars, caption, digits), Table(head, rows, title)]
     return Section("costs", title, short, blocks)
 
 

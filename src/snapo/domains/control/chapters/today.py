@@ -22,17 +22,19 @@ def today(setup: Setup, policy: Policy) -> Today:
     state = {name: _middle(start[name], keys) for name, keys in plant.starts}
 
     def decide(state: Any) -> Any:
-        seen = plant.observe(schedule.constants, at(schedule.steps, 0), state)
-        return plant.drive(schedule.constants["plant"], first_decision(policy, seen))
+        observed = plant.observe(schedule.constants, at(schedule.steps, 0), state)
+        return plant.drive(schedule.constants["plant"], first_decision(policy, observed))
 
     action = np.ravel(np.asarray(jax.jit(decide)(jax.tree.map(jnp.asarray, state)), np.float64))
     facts = [(f"first {name}", *_one(x, plant.states[name].unit)) for name, x in state.items()]
-    named = [(name, each.unit) for name, each in plant.actions.items()]
-    if len(named) != len(action):  # one name for several numbers
-        named = [(f"{named[0][0]} {i + 1}", named[0][1]) for i in range(len(action))]
-    told = [(name, float(x), "" if unit == "1" else unit) for (name, unit), x in zip(named, action)]
-    words = ", ".join(f"{name} {x:,.4g} {unit}".strip() for name, x, unit in told)
-    return Today(words, [each for each in facts if each[1] is not None], (), ())
+    by_name = [(name, item.unit) for name, item in plant.actions.items()]
+    if len(by_name) != len(action):  # one name for several numbers
+        by_name = [(f"{by_name[0][0]} {i + 1}", by_name[0][1]) for i in range(len(action))]
+    summary = [
+        (name, float(x), "" if unit == "1" else unit) for (name, unit), x in zip(by_name, action)
+    ]
+    text = ", ".join(f"{name} {x:,.4g} {unit}".strip() for name, x, unit in summary)
+    return Today(text, [fact for fact in facts if fact[1] is not None], (), ())
 
 
 def _middle(start: dict[str, Any], keys: tuple[str, ...]) -> np.ndarray:

@@ -66,8 +66,8 @@ class CartPole(Plant):
         }
 
     def features(self, p, state):
-        place = jnp.stack([state["position"], state["speed"] / 2])
-        return jnp.concatenate([place, angle_features(state["angle"]), state["spin"][None] / 5])
+        position = jnp.stack([state["position"], state["speed"] / 2])
+        return jnp.concatenate([position, angle_features(state["angle"]), state["spin"][None] / 5])
 
     def recover(self, p, features):
         x, v, cosine, sine, spin = features[:5]

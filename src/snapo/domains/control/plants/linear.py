@@ -44,27 +44,29 @@ class LinearQuadratic(Plant):
             "cost.Q": (cost["Q"], (size, size)), "cost.Q_T": (cost["Q_T"], (size, size)),
             "cost.R": (cost["R"], (actions, actions)),
         }  # fmt: skip
-        for key, (given, shape) in shapes.items():
-            if given.shape != shape:
-                what = f"allowed are {shape[0]} rows of {shape[1]} numbers"
-                yield key, given.tolist(), what
+        for key, (inputs, shape) in shapes.items():
+            if inputs.shape != shape:
+                message = f"allowed are {shape[0]} rows of {shape[1]} numbers"
+                yield key, inputs.tolist(), message
         for key in ("Q", "Q_T", "R"):
-            given, least = cost[key], 1e-12 if key == "R" else -1e-9
-            what = "allowed is a symmetric matrix without negative eigenvalues"
-            what = "allowed is a symmetric matrix with eigenvalues above 0" if key == "R" else what
-            if not np.allclose(given, given.T) or np.linalg.eigvalsh(given).min() < least:
-                yield f"cost.{key}", given.tolist(), what
-        for key, given in values["start"]["x"].items():
-            if given.shape != (size,):
-                yield f"start.x.{key}", given.tolist(), f"allowed are {size} numbers"
-        for given in values["noise"].values():
-            if given.shape != (size, size):
-                what = f"allowed are {size} numbers, or {size} rows of {size}"
-                yield "noise.x", given.tolist(), what
+            inputs, minimum = cost[key], 1e-12 if key == "R" else -1e-9
+            message = "allowed is a symmetric matrix without negative eigenvalues"
+            message = (
+                "allowed is a symmetric matrix with eigenvalues above 0" if key == "R" else message
+            )
+            if not np.allclose(inputs, inputs.T) or np.linalg.eigvalsh(inputs).min() < minimum:
+                yield f"cost.{key}", inputs.tolist(), message
+        for key, inputs in values["start"]["x"].items():
+            if inputs.shape != (size,):
+                yield f"start.x.{key}", inputs.tolist(), f"allowed are {size} numbers"
+        for inputs in values["noise"].values():
+            if inputs.shape != (size, size):
+                message = f"allowed are {size} numbers, or {size} rows of {size}"
+                yield "noise.x", inputs.tolist(), message
 
-        for given in values["measurement"].values():
-            if given.shape != (size,):
-                yield "measurement.x", given.tolist(), f"allowed are {size} numbers"
+        for inputs in values["measurement"].values():
+            if inputs.shape != (size,):
+                yield "measurement.x", inputs.tolist(), f"allowed are {size} numbers"
 
     def decisions(self, inputs):
         size = inputs["plant"]["B"].value.shape[1]

@@ -55,8 +55,8 @@ class MountainCar(Plant):
         yield from super().faults(values)
         plant = values["plant"]
         if not plant["left"] < BOTTOM < plant["goal"] <= plant["right"]:
-            what = f"allowed is left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
-            yield "plant.goal", float(plant["goal"]), what
+            message = f"allowed is left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
+            yield "plant.goal", float(plant["goal"]), message
 
     def initial(self, constants, noise):
         return super().initial(constants, noise) | {"alive": jnp.ones((), noise.dtype)}
@@ -65,9 +65,11 @@ class MountainCar(Plant):
         return action
 
     def move(self, p, state, u, smooth):
-        most = p["max_speed"]
+        maximum = p["max_speed"]
         pull = p["gravity"] * jnp.cos(3 * state["position"])
-        speed = smooth.clip(state["speed"] + u[0] * p["power"] - pull, -most, most, scale=most)
+        speed = smooth.clip(
+            state["speed"] + u[0] * p["power"] - pull, -maximum, maximum, scale=maximum
+        )
         position = jnp.clip(state["position"] + speed, p["left"], p["right"])
         stopped = (position <= p["left"]) & (speed < 0)
         return {"position": position, "speed": jnp.where(stopped, 0.0, speed)}
@@ -98,8 +100,8 @@ class MountainCar(Plant):
         speed = features[1] * p["max_speed"]
         return {"position": features[0] * 0.6 + BOTTOM, "speed": speed}
 
-    def from_twin(self, p, seen):
-        return (seen - np.array([BOTTOM, 0.0])) / np.array([0.6, p["max_speed"]])
+    def from_twin(self, p, observed):
+        return (observed - np.array([BOTTOM, 0.0])) / np.array([0.6, p["max_speed"]])
 
     def hand_rules(self, p):
         push = [jnp.full(1, -1.0), jnp.full(1, 1.0)]

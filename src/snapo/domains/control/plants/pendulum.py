@@ -47,8 +47,10 @@ class Pendulum(Plant):
     def move(self, p, state, u, smooth):
         fall = 1.5 * p["gravity"] / p["length"] * jnp.sin(state["angle"])
         push = 3 / (p["mass"] * p["length"] ** 2) * u[0]
-        most = p["max_speed"]
-        speed = smooth.clip(state["speed"] + (fall + push) * p["step"], -most, most, scale=most)
+        maximum = p["max_speed"]
+        speed = smooth.clip(
+            state["speed"] + (fall + push) * p["step"], -maximum, maximum, scale=maximum
+        )
         return {"angle": state["angle"] + speed * p["step"], "speed": speed}
 
     def cost(self, w, p, state, u):
@@ -65,8 +67,8 @@ class Pendulum(Plant):
         angle = jnp.arctan2(features[1], features[0])
         return {"angle": angle, "speed": features[2] * p["max_speed"]}
 
-    def from_twin(self, p, seen):
-        return seen / np.array([1.0, 1.0, p["max_speed"]])
+    def from_twin(self, p, observed):
+        return observed / np.array([1.0, 1.0, p["max_speed"]])
 
     def proportional(self, p):
         # Twice the torque that holds the rod beside its rest; a tenth of it for the speed.

@@ -85,11 +85,11 @@ class Plant(Simulator):
         self,
         inputs: Mapping[str, Values],
         horizon: int | None = None,
-        clock: bool | None = None,
+        timer: bool | None = None,
     ):
         """The plant for `inputs` (see `inputs.py`): their shapes and keys alone count."""
         self.horizon = self.steps if horizon is None else horizon
-        self.clock = self.sees_time if clock is None else clock
+        self.clock = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
         self.shaken = tuple(name for name in self.states if name in inputs["noise"])
         sizes = {name: np.size(_any(inputs["start"][name])) for name in self.states}
@@ -102,12 +102,12 @@ class Plant(Simulator):
         """What does not fit together in a case: (key, value, allowed). `values`: as the inputs."""
         for name, start in values["start"].items():
             if np.size(_any(start)) > 1:
-                what = "this state is one number"
-                yield f"start.{name}", _any(start).tolist(), what
+                message = "this state is one number"
+                yield f"start.{name}", _any(start).tolist(), message
         for group in ("noise", MEASURED):
-            for name, given in values[group].items():
-                if np.ndim(given):
-                    yield f"{group}.{name}", given.tolist(), "this state is one number"
+            for name, inputs in values[group].items():
+                if np.ndim(inputs):
+                    yield f"{group}.{name}", inputs.tolist(), "this state is one number"
 
     def decisions(self, inputs: Mapping[str, Values]) -> Actions:
         """The set of actions: a share of each limit, from -1 to 1."""
@@ -164,7 +164,7 @@ class Plant(Simulator):
         """Classical rules of this plant alone, by name."""
         return {}
 
-    def from_twin(self, p: Values, seen: np.ndarray) -> np.ndarray:
+    def from_twin(self, p: Values, observed: np.ndarray) -> np.ndarray:
         """[N, features] from the twin's observations [N, k]."""
         raise NotImplementedError(f"{self.type} has no twin in Gymnasium.")
 
@@ -178,33 +178,35 @@ class Plant(Simulator):
             constants[MEASURED] = dict(inputs[MEASURED])
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
         for name in self.shaken:
-            given = jnp.asarray(inputs["noise"][name])
-            every = given if given.ndim == 3 else given[None]  # a matrix of its own for each step
+            values = jnp.asarray(inputs["noise"][name])
+            every = (
+                values if values.ndim == 3 else values[None]
+            )  # a matrix of its own for each step
             steps[name] = jnp.broadcast_to(every, (self.horizon, *every.shape[1:]))
         return Schedule(constants, steps)
 
     def initial(self, constants, noise):
         state, used, sizes = {}, 0, dict(self.sizes)
         for name, keys in self.starts:
-            given = constants["start"][name]
-            shape = jnp.shape(_any(given))
+            values = constants["start"][name]
+            shape = jnp.shape(_any(values))
             if keys == ("at",):
-                state[name] = given["at"] + jnp.zeros(shape, noise.dtype)
+                state[name] = values["at"] + jnp.zeros(shape, noise.dtype)
                 continue
             z = noise[used : used + sizes[name]].reshape(shape)
             used += sizes[name]
             if keys == ("low", "high"):
                 share = 0.5 * (1 + jax.lax.erf(z * np.sqrt(0.5).astype(z.dtype)))
-                state[name] = given["low"] + (given["high"] - given["low"]) * share
+                state[name] = values["low"] + (values["high"] - values["low"]) * share
             else:
-                state[name] = given["mean"] + given["deviation"] * z
+                state[name] = values["mean"] + values["deviation"] * z
         return self.read_off(constants, state, noise[used:])
 
     def observe(self, constants, now, state):
         # A state without readings is one that somebody asks about: it is seen as it is.
-        shown = {name: state[name] for name in self.states} | state.get(MEASURED, {})
-        seen = self.features(constants["plant"], shown)
-        return jnp.append(seen, now["left"]) if self.clock else seen
+        displayed = {name: state[name] for name in self.states} | state.get(MEASURED, {})
+        observed = self.features(constants["plant"], displayed)
+        return jnp.append(observed, now["left"]) if self.clock else observed
 
     def step(self, constants, now, state, action, noise, smooth):
         p = constants["plant"]
@@ -222,12 +224,12 @@ class Plant(Simulator):
         """The state with what is measured of it, each with an error of its own."""
         if not self.measured:
             return state
-        seen, used, sizes = {}, 0, dict(self.sizes)
+        observed, used, sizes = {}, 0, dict(self.sizes)
         for name in self.measured:
             z = noise[used : used + sizes[name]].reshape(state[name].shape)
             used += sizes[name]
-            seen[name] = state[name] + constants[MEASURED][name] * z
-        return {**state, MEASURED: seen}  # pyright: ignore[reportReturnType]
+            observed[name] = state[name] + constants[MEASURED][name] * z
+        return {**state, MEASURED: observed}  # pyright: ignore[reportReturnType]
 
     def disturbed(self, now, state: State, noise: Float[Array, " noise"]) -> State:
         """The state with this step's disturbances: a deviation, or a matrix, times normals."""
@@ -248,7 +250,7 @@ def outputs(parts: State) -> State:
     return {"reward": -total, **{f"{name}_cost": value for name, value in parts.items()}}
 
 
-def _any(given: Values) -> Any:
+def _any(values: Values) -> Any:
     """One of the arrays of a distribution: all have the shape of the state."""
-    found = next(iter(given.values()))
-    return getattr(found, "value", found)
+    result = next(iter(values.values()))
+    return getattr(result, "value", result)

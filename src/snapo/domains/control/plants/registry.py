@@ -27,16 +27,16 @@ def catalogue(plants: tuple[type[Plant], ...]) -> dict[str, type[Plant]]:
 
     **Raises:** `TypeError` where a class is not complete, or two have the same type.
     """
-    found: dict[str, type[Plant]] = {}
-    for each in plants:
-        missing = sorted(getattr(each, "__abstractmethods__", ()))
-        missing += [name for name in SAID if not hasattr(each, name)]
+    table: dict[str, type[Plant]] = {}
+    for plant in plants:
+        missing = sorted(getattr(plant, "__abstractmethods__", ()))
+        missing += [name for name in SAID if not hasattr(plant, name)]
         if missing:
-            raise TypeError(f"The plant {each.__name__} lacks {', '.join(missing)}.")
-        if each.type in found:
-            raise TypeError(f'Two plants are of type "{each.type}".')
-        found[each.type] = each
-    return found
+            raise TypeError(f"The plant {plant.__name__} lacks {', '.join(missing)}.")
+        if plant.type in table:
+            raise TypeError(f'Two plants are of type "{plant.type}".')
+        table[plant.type] = plant
+    return table
 
 
 TYPES = catalogue(PLANTS)

@@ -48,14 +48,14 @@ class TwoTanks(Plant):
         yield from super().faults(values)
         plant = values["plant"]
         ratio = float(plant["lower"] / plant["upper"])
-        most = float(plant["height"]) / max(1.0, ratio**2)
-        if plant["target"] > most:
-            what = f"allowed is at most {most:.4g}: no tank may overflow while it is held"
-            yield "plant.target", float(plant["target"]), what
+        maximum = float(plant["height"]) / max(1.0, ratio**2)
+        if plant["target"] > maximum:
+            message = f"allowed is at most {maximum:.4g}: no tank may overflow while it is held"
+            yield "plant.target", float(plant["target"]), message
         holding = float(_holding(plant, np))
         if holding > plant["flow"]:
-            what = f"allowed is at least {holding:.4g}, which holds the target"
-            yield "plant.flow", float(plant["flow"]), what
+            message = f"allowed is at least {holding:.4g}, which holds the target"
+            yield "plant.flow", float(plant["flow"]), message
 
     def drive(self, p, action):
         return p["flow"] * (action + 1) / 2
@@ -80,9 +80,9 @@ class TwoTanks(Plant):
         return {"upper": levels[0], "lower": levels[1]}
 
     def target_at(self, p):
-        wanted = float(p["target"])
+        requested = float(p["target"])
         ratio = float(p["lower"]) / float(p["upper"])
-        return {"upper": np.array(wanted * ratio**2), "lower": np.array(wanted)}
+        return {"upper": np.array(requested * ratio**2), "lower": np.array(requested)}
 
     def rest(self, p):
         return np.array([float(_holding(p, np))])
@@ -98,11 +98,11 @@ def _holding(p, xp):
 
 def slopes(p, at, flow):
     """The time derivatives of the levels."""
-    least = LEAST * p["height"]
+    minimum = LEAST * p["height"]
 
     def out(opening, level):
-        root = jnp.sqrt(2 * p["gravity"] * jnp.maximum(level, least))
-        return opening * root * jnp.clip(level / least, 0.0, 1.0)
+        root = jnp.sqrt(2 * p["gravity"] * jnp.maximum(level, minimum))
+        return opening * root * jnp.clip(level / minimum, 0.0, 1.0)
 
     between = out(p["upper"], at["upper"])
     away = out(p["lower"], at["lower"])

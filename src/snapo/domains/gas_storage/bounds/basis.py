@@ -50,24 +50,24 @@ class Basis:
     def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
         """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
         days = slice(first, first + len(states))
-        found = self.of_whitened(self._whitened(states, days), days)
-        return self._assemble(found, self._level(states, days))
+        result = self.of_whitened(self._whitened(states, days), days)
+        return self._assemble(result, self._level(states, days))
 
     def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
         """[days, K, paths] expectations, given the factors, of the functions a day later."""
         days = slice(first, first + len(states))
-        found = self.ahead_of_whitened(self._whitened(states, days), days)
-        return self._assemble(found, self._level(states, days))
+        ahead = self.ahead_of_whitened(self._whitened(states, days), days)
+        return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
         """[T + 1, K, paths] functions less their expectation a day before: of mean zero, given it.
 
         `states` [T + 1, F, paths]. The first row is against the valuation date.
         """
-        found = self.functions(states)
-        found[1:] -= self.expected(states[:-1])
-        found[0] -= self.first[:, None]
-        return found
+        functions = self.functions(states)
+        functions[1:] -= self.expected(states[:-1])
+        functions[0] -= self.first[:, None]
+        return functions
 
     @property
     def hinges(self) -> np.ndarray:
@@ -79,8 +79,8 @@ class Basis:
         """[K] expectations on the valuation date of the functions on the first day."""
         constant = np.all(self.powers == 0, axis=1).astype(float)
         hinges = _hinge_means(self.hinges, np.zeros(()), np.ones(())) * self._moving[0, 0]
-        found = np.append(constant, hinges)
-        return np.append(found, 1.0) if self.common else found
+        result = np.append(constant, hinges)
+        return np.append(result, 1.0) if self.common else result
 
     def of_whitened(
         self, y: np.ndarray, days: slice, polynomials: np.ndarray | None = None
@@ -90,8 +90,8 @@ class Basis:
         A factor that does not vary on a day counts as zero, and functions of it as nothing.
         `polynomials`: those of y, where they are known.
         """
-        known = self.polynomials(y) if polynomials is None else polynomials
-        plain = known * self._alive[days][:, :, None]
+        available = self.polynomials(y) if polynomials is None else polynomials
+        plain = available * self._alive[days][:, :, None]
         hinges = np.maximum(y[:, :1] - self.hinges[:, None], 0.0) * self._moving[days, :1, None]
         return np.concatenate([plain, hinges], axis=1)
 
@@ -100,8 +100,8 @@ class Basis:
     ) -> np.ndarray:
         """The same as expected for the day after each of `days`, which are not the last."""
         after = slice(days.start + 1, days.stop + 1)
-        known = self.polynomials(y) if polynomials is None else polynomials
-        now, moves = known * self._alive[days][:, :, None], self._moves[after]
+        available = self.polynomials(y) if polynomials is None else polynomials
+        now, moves = available * self._alive[days][:, :, None], self._moves[after]
         plain = moves * now if moves.shape[-1] == 1 else moves @ now
         row = self._turn[after][:, 0]
         deviation = np.sqrt(np.maximum(1 - np.sum(row**2, axis=1), NOTHING))
@@ -114,13 +114,13 @@ class Basis:
 
     def polynomials(self, y: np.ndarray) -> np.ndarray:
         """[..., n, paths] products of Hermite polynomials, from whitened factors."""
-        most = self.powers.max(axis=0)
-        tables = [_hermite(y[..., i, :], degree) for i, degree in enumerate(most)]
-        found = np.empty((*y.shape[:-2], len(self.powers), y.shape[-1]))
+        maximum = self.powers.max(axis=0)
+        tables = [_hermite(y[..., i, :], degree) for i, degree in enumerate(maximum)]
+        polynomials = np.empty((*y.shape[:-2], len(self.powers), y.shape[-1]))
         for k, degrees in enumerate(self.powers):
             factors = [tables[i][d] for i, d in enumerate(degrees) if d]
-            found[..., k, :] = math.prod(factors[1:], start=factors[0]) if factors else 1.0
-        return found
+            polynomials[..., k, :] = math.prod(factors[1:], start=factors[0]) if factors else 1.0
+        return polynomials
 
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """[T + 1, kept, F], [T + 1, F], [T + 1]: y = first f and ln g = second f - third."""
@@ -160,11 +160,11 @@ class Basis:
         log = np.einsum("i,tip->tp", self._common_loading, states[:, self.common])
         return np.exp(log - self._level_variance[days, None] / 2)
 
-    def _assemble(self, found, level) -> np.ndarray:
+    def _assemble(self, assemble, level) -> np.ndarray:
         if level is None:
-            return found
+            return assemble
         one = np.ones((*level.shape[:-1], 1, level.shape[-1]))
-        return np.concatenate([level[..., None, :] * found, one], axis=-2)
+        return np.concatenate([level[..., None, :] * assemble, one], axis=-2)
 
     @property
     def _common_loading(self) -> np.ndarray:
@@ -173,11 +173,11 @@ class Basis:
     @cached_property
     def _covariance(self) -> np.ndarray:
         size = self.of.decay.shape[1]
-        covariance, found = np.zeros((size, size)), []
+        covariance, covariances = np.zeros((size, size)), []
         for decay, shock in zip(self.of.decay, self.of.shock, strict=True):
             covariance = np.outer(decay, decay) * covariance + shock @ shock.T
-            found.append(covariance)
-        return np.array(found)
+            covariances.append(covariance)
+        return np.array(covariances)
 
     @cached_property
     def _level_variance(self) -> np.ndarray:
@@ -218,9 +218,9 @@ class Basis:
         """[T + 1, n, 1] factors or [T + 1, n, n] matrices that lead into each date."""
         turn = self._turn
         if np.all(np.abs(turn * (1 - np.eye(len(self.kept)))) < 1e-12):
-            own = np.diagonal(turn, axis1=1, axis2=2)
-            return np.prod(own[:, None, :] ** self.powers[None], axis=2)[:, :, None]
-        return np.array([_mehler(each, self.powers) for each in turn])
+            local = np.diagonal(turn, axis1=1, axis2=2)
+            return np.prod(local[:, None, :] ** self.powers[None], axis=2)[:, :, None]
+        return np.array([_mehler(item, self.powers) for item in turn])
 
 
 def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
@@ -228,28 +228,30 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
     loading = of.loading if priced else of.loading[:-1]
     increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
-    alike = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
-    common = alone & alike & np.all(of.decay == 1, axis=0)
-    silent = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
+    same = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
+    common = alone & same & np.all(of.decay == 1, axis=0)
+    defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(of.decay.mean(axis=0), kind="stable")
-    kept = tuple(int(i) for i in speed if not common[i] and not silent[i]) or (int(speed[0]),)
-    common = tuple(int(i) for i in speed if common[i] and not silent[i] and i not in kept)
-    return Basis(of, kept, common, powers(len(kept)))
+    selected = tuple(int(i) for i in speed if not common[i] and not defaulted[i]) or (
+        int(speed[0]),
+    )
+    common = tuple(int(i) for i in speed if common[i] and not defaulted[i] and i not in selected)
+    return Basis(of, selected, common, powers(len(selected)))
 
 
 def powers(count: int) -> np.ndarray:
     """[n, count] degrees of all products up to a total degree: `_mehler` needs all."""
     total = DEGREES.get(count, 3)
     every = product(range(total + 1), repeat=count)
-    return np.array([each for each in every if sum(each) <= total])
+    return np.array([item for item in every if sum(item) <= total])
 
 
 def _hermite(y: np.ndarray, degree: int) -> list[np.ndarray]:
     """Normalised polynomials up to a degree: sqrt(n + 1) he_(n+1) = y he_n - sqrt(n) he_(n-1)."""
-    found = [np.ones_like(y), y]
+    hermite = [np.ones_like(y), y]
     for n in range(1, degree):
-        found.append((y * found[n] - math.sqrt(n) * found[n - 1]) / math.sqrt(n + 1))
-    return found
+        hermite.append((y * hermite[n] - math.sqrt(n) * hermite[n - 1]) / math.sqrt(n + 1))
+    return hermite
 
 
 def _hinge_means(hinges: np.ndarray, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
@@ -264,25 +266,25 @@ def _mehler(turn: np.ndarray, powers: np.ndarray) -> np.ndarray:
 
     For all polynomials up to a total degree. The coefficient of s^a in prod_j ((turn' s)_j)^b_j.
     """
-    place = {tuple(map(int, each)): k for k, each in enumerate(powers)}
-    root = np.sqrt([math.prod(math.factorial(d) for d in each) for each in place])
+    position = {tuple(map(int, item)): k for k, item in enumerate(powers)}
+    root = np.sqrt([math.prod(math.factorial(d) for d in entry) for entry in position])
     matrix = np.zeros((len(powers), len(powers)))
-    for b, column in place.items():
+    for b, column in position.items():
         terms = {(0,) * len(b): 1.0}
         for j, power in enumerate(b):
             for _ in range(power):
                 terms = _times(terms, turn[:, j])
         for a, coefficient in terms.items():
-            matrix[place[a], column] = coefficient * root[place[a]] / root[column]
+            matrix[position[a], column] = coefficient * root[position[a]] / root[column]
     return matrix
 
 
 def _times(terms: dict[tuple[int, ...], float], line: np.ndarray) -> dict[tuple[int, ...], float]:
     """A polynomial in s times the linear form line.s."""
-    found: dict[tuple[int, ...], float] = {}
+    coefficients: dict[tuple[int, ...], float] = {}
     for powers, coefficient in terms.items():
         for i, slope in enumerate(line):
             if slope:
                 raised = (*powers[:i], powers[i] + 1, *powers[i + 1 :])
-                found[raised] = found.get(raised, 0.0) + coefficient * slope
-    return found
+                coefficients[raised] = coefficients.get(raised, 0.0) + coefficient * slope
+    return coefficients

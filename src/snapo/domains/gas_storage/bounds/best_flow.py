@@ -45,24 +45,24 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
 def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray:
     """The value after the day less the worth of the gas at a price: [m, columns]."""
-    worth = np.multiply.outer(nodes, price)
-    return np.subtract(after, worth, out=worth)
+    value = np.multiply.outer(nodes, price)
+    return np.subtract(after, value, out=value)
 
 
 def _best_within(line: np.ndarray, reach: Reach, rows: int) -> np.ndarray:
     """[rows, columns] the most of a line, given on nodes and linear between them, within reach."""
     best = np.full((rows, line.shape[1]), -np.inf)
     levels = [line]
-    for k, chosen, first, last in reach.inside:
+    for k, selected, first, last in reach.inside:
         while len(levels) <= k:
             wide, step = levels[-1], 1 << (len(levels) - 1)
             levels.append(np.maximum(wide[:-step], wide[step:]))
-        best[chosen] = np.maximum(levels[k][first], levels[k][last]) if k else line[first]
-    for chosen, left, right, share in reach.ends:
-        found = line[right] - line[left]
-        found *= share
-        found += line[left]
-        best[chosen] = np.maximum(best[chosen], found)
+        best[selected] = np.maximum(levels[k][first], levels[k][last]) if k else line[first]
+    for selected, left, right, share in reach.ends:
+        result = line[right] - line[left]
+        result *= share
+        result += line[left]
+        best[selected] = np.maximum(best[selected], result)
     return best
 
 
@@ -70,11 +70,11 @@ def _exceed(excess, value, line, price, bends: Bends | None) -> None:
     """The most by which a bend of a cell lies above the chord of `value`, into `excess`."""
     if bends is None:
         return
-    found = value[bends.left] - value[bends.right]
-    found *= bends.share
-    found -= value[bends.left]
-    found += line[bends.target]
-    found += bends.keep * price
+    reduceat = value[bends.left] - value[bends.right]
+    reduceat *= bends.share
+    reduceat -= value[bends.left]
+    reduceat += line[bends.target]
+    reduceat += bends.keep * price
     if bends.starts is not None:
-        found = np.maximum.reduceat(found, bends.starts, axis=0)
-    excess[bends.cells] = np.maximum(excess[bends.cells], found)
+        reduceat = np.maximum.reduceat(reduceat, bends.starts, axis=0)
+    excess[bends.cells] = np.maximum(excess[bends.cells], reduceat)

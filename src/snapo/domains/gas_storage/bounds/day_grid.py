@@ -91,14 +91,14 @@ def day_grids(
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
     spacing = spacing_of(schedule, inventories)
-    most = int(BENDS * inventories)
-    ends = [_bent(each, most) for each in values_after(schedule, interpolation, low, high)]
+    maximum = int(BENDS * inventories)
+    endpoints = [_bent(item, maximum) for item in values_after(schedule, interpolation, low, high)]
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
     nodes = [inventory_nodes(low[0], high[0], spacing, levels[0])]
     for t in range(horizon):
         regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
-        nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
+        nodes.append(_joined(regular, endpoints[t], spacing, levels[t + 1]))
     return [
         one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)
     ]
@@ -117,13 +117,13 @@ def spacing_of(schedule, inventories: int) -> float:
     return float(rate / parts) if parts else spacing
 
 
-def _bent(line: Line, most: int) -> np.ndarray:
+def _bent(line: Line, maximum: int) -> np.ndarray:
     """Where a line bends most, at most so many of its inner breakpoints."""
     if len(line.at) < 3:
         return np.zeros(0)
     change = np.abs(np.diff(np.diff(line.value) / np.diff(line.at)))
-    chosen = np.argsort(-change, kind="stable")[:most]
-    return np.sort(line.at[1:-1][chosen[change[chosen] > SLIGHT * change.max()]])
+    selected = np.argsort(-change, kind="stable")[:maximum]
+    return np.sort(line.at[1:-1][selected[change[selected] > SLIGHT * change.max()]])
 
 
 def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np.ndarray:
@@ -157,18 +157,18 @@ def one_day(
 
 def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarray) -> Reach:
     """The nodes and the ends between `low` and `high`, where `valid`; all [n]."""
-    places = [np.interp(each, after, np.arange(len(after), dtype=float)) for each in (low, high)]
-    ends = []
-    for place in places:
-        whole = np.round(place)
-        between = valid & (np.abs(place - whole) > ON_NODE)
+    positions = [np.interp(item, after, np.arange(len(after), dtype=float)) for item in (low, high)]
+    endpoints = []
+    for position in positions:
+        complete = np.round(position)
+        between = valid & (np.abs(position - complete) > ON_NODE)
         rows = np.flatnonzero(between)
-        left = np.floor(place[rows]).astype(int)
+        left = np.floor(position[rows]).astype(int)
         if len(rows):
-            share = (place[rows] - left)[:, None]
-            ends.append((_rows(rows), _rows(left), _rows(left + 1), share))
-    first = np.ceil(places[0] - ON_NODE).astype(int)
-    last = np.floor(places[1] + ON_NODE).astype(int)
+            share = (position[rows] - left)[:, None]
+            endpoints.append((_rows(rows), _rows(left), _rows(left + 1), share))
+    first = np.ceil(positions[0] - ON_NODE).astype(int)
+    last = np.floor(positions[1] + ON_NODE).astype(int)
     count = np.where(valid, last - first + 1, 0)
     inside = []
     for k in range(int(np.max(count, initial=0)).bit_length()):
@@ -176,37 +176,39 @@ def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarr
         if len(rows):
             ending = last[rows] - (1 << k) + 1
             inside.append((k, _rows(rows), _rows(first[rows]), _rows(ending)))
-    return Reach(inside, ends)
+    return Reach(inside, endpoints)
 
 
 def _bends(schedule, day_rates: Rates, t: int, nodes, after) -> tuple[Bends | None, Bends | None]:
     """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
     keep, down, up = flow_ends(schedule, day_rates, t, nodes)
-    found = [_meetings(each, after) for each in (down, up, keep)]
-    cell, share, target = (np.concatenate(each) for each in zip(*found, strict=True))
+    meetings = [_meetings(item, after) for item in (down, up, keep)]
+    cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))
 
     def at(line: np.ndarray) -> np.ndarray:
         return (1 - share) * line[cell] + share * line[cell + 1] if len(nodes) > 1 else share
 
-    near, goal, kept = ON_NODE * volume_scale(schedule), after[target], at(keep)
+    near, goal, selected = ON_NODE * volume_scale(schedule), after[target], at(keep)
     possible = (goal >= at(down) - near) & (goal <= at(up) + near)
-    rising = goal >= kept
+    rising = goal >= selected
     order = np.argsort(cell, kind="stable")
-    table = cell, share, target, kept
+    table = cell, share, target, selected
     return tuple(  # pyright: ignore[reportReturnType]
-        _sorted(*(each[order[(possible & side)[order]]] for each in table))
+        _sorted(*(value[order[(possible & side)[order]]] for value in table))
         for side in (rising, ~rising)
     )
 
 
-def _meetings(ends: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _meetings(
+    endpoints: np.ndarray, after: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(cell, share, node) wherever a line through `ends` [n] crosses a node inside a cell."""
-    low, high = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+    low, high = np.minimum(endpoints[:-1], endpoints[1:]), np.maximum(endpoints[:-1], endpoints[1:])
     first = np.searchsorted(after, low, side="right")
     count = np.maximum(np.searchsorted(after, high, side="left") - first, 0)
     cell = np.repeat(np.arange(len(low)), count)
     node = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count) + first[cell]
-    share = (after[node] - ends[cell]) / (ends[cell + 1] - ends[cell])
+    share = (after[node] - endpoints[cell]) / (endpoints[cell + 1] - endpoints[cell])
     inner = (share > ON_NODE) & (share < 1 - ON_NODE)
     return cell[inner], share[inner], node[inner]
 
@@ -216,8 +218,8 @@ def _sorted(cell, share, target, keep) -> Bends | None:
         return None
     cells, starts = np.unique(cell, return_index=True)
     several = starts if len(cells) < len(cell) else None
-    places = _rows(cell), _rows(cell + 1), share[:, None], _rows(target)
-    return Bends(*places, keep[:, None], _rows(cells), several)
+    positions = _rows(cell), _rows(cell + 1), share[:, None], _rows(target)
+    return Bends(*positions, keep[:, None], _rows(cells), several)
 
 
 def _rows(numbers: np.ndarray) -> Rows:

@@ -32,19 +32,19 @@ class FittedMarginal(NamedTuple):
     shift: np.ndarray
 
 
-def fitted_marginal(schedule, fitted: FittedValue) -> FittedMarginal:
+def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
     """The table of a fitted value; beyond the inventories that it knows, the last slope goes on."""
-    basis, steps = fitted.basis, schedule.steps
+    basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
-    known = regression(basis)
+    available = regression(basis)
     size = len(basis.powers) + bool(basis.common)
     table = np.zeros((2, horizon, ROWS, size))
     for t in range(horizon):
-        nodes, drift = fitted.nodes[t + 1], known.day(t).drift
+        nodes, drift = fitted_value.nodes[t + 1], available.day(t).drift
         if nodes.size == 1:  # no choice of inventory: the spot is as good as any
             table[:, t, :, 0] = steps.gas_discount[t] * steps.forward[t]
             continue
-        sides = rows.slopes(t, partial(fitted.at, t + 1), nodes[0], nodes[-1])
+        sides = rows.slopes(t, partial(fitted_value.at, t + 1), nodes[0], nodes[-1])
         table[:, t] = [slope @ drift for slope in sides]
     linear = basis.linear()
     return FittedMarginal(rows.low, rows.high, *table, *(x[:horizon] for x in linear))

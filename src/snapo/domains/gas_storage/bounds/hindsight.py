@@ -34,16 +34,16 @@ class Hindsight:
         self,
         schedule,
         interpolation: Interpolation,
-        fitted: FittedValue | None,
+        fitted_value: FittedValue | None,
         inventories: int = INVENTORIES,
     ):
-        self.schedule, self.fitted = schedule, fitted
+        self.schedule, self.fitted = schedule, fitted_value
         self.days = day_grids(schedule, interpolation, inventories)
         grids = [day.nodes for day in self.days] + [self.days[-1].after]
         self.grids = grids
         self.coefficients = None
-        if fitted is not None:
-            self.coefficients = [fitted.at(t, nodes) for t, nodes in enumerate(grids)]
+        if fitted_value is not None:
+            self.coefficients = [fitted_value.at(t, nodes) for t, nodes in enumerate(grids)]
 
     def best(self, spots: np.ndarray, states: np.ndarray, scale: Scale = 1.0) -> np.ndarray:
         """[paths] the most that each path can earn, penalised.
@@ -64,19 +64,19 @@ class Hindsight:
 
         Where each inventory was decided without foresight.
         """
-        surprises = self._surprises(states, scale)
-        if surprises is None or self.coefficients is None:
+        innovations = self._surprises(states, scale)
+        if innovations is None or self.coefficients is None:
             return np.zeros(inventory.shape[1])
         total = np.zeros(inventory.shape[1])
         for nodes, table, moved, stock in zip(
-            self.grids, self.coefficients, surprises, inventory, strict=True
+            self.grids, self.coefficients, innovations, inventory, strict=True
         ):
-            place = np.interp(stock, nodes, np.arange(len(nodes), dtype=float))
-            left = np.clip(place.astype(int), 0, max(len(nodes) - 2, 0))
-            share = (place - left)[:, None]
+            position = np.interp(stock, nodes, np.arange(len(nodes), dtype=float))
+            left = np.clip(position.astype(int), 0, max(len(nodes) - 2, 0))
+            share = (position - left)[:, None]
             right = np.minimum(left + 1, len(nodes) - 1)
-            found = table[left] * (1 - share) + table[right] * share
-            total += np.einsum("pk,kp->p", found, moved)
+            result = table[left] * (1 - share) + table[right] * share
+            total += np.einsum("pk,kp->p", result, moved)
         return total
 
     def _surprises(self, states: np.ndarray, scale: Scale) -> np.ndarray | None:
@@ -86,15 +86,15 @@ class Hindsight:
         moved = self.fitted.basis.increments(states)
         return moved * np.broadcast_to(scale, moved.shape[1])[:, None]
 
-    def _solve(self, spots: np.ndarray, surprises: np.ndarray | None) -> np.ndarray:
+    def _solve(self, spots: np.ndarray, innovations: np.ndarray | None) -> np.ndarray:
         schedule, horizon = self.schedule, len(self.days)
         value = end_value(schedule, self.days[-1].after[:, None], spots[horizon])
         for t in reversed(range(horizon)):
             day: DayGrid = self.days[t]
-            if surprises is not None and self.coefficients is not None:
-                value -= product(self.coefficients[t + 1], surprises[t + 1])
+            if innovations is not None and self.coefficients is not None:
+                value -= product(self.coefficients[t + 1], innovations[t + 1])
             prices = unit_prices(schedule, t, spots[t])
             value = best_value(day, prices, value, above=True)
-        if surprises is not None and self.coefficients is not None:
-            value -= self.coefficients[0] @ surprises[0]
+        if innovations is not None and self.coefficients is not None:
+            value -= self.coefficients[0] @ innovations[0]
         return value[0]

@@ -10,8 +10,8 @@ def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     wide = max(MOST // max(left.size, 1), 1)
     if right.shape[1] <= wide:
         return left @ right
-    found = np.empty((len(left), right.shape[1]))
+    result = np.empty((len(left), right.shape[1]))
     for first in range(0, right.shape[1], wide):
         block = slice(first, first + wide)
-        np.matmul(left, right[:, block], out=found[:, block])
-    return found
+        np.matmul(left, right[:, block], out=result[:, block])
+    return result

@@ -13,18 +13,18 @@ class Recent(Generic[T]):
     for the same ones again and again.
     """
 
-    def __init__(self, most: int):
-        self._most = most
+    def __init__(self, maximum: int):
+        self._most = maximum
         self._known: tuple[tuple[Hashable, T], ...] = ()
 
     def of(self, key: Hashable, make: Callable[[], T]) -> T:
         """The result for this key, made where it is not among the last."""
-        others = tuple(each for each in self._known if each[0] != key)
-        found = next((result for known, result in self._known if known == key), None)
-        if found is None:
-            found = make()
-        self._known = ((key, found), *others)[: self._most]
-        return found
+        others = tuple(item for item in self._known if item[0] != key)
+        results = next((result for available, result in self._known if available == key), None)
+        if results is None:
+            results = make()
+        self._known = ((key, results), *others)[: self._most]
+        return results
 
     def clear(self) -> None:
         """Forgets all."""

@@ -56,24 +56,24 @@ class Regression:
 
     def day(self, t: int) -> Day:
         """The regression on day t."""
-        found = self._days.get(t)
-        if found is None:
-            found = self._made(t)
+        day = self._days.get(t)
+        if day is None:
+            day = self._made(t)
             if self._keeps:
-                self._days[t] = found
-        return found
+                self._days[t] = day
+        return day
 
     def noise(self, t: int) -> np.ndarray:
         """Spot over forward price [Q] on day t."""
-        found = self._noises.get(t)
-        if found is None:
+        noise = self._noises.get(t)
+        if noise is None:
             of, basis = self.basis.of, self.basis
             log = of.loading[t][list(basis.kept)] @ basis.back(t) @ self.y
             log += basis.level_deviation(t) * self.level * bool(basis.common)
-            found = np.exp(log - of.variance[t] / 2)
+            noise = np.exp(log - of.variance[t] / 2)
             if self._keeps:
-                self._noises[t] = found
-        return found
+                self._noises[t] = noise
+        return noise
 
     @cached_property
     def _polynomials(self) -> np.ndarray:
@@ -111,14 +111,14 @@ def regression(basis: Basis) -> Regression:
 def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened factors [kept, Q], standardised ln g [Q], and weights of the regression [Q]."""
     levels = LEVELS if basis.common else 1
-    kept = len(basis.kept)
-    if kept not in COUNTS:
-        points = qmc.Sobol(kept + 1, rng=np.random.default_rng(0)).random(POINTS).T
+    selected = len(basis.kept)
+    if selected not in COUNTS:
+        points = qmc.Sobol(selected + 1, rng=np.random.default_rng(0)).random(POINTS).T
         z = ndtri(np.clip(points, 2.0**-31, 1 - 2.0**-31))
-        return z[:kept], z[kept] * bool(basis.common), np.ones(POINTS)
-    fast = np.linspace(-REACH, REACH, ALONE if kept == 1 else FAST)
+        return z[:selected], z[selected] * bool(basis.common), np.ones(POINTS)
+    fast = np.linspace(-REACH, REACH, ALONE if selected == 1 else FAST)
     grids = [(fast, np.exp(-(fast**2) / 2))]
-    grids += [_gauss_hermite(count) for count in (*COUNTS[kept], levels)]
+    grids += [_gauss_hermite(count) for count in (*COUNTS[selected], levels)]
     axes = np.meshgrid(*(grid[0] for grid in grids), indexing="ij")
     mass = np.meshgrid(*(grid[1] for grid in grids), indexing="ij")
     z = np.stack([axis.ravel() for axis in axes])
@@ -130,13 +130,13 @@ def _gauss_hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
     return points, weights / weights.sum()
 
 
-def scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.ndarray:
+def scaled(basis: Basis, t: int, result: np.ndarray, level: np.ndarray) -> np.ndarray:
     """[K, Q] functions from their polynomials."""
     if not basis.common:
-        return found
+        return result
     deviation = basis.level_deviation(t)
     scale = np.exp(deviation * level - deviation**2 / 2)
-    return np.concatenate([scale * found, np.ones((1, found.shape[1]))])
+    return np.concatenate([scale * result, np.ones((1, result.shape[1]))])
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:

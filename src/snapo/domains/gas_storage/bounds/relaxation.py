@@ -37,17 +37,17 @@ class StoreRelaxation:
     def words(self) -> str:
         return "the surprises of a fitted value of the store"
 
-    def best(self, rolled, draws, scale: np.ndarray) -> np.ndarray:
-        states = self._path(rolled, "price")
+    def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
+        states = self._path(rollout, "price")
         return self.inner.best(self._spots(states), self._factors(states), self._scales(scale))
 
-    def charged(self, rolled, draws, scale: np.ndarray) -> np.ndarray:
-        states, inventory = self._path(rolled, "price"), self._path(rolled, "inventory")
+    def charged(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
+        states, inventory = self._path(rollout, "price"), self._path(rollout, "inventory")
         return self.inner.charged(inventory, self._factors(states), self._scales(scale))
 
-    def _path(self, rolled, name: str):
+    def _path(self, rollout, name: str):
         """A part of the state on the T days and on the end date, leaves [T + 1, N, …]."""
-        days, end = getattr(rolled.record["state"], name), getattr(rolled.state, name)
+        days, end = getattr(rollout.record["state"], name), getattr(rollout.state, name)
         return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
 
     def _spots(self, states) -> np.ndarray:
@@ -60,8 +60,8 @@ class StoreRelaxation:
     def _factors(self, states) -> np.ndarray:
         """[T + 1, F, N] the price factors of the penalty."""
         with jax.enable_x64(True):
-            found = jax.vmap(jax.vmap(self.process.gaussian))(states)
-        return np.ascontiguousarray(np.moveaxis(np.asarray(found), 1, 2))
+            result = jax.vmap(jax.vmap(self.process.gaussian))(states)
+        return np.ascontiguousarray(np.moveaxis(np.asarray(result), 1, 2))
 
     def _scales(self, scale: np.ndarray) -> Scale:
         """The scale of each function of the basis, from those of the penalty's parts."""

@@ -36,13 +36,17 @@ class SurpriseTable(NamedTuple):
     shift: np.ndarray
 
 
-def surprises(fitted: FittedValue, levels: int = LEVELS) -> SurpriseTable:
+def surprises(fitted_value: FittedValue, levels: int = LEVELS) -> SurpriseTable:
     """The table of a fitted value."""
-    basis, dates, known = fitted.basis, len(fitted.nodes), regression(fitted.basis)
-    low, high = (np.array([nodes[end] for nodes in fitted.nodes]) for end in (0, -1))
+    basis, dates, available = (
+        fitted_value.basis,
+        len(fitted_value.nodes),
+        regression(fitted_value.basis),
+    )
+    low, high = (np.array([nodes[end] for nodes in fitted_value.nodes]) for end in (0, -1))
     now = np.stack(
         [
-            fitted.at(t, np.linspace(low[t], high[t], levels)) @ known.day(t).plain
+            fitted_value.at(t, np.linspace(low[t], high[t], levels)) @ available.day(t).plain
             for t in range(dates)
         ]
     )

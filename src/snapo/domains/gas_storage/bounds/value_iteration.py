@@ -40,7 +40,7 @@ def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayG
     spacing = spacing_of(schedule, inventories)
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
-    nodes = [inventory_nodes(*each[:2], spacing, each[2]) for each in zip(low, high, levels)]
+    nodes = [inventory_nodes(*level[:2], spacing, level[2]) for level in zip(low, high, levels)]
     return [
         one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends=False)
         for t in range(horizon)
@@ -106,17 +106,20 @@ def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedVa
     steps, constants = schedule.steps, schedule.constants
     horizon = len(days)
     basis = gaussian_basis(factors, constants.end_fraction != 0)
-    known = regression(basis)
+    available = regression(basis)
     nodes = [day.nodes for day in days] + [days[-1].after]
-    spot = constants.end_forward * known.noise(horizon)
+    spot = constants.end_forward * available.noise(horizon)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
-        coefficients[t] = product(known.day(t).fit, value.T).T
+        coefficients[t] = product(available.day(t).fit, value.T).T
         if t:
-            prices = unit_prices(schedule, t - 1, steps.forward[t - 1] * known.noise(t - 1))
+            prices = unit_prices(schedule, t - 1, steps.forward[t - 1] * available.noise(t - 1))
             value = best_value(
-                days[t - 1], prices, product(coefficients[t], known.day(t - 1).ahead), above=False
+                days[t - 1],
+                prices,
+                product(coefficients[t], available.day(t - 1).ahead),
+                above=False,
             )
     return FittedValue(basis, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
 
@@ -125,7 +128,7 @@ def interpolated(nodes: np.ndarray, table: np.ndarray, points: np.ndarray) -> np
     """Rows of a table [m, K] at points [n]: linear between rising nodes [m], flat outside."""
     if nodes.size == 1:
         return np.broadcast_to(table, (len(points), table.shape[1]))
-    place = np.interp(points, nodes, np.arange(nodes.size, dtype=float))
-    left = np.minimum(place.astype(int), nodes.size - 2)
-    share = (place - left)[:, None]
+    position = np.interp(points, nodes, np.arange(nodes.size, dtype=float))
+    left = np.minimum(position.astype(int), nodes.size - 2)
+    share = (position - left)[:, None]
     return (1 - share) * table[left] + share * table[left + 1]

@@ -100,9 +100,9 @@ def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, 
         facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
     facts += evidence.gradient(run)
     if (sums := result.homogeneity) is not None:
-        places = decimals([sums.left, sums.right])
-        note = f"value + costs: {run.money(sums.right, places)}; difference {power(sums.error)}"
-        facts.append(("Σ forward × delta", run.money(sums.left, places), note))
+        digits = decimals([sums.left, sums.right])
+        note = f"value + costs: {run.money(sums.right, digits)}; difference {power(sums.error)}"
+        facts.append(("Σ forward × delta", run.money(sums.left, digits), note))
     facts += [
         (f"Control variate: {key.replace('_', ' ')}", number(share), "")
         for key, share in result.control_variate.items()

@@ -197,21 +197,21 @@ def _month_labels(months: Sequence[str]) -> list[str]:
 
 def _month_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
     summed = ("undiscounted", "intrinsic", "moved", "discounted", "smooth")
-    places = decimals([getattr(x, name) for x in months for name in summed], 4)
+    digits = decimals([getattr(x, name) for x in months for name in summed], 4)
     rows = [
         (
             long_month(x.month),
             x.hedge,
-            *(number(v, places) for v in (x.undiscounted, x.undiscounted_low, x.undiscounted_high)),
-            number(x.intrinsic, places),
-            number(x.moved, places, sign=True),
-            number(x.discounted, places),
-            *(number(v, max(places, 1)) for v in (x.sampling, x.policy)),
-            number(x.smooth, places),
+            *(number(v, digits) for v in (x.undiscounted, x.undiscounted_low, x.undiscounted_high)),
+            number(x.intrinsic, digits),
+            number(x.moved, digits, sign=True),
+            number(x.discounted, digits),
+            *(number(v, max(digits, 1)) for v in (x.sampling, x.policy)),
+            number(x.smooth, digits),
         )
         for x in months
     ]
-    total = {name: number(np.nansum([getattr(x, name) for x in months]), places) for name in summed}
+    total = {name: number(np.nansum([getattr(x, name) for x in months]), digits) for name in summed}
     rows.append(("All months", "", total["undiscounted"], "", "", total["intrinsic"], "",
                  total["discounted"], "", "", ""))  # fmt: skip
     names = ("Delta", "95 % low", "high", "Intrinsic", "Moved", "Discounted", "± sampling",

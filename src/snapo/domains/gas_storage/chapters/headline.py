@@ -30,12 +30,12 @@ def headline(run: StorageRun) -> Section:
         status = run.result.get("status") or "unknown"
         sentence = f"There is no value in result.json (status: {status})."
         return Section("headline", "Value and decision", "", [Missing(sentence)])
-    places, position = decimals([value]), POSITION.of(run) or Position()
+    digits, position = decimals([value]), POSITION.of(run) or Position()
     now = position.today or FirstDecision()
     block = Headline(
         label="Value of the contract",
-        value=run.money(value, places),
-        error=plus_minus(error, places),
+        value=run.money(value, digits),
+        error=plus_minus(error, digits),
         note=_error_note(value, error),
         action=_verb(run, now) if now.action else "",
         sentence=_sentence(run, now) if now.action else "",
@@ -46,28 +46,28 @@ def headline(run: StorageRun) -> Section:
     blocks: list[Block] = [block, *notes(run)]
     if not now.action:
         blocks.append(lacking(run, POSITION.name))
-    if facts := _facts(run, value, places, position.cycles, now):
+    if facts := _facts(run, value, digits, position.cycles, now):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)
 
 
 def _error_note(value: float, error) -> str:
-    known = finite(error)
+    available = finite(error)
     text = "exact contract on fresh scenarios, present value"
-    if known is None:
+    if available is None:
         return f"{text[0].upper()}{text[1:]}."
-    share = f" ({part_of(known / abs(value))} of the value)" if value else ""
+    share = f" ({part_of(available / abs(value))} of the value)" if value else ""
     return f"± one standard error{share}; {text}."
 
 
 def _marks(run: StorageRun) -> list[Mark]:
-    found = checks(run)
-    failed = [name for name, passed in found if not passed]
-    if not found:
+    result = checks(run)
+    failed = [name for name, passed in result if not passed]
+    if not result:
         return []
     if failed:
-        return [Mark(False, f"{len(failed)} of {len(found)} checks fail; see the certificate")]
-    return [Mark(True, f"all {len(found)} checks of the certificate hold")]
+        return [Mark(False, f"{len(failed)} of {len(result)} checks fail; see the certificate")]
+    return [Mark(True, f"all {len(result)} checks of the certificate hold")]
 
 
 def _when(run: StorageRun, now: FirstDecision) -> str:
@@ -85,14 +85,14 @@ def _sentence(run: StorageRun, now: FirstDecision) -> str:
     """ "25 April 2021: spot is 16.61, above the withdrawal trigger of 16.20 …"."""
     price = run.price
     spot, low, high = (finite(x) for x in (now.spot, now.inject_below, now.withdraw_above))
-    places = _price_places([spot, low, high])
+    digits = _price_places([spot, low, high])
     limits = []
     if low is not None:
-        limits.append(f"inject below {quantity(low, price, places)}")
+        limits.append(f"inject below {quantity(low, price, digits)}")
     if high is not None:
-        limits.append(f"withdraw above {quantity(high, price, places)}")
+        limits.append(f"withdraw above {quantity(high, price, digits)}")
     rule = ", ".join(limits) + (" and hold between" if len(limits) == 2 else "")
-    start = f"{long_date(now.date)}: the spot price is {quantity(spot, price, places)}"
+    start = f"{long_date(now.date)}: the spot price is {quantity(spot, price, digits)}"
     store = finite(now.inventory)
     start += f" with {run.gas(store)} in store." if store is not None else "."
     return f"{start} The rule at this inventory: {rule}." if rule else start
@@ -104,14 +104,14 @@ def _price_places(prices) -> int:
 
 
 def _facts(
-    run: StorageRun, value: float, places: int, cycles: Cycles, now: FirstDecision
+    run: StorageRun, value: float, digits: int, cycles: Cycles, now: FirstDecision
 ) -> list[tuple[str, str, str]]:
     facts = []
     intrinsic = finite((run.result.get("references") or {}).get("intrinsic"))
     if intrinsic is not None:
-        facts.append(("Intrinsic value", run.money(intrinsic, places), "locked in today"))
+        facts.append(("Intrinsic value", run.money(intrinsic, digits), "locked in today"))
         share = f"{percent((value - intrinsic) / value)} of the value" if value else ""
-        facts.append(("Extrinsic value", run.money(value - intrinsic, places), share))
+        facts.append(("Extrinsic value", run.money(value - intrinsic, digits), share))
     values = VALUES.of(run)
     if values is not None and (fee := finite(values.break_even_fee)) is not None:
         note = f"per {run.volume} of working volume"

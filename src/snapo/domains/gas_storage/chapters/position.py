@@ -186,12 +186,14 @@ def inventory(run: StorageRun) -> Section:
     if position is None or days is None or not position.inventory.mean.size:
         return Section("inventory", title, short, [lacking(run, POSITION.name)])
     mean, when, flow = position.inventory.mean, date_numbers(days), position.flow.mean
-    ends = np.append(when, when[-1] + 1)[: len(mean)]  # [T + 1]: every day's start, and the end
+    endpoints = np.append(when, when[-1] + 1)[
+        : len(mean)
+    ]  # [T + 1]: every day's start, and the end
     low, high = (x if x.size else None for x in (position.inventory.p05, position.inventory.p95))
     reach, limits = (x.until(len(mean)) for x in (position.reachable, position.limits))
 
     def paint(stock, daily=None):
-        charts.fan(stock, ends, mean, low, high, run.volume, reach=reach, limits=limits)
+        charts.fan(stock, endpoints, mean, low, high, run.volume, reach=reach, limits=limits)
         if daily is not None:
             # Withdrawals point up, as they earn; the run counts injections as positive.
             names = ("Withdrawal, mean", "Injection, mean")

@@ -94,8 +94,8 @@ class _Replay:
 
     def value(self, shifts: dict[str, float]) -> float:
         """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
-        named = self.problem.named
-        values = {name: named[name].value + shift for name, shift in shifts.items()}
+        by_name = self.problem.named
+        values = {name: by_name[name].value + shift for name, shift in shifts.items()}
         if any(np.any(value < 0) for value in values.values()):
             return float("nan")
         moved = self.problem.at(values)
@@ -125,9 +125,9 @@ def _vegas(run: StorageRun) -> Table | Missing:
     lines = run.group(*MODEL)
     if not lines:
         return Missing("Vegas are not in this run (supplied price paths have no model numbers).")
-    many = {name for name, count in Counter(each.input for each in lines).items() if count > 12}
-    rows = [_row(run, [each]) for each in lines if each.input not in many]
-    rows += [_row(run, [each for each in lines if each.input == name]) for name in sorted(many)]
+    many = {name for name, count in Counter(line.input for line in lines).items() if count > 12}
+    rows = [_row(run, [item]) for item in lines if item.input not in many]
+    rows += [_row(run, [entry for entry in lines if entry.input == name]) for name in sorted(many)]
     return _moves(run, rows, "Vegas: sensitivity to the price model")
 
 
@@ -136,21 +136,21 @@ def show(run: StorageRun, result: ShadowPrices) -> Sequence[Block]:
     prices = result.shadow_prices
     if not prices:
         return [lacking(run, SHADOW_PRICES.name)]
-    places = decimals([x for price in prices for x in (price.up, price.down)], 4)
+    digits = decimals([x for price in prices for x in (price.up, price.down)], 4)
     columns = (
         Column("Capacity", lambda price: price.name.capitalize()), Column("Unit", "unit"),
         Column("One more is worth", "up", run.currency, sign=True),
         Column("One less costs", "down", run.currency, sign=True),
     )  # fmt: skip
-    return [table(prices, columns, "Shadow prices of volume and capacity", places=places)]
+    return [table(prices, columns, "Shadow prices of volume and capacity", places=digits)]
 
 
 def _others(run: StorageRun) -> Table | None:
     """Parallel shifts: the sensitivities of an input summed over its labels."""
     groups: dict[str, list[Sensitivity]] = defaultdict(list)
-    for each in run.sensitivities:
-        if run.said(each.input).group not in (CURVE, *MODEL):
-            groups[each.input].append(each)
+    for sensitivity in run.sensitivities:
+        if run.said(sensitivity.input).group not in (CURVE, *MODEL):
+            groups[sensitivity.input].append(sensitivity)
     if not groups:
         return None
     rows = [_row(run, members) for members in groups.values()]
@@ -166,23 +166,30 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     out. Where there is one, it tells how many digits mean anything.
     """
     first = members[0]
-    said = run.said(first.input, first.unit)
-    total, error = said.move * math.fsum(each.value or 0.0 for each in members), None
+    metadata = run.said(first.input, first.unit)
+    total, error = metadata.move * math.fsum(member.value or 0.0 for member in members), None
     if len(members) == 1 and first.low is not None and first.high is not None:
-        error = said.move * (first.high - first.low) / 2
-    label, move = first.label if len(members) == 1 else "", _move(said)
+        error = metadata.move * (first.high - first.low) / 2
+    label, move = first.label if len(members) == 1 else "", _move(metadata)
     if len(members) > 1:
         move = f"{move}, all {len(members)} numbers together"
-    places = min(decimals([error], 2) if error else decimals([total], 4), 6)
-    change = number(total, places, True)
-    return (said.title(label), said.words, move, change, plus_minus(error, places), first.source)
+    digits = min(decimals([error], 2) if error else decimals([total], 4), 6)
+    change = number(total, digits, True)
+    return (
+        metadata.title(label),
+        metadata.words,
+        move,
+        change,
+        plus_minus(error, digits),
+        first.source,
+    )
 
 
-def _move(said: Said) -> str:
+def _move(metadata: Said) -> str:
     """ "1 volatility point", "10 bp", "0.01 EUR/MWh", "1 per year"."""
-    if said.trade_unit.startswith("1/"):
-        return f"{said.trade_move:.6g} per {said.trade_unit[2:]}"
-    return f"{said.trade_move:.6g} {said.trade_unit}"
+    if metadata.trade_unit.startswith("1/"):
+        return f"{metadata.trade_move:.6g} per {metadata.trade_unit[2:]}"
+    return f"{metadata.trade_move:.6g} {metadata.trade_unit}"
 
 
 def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
@@ -203,21 +210,21 @@ def sliders(run: StorageRun) -> Section:
         ("Model and rates", _model_sliders(run)),
         ("Delivery months", months),
     )
-    found = [(name, each) for name, each in groups if each]
-    if value is None or not found:
+    results = [(name, item) for name, item in groups if item]
+    if value is None or not results:
         text = "Without a value and stored sensitivities there is nothing to move to first order."
         return Section("what-if", title, short, [Missing(text)])
     caveat = CAVEAT.format(bound=BOUND if run.get("objective", "mean") == "mean" else "")
-    block = Sliders(value, run.currency, decimals([value]), found, caveat)
+    block = Sliders(value, run.currency, decimals([value]), results, caveat)
     return Section("what-if", title, short, [block])
 
 
 def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
     """The whole curve; its delivery months, or quarters where there are many months."""
     months: dict[str, float] = defaultdict(float)
-    for each in run.sensitivities:
-        if run.said(each.input).group == CURVE:
-            months[long_month(each.label)] += each.value or 0.0
+    for sensitivity in run.sensitivities:
+        if run.said(sensitivity.input).group == CURVE:
+            months[long_month(sensitivity.label)] += sensitivity.value or 0.0
     if not months:
         return [], []
     if len(months) > 18:
@@ -226,9 +233,9 @@ def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
     level = 1.0 if prices is None else float(np.nanmean(np.abs(prices)))
     span = _round(0.15 * level)
     shape = {"unit": run.price, "span": span, "step": span / 50, "places": decimals([span / 50], 1)}
-    whole = Slider("Whole curve", slope=math.fsum(months.values()), **shape)
+    complete = Slider("Whole curve", slope=math.fsum(months.values()), **shape)
     parts = [Slider(month, slope=slope, **shape) for month, slope in months.items()]
-    return [whole], parts if len(parts) > 1 else []
+    return [complete], parts if len(parts) > 1 else []
 
 
 def _quarters(months: dict[str, float]) -> dict[str, float]:
@@ -244,24 +251,26 @@ def _quarters(months: dict[str, float]) -> dict[str, float]:
 def _model_sliders(run: StorageRun) -> list[Slider]:
     """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
-    for each in run.group("volatility", RATE):
-        by_name = run.said(each.input).group != RATE and len(each.label) < 10  # no delivery day
-        totals[each.input, each.label if by_name else ""] += each.value or 0.0
+    for item in run.group("volatility", RATE):
+        by_name = run.said(item.input).group != RATE and len(item.label) < 10  # no delivery day
+        totals[item.input, item.label if by_name else ""] += item.value or 0.0
     return [_slider(run.said(name), label, slope) for (name, label), slope in totals.items()]
 
 
-def _slider(said: Said, label: str, slope: float) -> Slider:
+def _slider(metadata: Said, label: str, slope: float) -> Slider:
     """A slider over ten usual moves to either side; `slope` is per unit of the input."""
-    span = SPAN * said.trade_move
+    span = SPAN * metadata.trade_move
     step = span / 20
-    slope *= said.move / said.trade_move
-    return Slider(said.title(label), said.trade_unit, slope, span, step, decimals([step], 1))
+    slope *= metadata.move / metadata.trade_move
+    return Slider(
+        metadata.title(label), metadata.trade_unit, slope, span, step, decimals([step], 1)
+    )
 
 
 def _round(size: float) -> float:
     """The nearest number of the series 1, 2, 5, 10 …"""
     scale = 10.0 ** math.floor(math.log10(size)) if size > 0 else 1.0
-    return scale * min((1.0, 2.0, 5.0, 10.0), key=lambda each: abs(size / scale - each))
+    return scale * min((1.0, 2.0, 5.0, 10.0), key=lambda item: abs(size / scale - item))
 
 
 SHADOW_PRICES = Chapter("shadow prices", "Shadow prices", ShadowPrices, measure, show)

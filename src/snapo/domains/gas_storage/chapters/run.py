@@ -27,8 +27,8 @@ class Said:
 
     def title(self, label: str = "") -> str:
         """The name for a table, "Spot volatility", with the label of one number."""
-        words = self.name.replace("_", " ").replace(".", " ").strip().capitalize()
-        return f"{words}, {label}" if label else words
+        text = self.name.replace("_", " ").replace(".", " ").strip().capitalize()
+        return f"{text}, {label}" if label else text
 
 
 @dataclass(frozen=True)
@@ -37,21 +37,25 @@ class StorageRun(Folder):
 
     def said(self, name: str, unit: str = "") -> Said:
         """All that the input `name` says about itself; a move of one unit where it says nothing."""
-        found = self.get("inputs", {}).get(name, {})
-        move, factor = found.get("move") or 1.0, found.get("trade_factor") or 1.0
+        result = self.get("inputs", {}).get(name, {})
+        move, factor = result.get("move") or 1.0, result.get("trade_factor") or 1.0
         plain = unit if unit not in ("", "1") else "unit"
         return Said(
             name,
-            str(found.get("words") or ""),
-            str(found.get("group") or ""),
+            str(result.get("words") or ""),
+            str(result.get("group") or ""),
             float(move),
             float(move * factor),
-            str(found.get("trade_unit") or plain),
+            str(result.get("trade_unit") or plain),
         )
 
     def group(self, *groups: str) -> list[Sensitivity]:
         """The sensitivities to inputs of these families."""
-        return [each for each in self.sensitivities if self.said(each.input).group in groups]
+        return [
+            sensitivity
+            for sensitivity in self.sensitivities
+            if self.said(sensitivity.input).group in groups
+        ]
 
     @property
     def days(self) -> list[str] | None:
@@ -73,5 +77,5 @@ class StorageRun(Folder):
         """The unit of a flow, "MWh/day"."""
         return f"{self.volume}/day"
 
-    def gas(self, value: Any, places: int | None = None) -> str:
-        return quantity(value, self.volume, places)
+    def gas(self, value: Any, digits: int | None = None) -> str:
+        return quantity(value, self.volume, digits)

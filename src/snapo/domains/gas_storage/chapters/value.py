@@ -135,8 +135,8 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         ladder.append(ContractValue("Dynamic programming", exact, None, note))
     if (bounds := BOUND.of(run)) is not None:
         note = "hindsight with a penalty: no policy earns more"
-        if little := bounds.says_little:
-            note = f"{note}; {little}"
+        if small := bounds.says_little:
+            note = f"{note}; {small}"
         above = bounds.upper
         ladder.append(ContractValue("Upper bound", above.value, above.standard_error, note))
     if fees := run.get("fixed_costs"):
@@ -166,7 +166,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
     values = result.known
     if not values:
         return [lacking(run, VALUES.name)]
-    places, bars = decimals([x.value for x in values]), rungs(run, values)
+    digits, bars = decimals([x.value for x in values]), rungs(run, values)
     alt = "Horizontal bars. " + "; ".join(f"{bar.name}: {bar.text}" for bar in bars) + "."
     svg = draw("ladder", alt, lambda axes: charts.ladder(axes, bars), 28 + 27 * len(bars))
     caption = (
@@ -174,7 +174,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
         " policy that can be followed is a lower bound of the optimum."
     )
     rows = [
-        (x.name, x.note, number(x.value, places), plus_minus(x.standard_error, places))
+        (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))
         for x in values
     ]
     strong = frozenset(i for i, bar in enumerate(bars) if bar.strong)
@@ -187,11 +187,11 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
 
 def rungs(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.Rung]:
     """The bars of the ladder; that of the headline's value is set apart."""
-    places, headline = decimals([x.value for x in values]), finite(run.result.get("value"))
+    digits, headline = decimals([x.value for x in values]), finite(run.result.get("value"))
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [
         charts.Rung(
-            x.name, x.value, run.worth(x.value, x.standard_error, places), x.standard_error,
+            x.name, x.value, run.worth(x.value, x.standard_error, digits), x.standard_error,
             i == strong,
         )
         for i, x in enumerate(values)
@@ -208,17 +208,17 @@ def cash_flow(run: StorageRun) -> Section:
     quantiles = {float(q): x for q, x in cash.quantiles.items() if np.isfinite(x)}
     marks = [("mean", cash.mean)] if np.isfinite(cash.mean) else []
     marks += [(f"{q:g} %", x) for q, x in quantiles.items() if q in (5, 95, 1, 99)]
-    places, facts = decimals(cash.edges), []
+    digits, facts = decimals(cash.edges), []
     if np.isfinite(cash.mean):
         spread = cash.standard_deviation
-        note = f"±{SPACE}{number(spread, places)} standard deviation" if spread == spread else ""
-        facts.append(("Mean", run.money(cash.mean, places), note))
+        note = f"±{SPACE}{number(spread, digits)} standard deviation" if spread == spread else ""
+        facts.append(("Mean", run.money(cash.mean, digits), note))
     names = {1: "1 % quantile", 5: "5 % quantile", 50: "Median", 95: "95 % quantile"}
     facts += [
-        (name, run.money(quantiles[q], places), "") for q, name in names.items() if q in quantiles
+        (name, run.money(quantiles[q], digits), "") for q, name in names.items() if q in quantiles
     ]
     alt = "Histogram of the total cash flow per path. " + "; ".join(
-        f"{text}: {run.money(x, places)}" for text, x in marks
+        f"{text}: {run.money(x, digits)}" for text, x in marks
     )
     unit = f"Total discounted cash flow, {run.currency}" if run.currency else "Total cash flow"
     svg = draw(

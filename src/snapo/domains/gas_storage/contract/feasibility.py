@@ -58,11 +58,11 @@ def check_feasible(case: StorageCase) -> None:
     """Raises `CaseError` with the first date and constraint that no decisions can keep."""
     forced = case.contract.min_injection.used(), case.contract.min_withdrawal.used()
     for t in np.flatnonzero((forced[0] > 0) & (forced[1] > 0))[:1]:
-        what = (
+        message = (
             f"on {case.days[t]} an injection of {forced[0][t]:g} and a withdrawal of "
             f"{forced[1][t]:g} are both forced, and a day has one or the other"
         )
-        raise _error(case, "min_injection", float(forced[0][t]), what)
+        raise _error(case, "min_injection", float(forced[0][t]), message)
     attainable(case)
 
 
@@ -128,11 +128,11 @@ def _pieces(day: Day, interval: Interval) -> Iterator[tuple[Corner, Corner]]:
 def _moves(day: Day, interval: Interval, tolerance: float) -> Iterator[Interval]:
     """Where the inventory can be at the end of the day, from anywhere in `interval`."""
     for piece in _pieces(day, interval):
-        kept = _able(day, piece, tolerance)
-        if kept is None:
+        selected = _able(day, piece, tolerance)
+        if selected is None:
             continue
-        ends = []
-        for corner in kept:
+        endpoints = []
+        for corner in selected:
             keep = corner.level * (1 - day.loss)
             # Rates that fall short of a forced flow by rounding do not turn the interval round.
             lowest = -max(corner.withdrawal, day.min_withdrawal)
@@ -141,8 +141,8 @@ def _moves(day: Day, interval: Interval, tolerance: float) -> Iterator[Interval]
                 lowest = day.min_injection
             if day.min_withdrawal > 0:
                 highest = -day.min_withdrawal
-            ends.append((keep + lowest, keep + highest))
-        yield min(end[0] for end in ends), max(end[1] for end in ends)
+            endpoints.append((keep + lowest, keep + highest))
+        yield min(end[0] for end in endpoints), max(end[1] for end in endpoints)
 
 
 def _able(day: Day, piece: tuple[Corner, Corner], tolerance: float):
@@ -190,31 +190,31 @@ def _start(case: StorageCase) -> list[Interval]:
     low = float(case.contract.min_inventory.used()[0])
     high = float(case.contract.max_inventory.used()[0])
     if not low <= inventory <= high:
-        what = f"on {_date(case, 0)} the limits allow {low:g} to {high:g}"
-        raise _error(case, "inventory", inventory, what)
+        message = f"on {_date(case, 0)} the limits allow {low:g} to {high:g}"
+        raise _error(case, "inventory", inventory, message)
     return [(inventory, inventory)]
 
 
 def _within_limits(case: StorageCase, t: int, moved: list[Interval], tolerance: float):
     low = float(case.contract.min_inventory.used()[t])
     high = float(case.contract.max_inventory.used()[t])
-    kept = [
+    selected = [
         (min(max(left, low), high), max(min(right, high), low))
         for left, right in moved
         if right >= low - tolerance and left <= high + tolerance
     ]
-    if kept:
-        return kept
-    most, least, date = moved[-1][1], moved[0][0], _date(case, t)
-    if most < low:
-        what = f"this cannot be met on {date}: by then at most {most:.10g} can be in store"
-        raise _error(case, "min_inventory", low, what)
-    if least > high:
-        what = f"this cannot be met on {date}: by then at least {least:.10g} is in store"
-        raise _error(case, "max_inventory", high, what)
-    words = _words(moved)
-    what = f"with min_inventory {low:g} this cannot be met on {date}: in store will be {words}"
-    raise _error(case, "max_inventory", high, what)
+    if selected:
+        return selected
+    maximum, minimum, date = moved[-1][1], moved[0][0], _date(case, t)
+    if maximum < low:
+        message = f"this cannot be met on {date}: by then at most {maximum:.10g} can be in store"
+        raise _error(case, "min_inventory", low, message)
+    if minimum > high:
+        message = f"this cannot be met on {date}: by then at least {minimum:.10g} is in store"
+        raise _error(case, "max_inventory", high, message)
+    text = _words(moved)
+    message = f"with min_inventory {low:g} this cannot be met on {date}: in store will be {text}"
+    raise _error(case, "max_inventory", high, message)
 
 
 def _check_level(case: StorageCase, level: float, last: list[Interval], tolerance: float) -> None:
@@ -222,22 +222,24 @@ def _check_level(case: StorageCase, level: float, last: list[Interval], toleranc
         return
     limits = case.contract.min_inventory.used()[-1], case.contract.max_inventory.used()[-1]
     if not limits[0] <= level <= limits[1]:
-        what = f"on {case.end} the limits allow {limits[0]:g} to {limits[1]:g}"
+        message = f"on {case.end} the limits allow {limits[0]:g} to {limits[1]:g}"
     else:
-        what = f"this cannot be reached on {case.end}: in store will be {_words(last)}"
-    raise _error(case, "end_inventory", level, what)
+        message = f"this cannot be reached on {case.end}: in store will be {_words(last)}"
+    raise _error(case, "end_inventory", level, message)
 
 
 def _forced_flow(case: StorageCase, t: int, day: Day, before: list[Interval]) -> CaseError:
     injecting = day.min_injection > 0
     corners = [c for interval in before for piece in _pieces(day, interval) for c in piece]
-    most = max(corner.injection if injecting else corner.withdrawal for corner in corners)
+    maximum = max(corner.injection if injecting else corner.withdrawal for corner in corners)
     factors = case.contract.injection_factor if injecting else case.contract.withdrawal_factor
     cause = f" in the outage (factor {factors[t]:g})" if factors[t] < 1 else ""
-    what = f"this cannot be met on {case.days[t]}: at most {most:.10g} is possible then{cause}"
+    message = (
+        f"this cannot be met on {case.days[t]}: at most {maximum:.10g} is possible then{cause}"
+    )
     if injecting:
-        return _error(case, "min_injection", day.min_injection, what)
-    return _error(case, "min_withdrawal", day.min_withdrawal, what)
+        return _error(case, "min_injection", day.min_injection, message)
+    return _error(case, "min_withdrawal", day.min_withdrawal, message)
 
 
 def _error(case: StorageCase, key: str, value: float, allowed: str) -> CaseError:

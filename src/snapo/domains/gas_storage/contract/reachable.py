@@ -38,37 +38,37 @@ def reachable(
     """
     tolerance = TOLERANCE * jnp.max(jnp.abs(limits.maximum), initial=1.0)
 
-    def back(following, day):
-        interval = _going_on(day, following, interpolation, tolerance)
+    def back(successor, day):
+        interval = _going_on(day, successor, interpolation, tolerance)
         return interval, interval
 
     _, (low, high) = jax.lax.scan(back, (end_low, end_high), limits, reverse=True)
     return jnp.append(low, end_low), jnp.append(high, end_high)
 
 
-def _going_on(day: Limits, following, interpolation: str, tolerance):
+def _going_on(day: Limits, successor, interpolation: str, tolerance):
     """The longest interval of one day from which the one that follows can be reached."""
-    next_low, next_high = following
+    next_low, next_high = successor
     # A row at a limit is the limit: with jnp.clip each would take half of the derivative.
     inner = jnp.where(day.levels <= day.minimum, day.minimum, day.levels)
     inner = jnp.where(inner >= day.maximum, day.maximum, inner)
     left = jnp.concatenate([day.minimum[None], inner])
     right = jnp.concatenate([inner, day.maximum[None]])
     starts = _conditions(day, left, next_low, next_high, _rates(day, left, interpolation))
-    ends = _conditions(day, right, next_low, next_high, _rates(day, right, interpolation))
-    starts, ends = (jnp.where(jnp.abs(x) < tolerance, 0.0, x) for x in (starts, ends))
-    crossing = jnp.where(starts != ends, starts - ends, 1.0)
+    endpoints = _conditions(day, right, next_low, next_high, _rates(day, right, interpolation))
+    starts, endpoints = (jnp.where(jnp.abs(x) < tolerance, 0.0, x) for x in (starts, endpoints))
+    crossing = jnp.where(starts != endpoints, starts - endpoints, 1.0)
     zero = jnp.clip(starts / crossing, 0.0, 1.0)  # where a condition changes sign, 0 to 1
-    enter = jnp.max(jnp.where(starts >= 0, 0.0, jnp.where(ends >= 0, zero, 2.0)), axis=0)
-    leave = jnp.min(jnp.where(ends >= 0, 1.0, jnp.where(starts >= 0, zero, -1.0)), axis=0)
+    enter = jnp.max(jnp.where(starts >= 0, 0.0, jnp.where(endpoints >= 0, zero, 2.0)), axis=0)
+    leave = jnp.min(jnp.where(endpoints >= 0, 1.0, jnp.where(starts >= 0, zero, -1.0)), axis=0)
     some = (enter <= leave) & (next_low <= next_high)
     low, high = left + enter * (right - left), left + leave * (right - left)
     touches = enter <= 0, leave >= 1
     if interpolation == "step":
         # Rows that hold nowhere within the limits do not count.
         following_row = jnp.append(day.levels[1:], jnp.inf)
-        holds = (day.levels <= day.maximum) & (following_row > day.minimum)
-        some = some & jnp.concatenate([holds[:1], holds])
+        contains = (day.levels <= day.maximum) & (following_row > day.minimum)
+        some = some & jnp.concatenate([contains[:1], contains])
         # At a row its own rates hold: where those cannot go on, stop short of it.
         goes_on = some[1:] & touches[0][1:]
         stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
@@ -80,13 +80,13 @@ def _going_on(day: Limits, following, interpolation: str, tolerance):
 def _conditions(day: Limits, inventory, next_low, next_high, rates):
     """Four numbers [4, pieces] that must not be negative for an inventory to go on."""
     withdrawal, injection = rates
-    kept = inventory * (1 - day.inventory_loss)
-    least = jnp.where(day.min_injection > 0, day.min_injection, -withdrawal)
-    most = jnp.where(day.min_withdrawal > 0, -day.min_withdrawal, injection)
+    selected = inventory * (1 - day.inventory_loss)
+    minimum = jnp.where(day.min_injection > 0, day.min_injection, -withdrawal)
+    maximum = jnp.where(day.min_withdrawal > 0, -day.min_withdrawal, injection)
     return jnp.stack(
         [
-            next_high - kept - least,
-            kept + most - next_low,
+            next_high - selected - minimum,
+            selected + maximum - next_low,
             injection - day.min_injection,
             withdrawal - day.min_withdrawal,
         ]
@@ -124,10 +124,10 @@ def _longest(low, high, some, touches):
     joined = jnp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
     # A run begins at its last piece that is not joined to the one before.
     first = jax.lax.cummax(jnp.where(joined, 0, jnp.arange(low.shape[0])))
-    begin = low[first]
-    chosen = jnp.argmax(jnp.where(some, high - begin, -1.0))
-    found = jnp.any(some)
+    start = low[first]
+    selected = jnp.argmax(jnp.where(some, high - start, -1.0))
+    result = jnp.any(some)
     return (
-        jnp.where(found, begin[chosen], 1.0),
-        jnp.where(found, high[chosen], -1.0),
+        jnp.where(result, start[selected], 1.0),
+        jnp.where(result, high[selected], -1.0),
     )

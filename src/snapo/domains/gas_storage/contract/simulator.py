@@ -95,7 +95,7 @@ class StorageSimulator(Simulator):
         rows: Any = self.contract.ratchets
         prices = self.curve.in_numpy(values)
         rates = [
-            np.max(each.in_numpy(values), initial=0.0) for each in (rows.withdrawal, rows.injection)
+            np.max(item.in_numpy(values), initial=0.0) for item in (rows.withdrawal, rows.injection)
         ]
         return replace(
             self,
@@ -137,13 +137,13 @@ class StorageSimulator(Simulator):
 
     def _completed(self, schedule: Schedule) -> Schedule:
         """With the guide, the hedge and the surprises, which no input makes here."""
-        guide, hedge, found = self.guide, self.hedge, self.surprises
+        guide, hedge, result = self.guide, self.hedge, self.surprises
         steps = schedule.steps._replace(
             guide=None if guide is None else guide.knots,
             hedge=np.zeros(self.horizon) if hedge is None else hedge,
-            surprise=None if found is None else found.days,
+            surprise=None if result is None else result.days,
         )
-        end = None if found is None else found.end
+        end = None if result is None else result.end
         return Schedule(schedule.constants._replace(surprise=end), steps)
 
     def _days(self, inputs: dict[str, Any], prices) -> Day:
@@ -210,7 +210,7 @@ class StorageSimulator(Simulator):
         """The inventories allowed on the end date."""
         contract = self.contract
         low, high = (
-            use(inputs, each)[-1] for each in (contract.min_inventory, contract.max_inventory)
+            use(inputs, item)[-1] for item in (contract.min_inventory, contract.max_inventory)
         )
         return contract.at_end.interval(inputs, low, high)
 
@@ -261,18 +261,18 @@ class StorageSimulator(Simulator):
         """The day's part of the control variate."""
         if now.surprise is not None:
             factors = self.process.gaussian(state.price)
-            found = of_day(now.surprise, factors, state.inventory, after.inventory)
-            return {"value_surprise": found}
-        surprise = spot - self.process.forward(constants.price, now.price)
-        return {"forward_hedge": now.hedge * now.gas_discount * surprise}
+            day = of_day(now.surprise, factors, state.inventory, after.inventory)
+            return {"value_surprise": day}
+        innovation = spot - self.process.forward(constants.price, now.price)
+        return {"forward_hedge": now.hedge * now.gas_discount * innovation}
 
     def terminal(self, constants: Terms, state: State, smooth):
         def price():
             return self.process.level(constants.price, constants.end_price, state.price)
 
         terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
-        worth = self.contract.at_end.worth(terms, state.inventory, price)
-        outputs = {"cash_flow": worth * constants.end_discount}
+        value = self.contract.at_end.worth(terms, state.inventory, price)
+        outputs = {"cash_flow": value * constants.end_discount}
         if constants.surprise is not None:
             factors = self.process.gaussian(state.price)
             outputs["value_surprise"] = of_end(constants.surprise, factors, state.inventory)
@@ -288,17 +288,17 @@ class StorageSimulator(Simulator):
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
         injection = rate(now.levels, now.injection_rate, state.inventory, kind, smooth)
         keep = state.inventory * (1 - now.inventory_loss)
-        least = jnp.where(now.min_injection > 0, now.min_injection, -withdrawal)
-        most = jnp.where(now.min_withdrawal > 0, -now.min_withdrawal, injection)
-        least = smooth.maximum(least, now.next_low - keep, scale)
-        most = smooth.minimum(most, now.next_high - keep, scale)
+        minimum = jnp.where(now.min_injection > 0, now.min_injection, -withdrawal)
+        maximum = jnp.where(now.min_withdrawal > 0, -now.min_withdrawal, injection)
+        minimum = smooth.maximum(minimum, now.next_low - keep, scale)
+        maximum = smooth.minimum(maximum, now.next_high - keep, scale)
         # Rounding may leave least a hair above most: one feasible flow, then. Where they are equal,
         # as before an agreed end, XLA must not compute them twice, rounded in two ways: either side
         # of the maximum would pass for the smaller one, and the derivative be lost or doubled.
-        most, least = jax.lax.optimization_barrier((most, least))
-        most = jnp.maximum(most, least)
-        base = smooth.minimum(smooth.maximum(0.0, least, scale), most, scale)
-        return Flows(keep, base, most, least)
+        maximum, minimum = jax.lax.optimization_barrier((maximum, minimum))
+        maximum = jnp.maximum(maximum, minimum)
+        base = smooth.minimum(smooth.maximum(0.0, minimum, scale), maximum, scale)
+        return Flows(keep, base, maximum, minimum)
 
     def control_variates(self) -> tuple[str, ...]:
         if self.surprises is not None:

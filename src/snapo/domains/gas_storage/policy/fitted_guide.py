@@ -23,8 +23,8 @@ class FittedKnots(NamedTuple):
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
         """Marginal values, as present values, above and below these inventories at day's end."""
-        seen = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
-        return readings(self, above, below, lambda row: row @ seen)
+        observed = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
+        return readings(self, above, below, lambda row: row @ observed)
 
 
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
@@ -35,10 +35,10 @@ def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Ar
     y = reading.whiten @ factors
     y = jnp.clip(y, -reach, reach) if math.isfinite(reach) else y
     level = jnp.exp(jnp.sum(reading.common * factors) - reading.shift)
-    found = [level * each for each in _polynomials(y)]
-    if size > len(found):
-        found.append(jnp.ones_like(level))
-    return jnp.stack(found)
+    levels = [level * polynomial for polynomial in _polynomials(y)]
+    if size > len(levels):
+        levels.append(jnp.ones_like(level))
+    return jnp.stack(levels)
 
 
 def _polynomials(y: Array) -> list[Array]:
@@ -50,8 +50,10 @@ def _polynomials(y: Array) -> list[Array]:
         for n in range(1, int(degrees.max())):
             table.append((y[i] * table[n] - math.sqrt(n) * table[n - 1]) / math.sqrt(n + 1))
         tables.append(table)
-    found = []
+    polynomials = []
     for row in degrees:
         factor = [tables[i][int(d)] for i, d in enumerate(row) if d]
-        found.append(math.prod(factor[1:], start=factor[0]) if factor else jnp.ones_like(y[0]))
-    return found
+        polynomials.append(
+            math.prod(factor[1:], start=factor[0]) if factor else jnp.ones_like(y[0])
+        )
+    return polynomials

@@ -54,22 +54,22 @@ class StoragePolicy(Policy):
         def last(policy: StoragePolicy):
             return policy.network.weights[-1], policy.network.biases[-1]
 
-        return eqx.tree_at(last, self, tuple(jnp.zeros_like(each) for each in last(self)))
+        return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
 
     def marginal_value(self, observation) -> MarginalValue:
         """The policy's value of a unit of gas at the end of the day."""
-        seen = Economics(*observation[:HEAD])
-        level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
+        economics = Economics(*observation[:HEAD])
+        level, into, out = CORRECTION * economics.level * self.network(observation[HEAD:])
         return MarginalValue(
-            seen.first_in + level,
-            seen.last_in + level + into * seen.room_in,
-            seen.first_out + level,
-            seen.last_out + level + out * seen.room_out,
+            economics.first_in + level,
+            economics.last_in + level + into * economics.room_in,
+            economics.first_out + level,
+            economics.last_out + level + out * economics.room_out,
         )
 
 
-def _flows(seen: Economics, value: MarginalValue, smooth):
+def _flows(economics: Economics, value: MarginalValue, smooth):
     """Fractions of the free injection and withdrawal that pay."""
-    injected = smooth.share(value.first_in - seen.buy, value.last_in - seen.buy)
-    withdrawn = smooth.share(seen.sell - value.first_out, seen.sell - value.last_out)
+    injected = smooth.share(value.first_in - economics.buy, value.last_in - economics.buy)
+    withdrawn = smooth.share(economics.sell - value.first_out, economics.sell - value.last_out)
     return jnp.stack([injected, withdrawn])

@@ -53,8 +53,8 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
             jax.lax.stop_gradient(now.guide),
             ((keep, keep - room_out), (keep + room_in, keep)),
         )
-        found = guide.values(process, terms, now, state.price, *sides)
-        first_in, last_out, last_in, first_out = (each / discount / scale for each in found)
+        result = guide.values(process, terms, now, state.price, *sides)
+        first_in, last_out, last_in, first_out = (item / discount / scale for item in result)
     buy = spot * (1 + now.injection_fuel)
     buy += now.injection_cost * now.injection_cost_discount / discount
     sell = spot * (1 - now.withdrawal_fuel)
@@ -66,24 +66,24 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
 
 def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
     """Economics first, then the features of the network."""
-    seen = economics(process, terms, now, state, spot, flows)
+    observed = economics(process, terms, now, state, spot, flows)
     year = 2 * jnp.pi * now.day / YEAR
     left = (terms.last_day - now.day) / YEAR
     span = jnp.maximum(now.high - now.low, 1e-6 * terms.rate_scale)
     filling = (state.inventory - now.low) / span
     to_full = (now.high - state.inventory) / (20 * terms.rate_scale)
     to_empty = (state.inventory - now.low) / (20 * terms.rate_scale)
-    mid = (seen.buy + seen.sell) / 2
-    keep = (seen.first_in + seen.first_out) / 2
+    mid = (observed.buy + observed.sell) / 2
+    keep = (observed.first_in + observed.first_out) / 2
     features = [
         jnp.stack([jnp.sin(year), jnp.cos(year), jnp.sin(2 * year), jnp.cos(2 * year)]),
         jnp.stack([jnp.tanh(left), jnp.tanh(20 * left), 2 * filling - 1, filling * filling]),
         jnp.stack([jnp.tanh(to_full), jnp.tanh(to_empty)]),
-        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (keep, seen.last_in, seen.last_out)]),
+        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (keep, observed.last_in, observed.last_out)]),
         process.observe(terms.price, now.price, state.price),
         now.ahead,
     ]
-    return jnp.concatenate([jnp.stack(seen), *features])
+    return jnp.concatenate([jnp.stack(observed), *features])
 
 
 def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
@@ -99,8 +99,8 @@ def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
         last = np.maximum(np.minimum(np.arange(t) + days + 1, t), first + 1)
         return middle + (sums[last] - sums[first]) / (last - first)
 
-    def extremes(found, price):
-        both = jnp.maximum(found[0], price), jnp.minimum(found[1], price)
+    def extremes(result, price):
+        both = jnp.maximum(result[0], price), jnp.minimum(result[1], price)
         return both, both
 
     # By a loop: the derivative of a running maximum takes a thousand operations to compile.

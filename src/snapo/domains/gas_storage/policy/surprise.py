@@ -52,14 +52,14 @@ class Surprises(eqx.Module):
     end: Any
 
     @classmethod
-    def of(cls, found: SurpriseTable) -> "Surprises":
-        place = Place(found.low, found.high, found.now)  # pyright: ignore
-        reading = Reading(found.whiten, found.common, found.shift)  # pyright: ignore
-        first = Place(*(each[:-1] for each in place))
-        ahead = Place(found.low[1:], found.high[1:], found.ahead)  # pyright: ignore
-        days = SurpriseDay(first, ahead, Reading(*(each[:-1] for each in reading)))
-        last = Place(*(each[-1] for each in place)), Reading(*(each[-1] for each in reading))
-        return cls(days, SurpriseEnd(*last, np.asarray(found.first)))  # pyright: ignore
+    def of(cls, result: SurpriseTable) -> "Surprises":
+        position = Place(result.low, result.high, result.now)  # pyright: ignore
+        reading = Reading(result.whiten, result.common, result.shift)  # pyright: ignore
+        first = Place(*(item[:-1] for item in position))
+        ahead = Place(result.low[1:], result.high[1:], result.ahead)  # pyright: ignore
+        days = SurpriseDay(first, ahead, Reading(*(entry[:-1] for entry in reading)))
+        last = Place(*(value[-1] for value in position)), Reading(*(each[-1] for each in reading))
+        return cls(days, SurpriseEnd(*last, np.asarray(result.first)))  # pyright: ignore
 
 
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
@@ -70,17 +70,17 @@ def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Arr
     """
     # Data, and nobody's derivative: an adjoint need not form any.
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
-    seen = functions(row.reading, factors, row.now.coefficients.shape[-1])
-    return _worth(row.now, before, seen) - _worth(row.ahead, after, seen)
+    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
+    return _worth(row.now, before, observed) - _worth(row.ahead, after, observed)
 
 
 def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:
     """The end date's part of the sum."""
     row, factors, left = jax.lax.stop_gradient((row, factors, left))
-    seen = functions(row.reading, factors, row.now.coefficients.shape[-1])
-    return _worth(row.now, left, seen) - row.first
+    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
+    return _worth(row.now, left, observed) - row.first
 
 
-def _worth(place: Place, inventory: Array, seen: Array) -> Array:
-    inside = jnp.clip(inventory, place.low, place.high)
-    return between(place, place.coefficients, inside, lambda row: row @ seen)
+def _worth(position: Place, inventory: Array, observed: Array) -> Array:
+    inside = jnp.clip(inventory, position.low, position.high)
+    return between(position, position.coefficients, inside, lambda row: row @ observed)

@@ -48,8 +48,8 @@ def triggers(
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
         spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
         stock = np.asarray(inventory, float)
-        given = (simulator_of(problem), schedule.constants, policy, now, stock, spots)
-        buying, selling = (np.asarray(gain) for gain in _gains(*given))
+        values = (simulator_of(problem), schedule.constants, policy, now, stock, spots)
+        buying, selling = (np.asarray(gain) for gain in _gains(*values))
     return Triggers(
         _crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False)
     )
@@ -71,8 +71,8 @@ def decide(
         price = np.full(count, float(now.forward)) if spot is None else np.asarray(spot, float)
         # Made longer to a round number, so that few lengths are ever compiled.
         stock, price = (np.pad(x, (0, -count % ROUND), mode="edge") for x in (stock, price))
-        given = (simulator_of(problem), schedule.constants, policy, now, stock, price)
-        return Decision(*(np.asarray(x)[:count] for x in _decided(*given)))
+        values = (simulator_of(problem), schedule.constants, policy, now, stock, price)
+        return Decision(*(np.asarray(x)[:count] for x in _decided(*values)))
 
 
 @compiled_sooner
@@ -82,8 +82,8 @@ def _decided(
     def one(inventory, spot):
         price = simulator.process.state_at(constants.price, now.price, spot)
         state = State(inventory, price)
-        seen = simulator.observe(constants, now, state)
-        action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
+        observed = simulator.observe(constants, now, state)
+        action, noise = policy(observed, Exact()), jnp.zeros(simulator.noise_size)
         _, outputs = simulator.step(constants, now, state, action, noise, Exact())
         return outputs["injection"], outputs["withdrawal"]
 
@@ -97,8 +97,8 @@ def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, i
     def one(now, inventory, spot) -> tuple[Array, Array]:
         price = simulator.process.state_at(constants.price, now.price, spot)
         state = State(inventory, price)
-        seen = simulator.observe(constants, now, state)
-        value, economics = policy.marginal_value(seen), Economics(*seen[:HEAD])
+        observed = simulator.observe(constants, now, state)
+        value, economics = policy.marginal_value(observed), Economics(*observed[:HEAD])
         return value.first_in - economics.buy, economics.sell - value.first_out
 
     return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)))(now, inventories, spots)
@@ -106,12 +106,12 @@ def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, i
 
 def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:
     """The spot price at which a gain changes sign, by linear interpolation, per row."""
-    found = np.full(len(spot), np.nan)
-    wanted = -1 if falling else 1
+    result = np.full(len(spot), np.nan)
+    requested = -1 if falling else 1
     for row, (s, g) in enumerate(zip(spot, gain)):
-        change = np.flatnonzero(np.sign(g[1:]) - np.sign(g[:-1]) == 2 * wanted)
+        change = np.flatnonzero(np.sign(g[1:]) - np.sign(g[:-1]) == 2 * requested)
         if change.size:
             # The crossing nearest to the forward price.
             i = change[np.argmin(np.abs(change - len(s) // 2))]
-            found[row] = s[i] - g[i] * (s[i + 1] - s[i]) / (g[i + 1] - g[i])
-    return found
+            result[row] = s[i] - g[i] * (s[i + 1] - s[i]) / (g[i + 1] - g[i])
+    return result

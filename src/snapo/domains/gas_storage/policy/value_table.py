@@ -30,8 +30,8 @@ class Knots(NamedTuple):
         """
         level = process.slow_level(terms.price, now.price, state)
         x = jnp.clip(process.fast(state), -self.reach, self.reach)
-        found = readings(self, above, below, lambda row: jnp.polyval(row[::-1], x))
-        return [level * each for each in found]
+        result = readings(self, above, below, lambda row: jnp.polyval(row[::-1], x))
+        return [level * item for item in result]
 
 
 class ValueTable(eqx.Module):
@@ -40,8 +40,8 @@ class ValueTable(eqx.Module):
     knots: Any
 
     @classmethod
-    def of(cls, found: MarginalValues) -> "ValueTable":
-        table = (found.low, found.high, found.above, found.below, found.reach)
+    def of(cls, result: MarginalValues) -> "ValueTable":
+        table = (result.low, result.high, result.above, result.below, result.reach)
         return cls(Knots(*table))  # pyright: ignore[reportArgumentType]
 
 
@@ -53,14 +53,14 @@ def readings(knots, above, below, value) -> list[Array]:
 
 def between(knots, rows, inventory, value):
     """`value` of a row of coefficients, linear between the rows on either side of an inventory."""
-    pieces = rows.shape[0] - 1
+    segments = rows.shape[0] - 1
     # A day may leave no choice of inventory; every row then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
-    place = (inventory - knots.low) / width * pieces
-    left = jnp.clip(jnp.floor(place), 0, pieces - 1)
+    position = (inventory - knots.low) / width * segments
+    left = jnp.clip(jnp.floor(position), 0, segments - 1)
     # Stores stand exactly on the first and the last row. The line goes on beyond them, so that a
     # rounding does not decide about the slope there.
-    share = place - left
+    share = position - left
     row = left.astype(jnp.int32)
-    low, high = (value(rows[each]) for each in (row, row + 1))
+    low, high = (value(rows[item]) for item in (row, row + 1))
     return low + share * (high - low)

@@ -78,7 +78,7 @@ def read_factors(
     section: Section,
     factors: Sequence[FactorTable],
     correlation: Sequence[float],
-    places: Sequence[FilePosition],
+    positions: Sequence[FilePosition],
     delivery: Delivery,
 ) -> dict[str, Given]:
     """The numbers of several factors, with the strict lower triangle of their correlations."""
@@ -88,6 +88,6 @@ def read_factors(
     numbers = (
         stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
         stacked("volatility", volatilities),
-        CORRELATION.given("correlation", correlation, pairs, places=tuple(places)),
+        CORRELATION.given("correlation", correlation, pairs, places=tuple(positions)),
     )
-    return {given.name: given for given in numbers}
+    return {values.name: values for values in numbers}

@@ -115,11 +115,11 @@ class OneFactorJumps(PriceProcess):
     def prepare(self, inputs) -> Schedule:
         reversion, eta = use(inputs, self.mean_reversion), use(inputs, self.jump_size)
         days = jnp.round(self.delivery.years * YEAR)
-        chance = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
+        probability = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
         # Sizes that a spike has left after 0, 1, … days, and the mean of its exponential.
         ages = np.arange(max(self.last, 1))
         left = eta * jnp.exp(-use(inputs, self.jump_mean_reversion) * ages / YEAR)
-        compensator = jnp.cumsum(jnp.log1p(chance * left / (1 - left)))
+        compensator = jnp.cumsum(jnp.log1p(probability * left / (1 - left)))
         compensator = jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
         loading = use(inputs, self.volatility)
         variance = integral(2 * reversion, days / YEAR)
@@ -128,7 +128,7 @@ class OneFactorJumps(PriceProcess):
             jnp.exp(-reversion / YEAR),
             jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
             jnp.exp(-use(inputs, self.jump_mean_reversion) / YEAR),
-            -jnp.log(chance),
+            -jnp.log(probability),
             eta,
             1 / jnp.sqrt(integral(2 * reversion, 1.0)),
         )

@@ -48,39 +48,39 @@ class MultiFactor(GivenFactors):
         correlation = _correlation(section, table.correlation, len(factors))
         key, count = (*section.keys, "correlation"), len(factors)
         pairs = [(i, j) for i in range(count) for j in range(i)]
-        places = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
-        return cls.of(delivery, **read_factors(section, factors, correlation, places, delivery))
+        positions = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
+        return cls.of(delivery, **read_factors(section, factors, correlation, positions, delivery))
 
     def describe(self) -> str:
         return "Correlated mean-reverting factors"
 
 
-def _correlation(section: Section, given, size: int) -> list[float]:
+def _correlation(section: Section, values, size: int) -> list[float]:
     """The strict lower triangle of a matrix that is checked to be a correlation matrix."""
-    if given is None and size == 1:
+    if values is None and size == 1:
         return []
-    if given is None:
-        what = f"{size} factors need a correlation matrix of {size} rows and {size} columns"
-        raise section.error("correlation", None, what)
-    if len(given) != size or any(len(row) != size for row in given):
-        what = f"{size} factors need {size} rows and {size} columns"
-        raise section.error("correlation", given, what)
-    matrix = np.array(given, np.float64)
+    if values is None:
+        message = f"{size} factors need a correlation matrix of {size} rows and {size} columns"
+        raise section.error("correlation", None, message)
+    if len(values) != size or any(len(row) != size for row in values):
+        message = f"{size} factors need {size} rows and {size} columns"
+        raise section.error("correlation", values, message)
+    matrix = np.array(values, np.float64)
     for i in range(size):
         if matrix[i, i] != 1:
             raise section.error(f"correlation.{i + 1},{i + 1}", matrix[i, i], "allowed is 1")
         for j in range(i):
             if matrix[i, j] != matrix[j, i]:
-                what = f"the matrix must be symmetric, and {j + 1},{i + 1} is {matrix[j, i]:g}"
-                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], what)
+                message = f"the matrix must be symmetric, and {j + 1},{i + 1} is {matrix[j, i]:g}"
+                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], message)
             if not -1 <= matrix[i, j] <= 1:
-                what = "allowed is a number from -1 to 1"
-                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], what)
+                message = "allowed is a number from -1 to 1"
+                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], message)
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12:
-        what = (
+        message = (
             "a correlation matrix must be positive definite, and the least eigenvalue of this "
             f"one is {smallest:.3g}; factors that move as one are one factor"
         )
-        raise section.error("correlation", given, what)
+        raise section.error("correlation", values, message)
     return list(matrix[np.tril_indices(size, -1)])

@@ -28,8 +28,8 @@ def read_prices(section: Section, data: Mapping[str, Any], delivery: Delivery) -
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
-        known = ", ".join(f'"{each}"' for each in sorted(KINDS))
-        raise section.error("kind", kind, f"allowed is one of {known}")
+        available = ", ".join(f'"{item}"' for item in sorted(KINDS))
+        raise section.error("kind", kind, f"allowed is one of {available}")
     process = KINDS[kind]
     table = parse(process.table, data, str(section.file), section.name, section.notes)
     return process.read(section, table, delivery)
@@ -41,5 +41,5 @@ def check_curve(file: str, process: PriceProcess, delivery: Delivery) -> None:
     if not process.proportional:
         return
     for t in np.flatnonzero(curve.values <= 0)[:1]:
-        what = f'model kind "{process.kind}" multiplies the forward price and needs it above 0'
-        raise CaseError(file, curve.labels[t], float(curve.values[t]), what)
+        message = f'model kind "{process.kind}" multiplies the forward price and needs it above 0'
+        raise CaseError(file, curve.labels[t], float(curve.values[t]), message)

@@ -73,18 +73,20 @@ class SuppliedPrices(PriceProcess):
             none = Paths(np.zeros((2, 0)), np.zeros((2, 0)))
             return cls(delivery.times, size, none, table.rescale_to_curve)  # pyright: ignore
         span = f"one for each day from {days[0]} to {days[-1]}"
-        mentions = [
+        references = [
             Mention(section, key, getattr(table, key))
             for key in ("training_paths", "evaluation_paths")
         ]
-        arrays = [read_array(mention, len(days), span) for mention in mentions]
+        arrays = [read_array(reference, len(days), span) for reference in references]
         if np.array_equal(arrays[0], arrays[1]):
-            what = "this holds the same paths as training_paths; evaluation needs paths of its own"
-            raise mentions[1].error(what)
+            message = (
+                "this holds the same paths as training_paths; evaluation needs paths of its own"
+            )
+            raise references[1].error(message)
         if table.rescale_to_curve:
             arrays = [
                 _noise(mention.name, array, days)
-                for mention, array in zip(mentions, arrays, strict=True)
+                for mention, array in zip(references, arrays, strict=True)
             ]
         paths = Paths(*arrays)
         return cls(delivery.times, size, paths, table.rescale_to_curve)  # pyright: ignore
@@ -133,8 +135,8 @@ class SuppliedPrices(PriceProcess):
     def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:
         days = len(self.delivery.years) - 1
         later = np.zeros((days, len(paths), 1))
-        following = paths[:, 1 : days + 1].T
-        later[: len(following), :, 0] = following
+        successor = paths[:, 1 : days + 1].T
+        later[: len(successor), :, 0] = successor
         return Supplied(later, paths[:, :1], seed)
 
     def describe(self) -> str:
@@ -146,6 +148,6 @@ def _noise(name: str, array: np.ndarray, days) -> np.ndarray:
     mean = array.mean(axis=0)
     for column in np.flatnonzero(mean <= 0)[:1]:
         got = Unquoted(f"a mean price of {mean[column]:g}")
-        what = "rescale_to_curve needs a mean above 0 on every day"
-        raise CaseError(name, f"day {days[column]}", got, what)
+        message = "rescale_to_curve needs a mean above 0 on every day"
+        raise CaseError(name, f"day {days[column]}", got, message)
     return array / mean

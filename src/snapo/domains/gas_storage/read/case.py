@@ -52,8 +52,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     valuation, end = market_table.valuation_date, contract_table.end
     where = Section(file, "contract", notes)
     if end <= contract_table.start:
-        what = f"the first day without a decision must come after start, {contract_table.start}"
-        raise where.error("end", end, what)
+        message = f"the first day without a decision must come after start, {contract_table.start}"
+        raise where.error("end", end, message)
     days = decision_days(contract_table, valuation)
     expired = valuation > end
     price_days = (*days, end) if pays_by_price(contract_table) and not expired else days

@@ -110,15 +110,15 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, 
 def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule:
     if table.end_inventory != "free":
         if table.end_value not in (None, 0.0):
-            what = 'a value of the gas left needs end_inventory = "free"'
-            raise section.error("end_value", table.end_value, what)
+            message = 'a value of the gas left needs end_inventory = "free"'
+            raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
-        place = (*section.keys, "end_inventory")
-        owed = stock.given("end_inventory", [table.end_inventory], places=(place,))
+        position = (*section.keys, "end_inventory")
+        owed = stock.given("end_inventory", [table.end_inventory], places=(position,))
         return LevelAtEnd(_stock(owed, limits))
     if not isinstance(table.end_value, str):
-        place = (*section.keys, "end_value")
-        share = SPOT_SHARE.given("end_value", [table.end_value or 0.0], places=(place,))
+        position = (*section.keys, "end_value")
+        share = SPOT_SHARE.given("end_value", [table.end_value or 0.0], places=(position,))
         return PriceAtEnd(share)
     rows = read_rows(Mention(section, "end_value", table.end_value), ("inventory", "value"))
     levels = [row.number("inventory", 0.0) for row in rows]
@@ -128,8 +128,8 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
     low, high = (limit.used()[-1] for limit in (limits.min_inventory, limits.max_inventory))
     for row, inside in ((rows[0], levels[0] <= low), (rows[-1], levels[-1] >= high)):
         if not inside:
-            what = f"the rows must span the inventory limits on {table.end}, {low:g} to {high:g}"
-            raise row.error("inventory", what)
+            message = f"the rows must span the inventory limits on {table.end}, {low:g} to {high:g}"
+            raise row.error("inventory", message)
     labels = [f"at {level:g}" for level in levels]
     level, left = replace(LEVEL, unit=table.volume_unit), replace(LEFT, unit=table.currency)
     return ValueAtEnd(

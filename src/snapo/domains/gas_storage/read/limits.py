@@ -53,8 +53,8 @@ def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> No
     crossed = np.flatnonzero(minimum.used() > maximum.used())
     if len(crossed):
         t = crossed[0]
-        what = f"on {dates[t]} it lies above max_inventory, {maximum.used()[t]:g}"
-        raise section.error("min_inventory", minimum.used()[t], what)
+        message = f"on {dates[t]} it lies above max_inventory, {maximum.used()[t]:g}"
+        raise section.error("min_inventory", minimum.used()[t], message)
 
 
 def read_outages(
@@ -92,27 +92,27 @@ def _note_outages(section: Section, table: ContractTable, outages: "list[Outage]
 Outage = tuple[datetime.date, datetime.date, float, float]
 
 
-def _outages(section: Section, given: list[str] | str) -> list[Outage]:
-    if isinstance(given, str):
+def _outages(section: Section, values: list[str] | str) -> list[Outage]:
+    if isinstance(values, str):
         columns = ("from", "to", "injection_factor", "withdrawal_factor")
-        found = []
-        for row in read_rows(Mention(section, "outages", given), columns):
+        rows = []
+        for row in read_rows(Mention(section, "outages", values), columns):
             first, last = row.day("from"), row.day("to")
             if last < first:
                 raise row.error("to", f"its last day cannot lie before its first, {first}")
-            found.append((first, last, *(row.number(column, 0.0, 1.0) for column in columns[2:])))
-        return found
-    found = []
-    for text in given:
+            rows.append((first, last, *(row.number(column, 0.0, 1.0) for column in columns[2:])))
+        return rows
+    rows = []
+    for text in values:
         try:
             first, last = map(_day, text.split("/"))
         except ValueError:
-            what = 'an outage is written "2021-07-01/2021-07-14", first day and last day'
-            raise section.error("outages", text, what) from None
+            message = 'an outage is written "2021-07-01/2021-07-14", first day and last day'
+            raise section.error("outages", text, message) from None
         if last < first:
             raise section.error("outages", text, "the last day cannot be before the first")
-        found.append((first, last, 0.0, 0.0))
-    return found
+        rows.append((first, last, 0.0, 0.0))
+    return rows
 
 
 def _day(text: str) -> datetime.date:

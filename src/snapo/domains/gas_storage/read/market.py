@@ -51,16 +51,18 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
     for day in days:
         price = by_day.get(day, by_month.get((day.year, day.month)))
         if price is None:
-            what = (
+            message = (
                 "there is no price for this day; the contract needs a quote for every day, or "
                 f"its month, from {days[0]} to {days[-1]}"
             )
-            raise CaseError(name, day.isoformat(), None, what)
+            raise CaseError(name, day.isoformat(), None, message)
         prices.append(price)
     labels = [day.isoformat() for day in days]
     forward = replace(FORWARD, unit=unit)
-    places = tuple(price.cell for price in prices)
-    return forward.given("forward_curve", [price.value for price in prices], labels, places=places)
+    positions = tuple(price.cell for price in prices)
+    return forward.given(
+        "forward_curve", [price.value for price in prices], labels, places=positions
+    )
 
 
 class Quote(NamedTuple):

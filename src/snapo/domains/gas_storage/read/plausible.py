@@ -77,8 +77,8 @@ def free_money(case: StorageCase) -> Iterator[str]:
             f"On {case.days[t]} an injection is paid: injection_cost is {inward[t]:g}, and gas "
             f"costs {price[t]:g}. Is the sign of the cost right?"
         )
-    elif (least := float(np.min(inward) + np.min(outward))) < 0:
+    elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
         yield (
             "Injecting gas and withdrawing it again pays by itself: the least injection_cost and "
-            f"withdrawal_cost sum to {least:g}. Is the sign of the costs right?"
+            f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
         )

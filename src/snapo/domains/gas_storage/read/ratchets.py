@@ -42,8 +42,8 @@ def read_ratchets(
     if table.ratchets is None:
         return _plain_rates(section, table, plain, days)
     if plain:
-        what = f"give either {plain[0]} or ratchets, not both"
-        raise section.error(plain[0], getattr(table, plain[0]).written, what)
+        message = f"give either {plain[0]} or ratchets, not both"
+        raise section.error(plain[0], getattr(table, plain[0]).written, message)
     rows = read_rows(Mention(section, "ratchets", table.ratchets), COLUMNS)
     blocks = read_blocks(rows)
     index = _rows_by_day(table.ratchets, blocks, days)
@@ -93,8 +93,8 @@ def read_blocks(rows: Sequence[Row]) -> list[Block]:
             _check_rises(rows[blocks[-1][1][-1]], row)
             blocks[-1][1].append(number)
         elif blocks and date < blocks[-1][0]:
-            what = f"blocks must be in order of date, and the one before is of {blocks[-1][0]}"
-            raise row.error("date", what)
+            message = f"blocks must be in order of date, and the one before is of {blocks[-1][0]}"
+            raise row.error("date", message)
         else:
             blocks.append((date, [number]))
     return blocks
@@ -103,18 +103,18 @@ def read_blocks(rows: Sequence[Row]) -> list[Block]:
 def _check_rises(before: Row, row: Row) -> None:
     level = before.number("inventory", 0.0)
     if row.number("inventory", 0.0) <= level:
-        what = f"within a block inventories must rise, and the row before has {level:g}"
-        raise row.error("inventory", what)
+        message = f"within a block inventories must rise, and the row before has {level:g}"
+        raise row.error("inventory", message)
 
 
 def _rows_by_day(name: str, blocks: Sequence[Block], days) -> np.ndarray:
     """[T, K] row numbers of the block of each day; short blocks repeat their last row."""
-    most = max(len(numbers) for _, numbers in blocks)
-    padded = np.array([numbers + numbers[-1:] * (most - len(numbers)) for _, numbers in blocks])
+    maximum = max(len(numbers) for _, numbers in blocks)
+    padded = np.array([numbers + numbers[-1:] * (maximum - len(numbers)) for _, numbers in blocks])
     starts = ordinals([date for date, _ in blocks])
     if days and blocks[0][0] > days[0]:
-        what = f"ratchets are needed from {days[0]} on, and the first block holds from then"
-        raise CaseError(name, "date", blocks[0][0], what)
+        message = f"ratchets are needed from {days[0]} on, and the first block holds from then"
+        raise CaseError(name, "date", blocks[0][0], message)
     return padded[np.searchsorted(starts, ordinals(days), side="right") - 1]
 
 
@@ -147,8 +147,8 @@ def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum
         below = low[t] > minimum[t]
         key, limit = ("min_inventory", minimum[t]) if below else ("max_inventory", maximum[t])
         level = low[t] if below else high[t]
-        what = (
+        message = (
             f"the {'first' if below else 'last'} row of this block must reach {key}, "
             f"{limit:g} on {days[t]}"
         )
-        raise CaseError(str(table.ratchets), f"block of {block}", float(level), what)
+        raise CaseError(str(table.ratchets), f"block of {block}", float(level), message)

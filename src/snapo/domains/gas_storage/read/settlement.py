@@ -66,11 +66,11 @@ def months_after(day: datetime.date, months: int, day_of_month: int) -> datetime
 def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[datetime.date]:
     if not name.lower().endswith((".csv", ".parquet")):
         rules = '"flow" or "gas"' if is_cost else '"flow"'
-        what = (
+        message = (
             f"allowed is {rules}, {{ days = 10 }}, {{ date = 2021-06-20 }}, "
             "{ months = 1, day = 20 }, or a CSV file with columns delivery_month,date"
         )
-        raise section.error(key, name, what)
+        raise section.error(key, name, message)
     rows = read_rows(Mention(section, key, name), ("delivery_month", "date"))
     paid = {}
     for row in rows:
@@ -80,6 +80,6 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
         paid[month] = row.day("date")
     for day in (day for day, moves in zip(days, moving, strict=True) if moves):
         if (day.year, day.month) not in paid:
-            what = "there is no payment date for this month, in which gas can move; add a row"
-            raise CaseError(name, f"{day:%Y-%m}", None, what)
+            message = "there is no payment date for this month, in which gas can move; add a row"
+            raise CaseError(name, f"{day:%Y-%m}", None, message)
     return [paid.get((day.year, day.month), day) for day in days]

@@ -79,9 +79,9 @@ def flow_ends(
     keep = inventory * (1 - steps.inventory_loss[t])
     most_out = np.interp(inventory, day_rates.levels, day_rates.withdrawal)
     most_in = np.interp(inventory, day_rates.levels, day_rates.injection)
-    least = steps.min_injection[t] if steps.min_injection[t] > 0 else -most_out
-    most = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else most_in
-    return keep, keep + least, keep + most
+    minimum = steps.min_injection[t] if steps.min_injection[t] > 0 else -most_out
+    maximum = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else most_in
+    return keep, keep + minimum, keep + maximum
 
 
 def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:

@@ -81,21 +81,21 @@ class FactorGrid:
         return self._transition(t + 1, self.slow, self.fast)
 
     def _transition(self, into: int, slow, fast) -> Transition:
-        kept, decay, shock = list(self.kept), self.of.decay[into], self.of.shock[into]
-        covariance = (shock @ shock.T)[np.ix_(kept, kept)]
-        key = (len(slow), len(fast), *(f"{x:.9e}" for x in [*decay[kept], *covariance.ravel()]))
+        selected, decay, shock = list(self.kept), self.of.decay[into], self.of.shock[into]
+        covariance = (shock @ shock.T)[np.ix_(selected, selected)]
+        key = (len(slow), len(fast), *(f"{x:.9e}" for x in [*decay[selected], *covariance.ravel()]))
         if key not in self._known:
-            self._known[key] = _weights(self, decay[kept], covariance, slow, fast)
+            self._known[key] = _weights(self, decay[selected], covariance, slow, fast)
         return self._known[key]
 
 
 def factor_grid(
-    of: GaussianFactors, kept: tuple[int, ...], spacing: float, slow_nodes: int
+    of: GaussianFactors, selected: tuple[int, ...], spacing: float, slow_nodes: int
 ) -> FactorGrid:
     """The grid for one or two factors; `spacing` in standard deviations of the fast daily shock."""
-    covariance = _covariance(of, list(kept))
-    widest = np.sqrt(np.max(covariance[:, range(len(kept)), range(len(kept))], axis=0))
-    shocks = of.shock[:, kept[0]]
+    covariance = _covariance(of, list(selected))
+    widest = np.sqrt(np.max(covariance[:, range(len(selected)), range(len(selected))], axis=0))
+    shocks = of.shock[:, selected[0]]
     daily = np.sqrt(np.sum(shocks**2, axis=1))
     daily = daily[daily > 1e-12 * max(widest[0], 1e-300)]
     fast = np.zeros(1)
@@ -104,36 +104,36 @@ def factor_grid(
         fast = np.linspace(-1, 1, 2 * min(int(np.ceil(half)), MOST_NODES // 2) + 1)
         fast = FAST_REACH * widest[0] * fast
     slow = np.zeros(1)
-    if len(kept) > 1 and widest[1] > 0:
+    if len(selected) > 1 and widest[1] > 0:
         slow = np.linspace(-1, 1, slow_nodes | 1) * SLOW_REACH * widest[1]
-    return FactorGrid(of, tuple(kept), fast, slow, covariance)
+    return FactorGrid(of, tuple(selected), fast, slow, covariance)
 
 
-def _covariance(of: GaussianFactors, kept: list[int]) -> np.ndarray:
-    covariance, found = np.zeros((len(kept), len(kept))), []
-    for decay, shock in zip(of.decay[:, kept], of.shock[:, kept], strict=True):
+def _covariance(of: GaussianFactors, selected: list[int]) -> np.ndarray:
+    covariance, covariances = np.zeros((len(selected), len(selected))), []
+    for decay, shock in zip(of.decay[:, selected], of.shock[:, selected], strict=True):
         covariance = np.outer(decay, decay) * covariance + shock @ shock.T
-        found.append(covariance)
-    return np.array(found)
+        covariances.append(covariance)
+    return np.array(covariances)
 
 
 def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
     """Independent factors need one term; correlated ones a term per shock of the slow factor."""
     if len(grid.slow) == 1:
-        own = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
-        return Transition([(np.ones((1, 1)), own)])
-    shocks, chances = _gauss_hermite(np.sqrt(covariance[1, 1]), 3)
-    places = [_spline_weights(grid.slow, decay[1] * slow + shock) for shock in shocks]
+        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        return Transition([(np.ones((1, 1)), local)])
+    shocks, probabilities = _gauss_hermite(np.sqrt(covariance[1, 1]), 3)
+    positions = [_spline_weights(grid.slow, decay[1] * slow + shock) for shock in shocks]
     if covariance[0, 1] == 0:
-        moved = np.tensordot(chances, np.array(places), axes=1)
-        own = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
-        return Transition([(moved, own)])
+        moved = np.tensordot(probabilities, np.array(positions), axes=1)
+        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        return Transition([(moved, local)])
     slope = covariance[0, 1] / covariance[1, 1]
     rest = np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0))
     return Transition(
         [
-            (chance * place, _from_points(grid.fast, decay[0] * fast + slope * shock, rest))
-            for chance, place, shock in zip(chances, places, shocks, strict=True)
+            (probability * position, _from_points(grid.fast, decay[0] * fast + slope * shock, rest))
+            for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
         ]
     )
 
@@ -143,9 +143,9 @@ def _from_points(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.nd
     if len(nodes) == 1:
         return np.ones((len(mean), 1))
     if deviation < NARROW * (nodes[1] - nodes[0]):
-        shocks, chances = _gauss_hermite(deviation, 7)
-        places = [_spline_weights(nodes, mean + shock) for shock in shocks]
-        return np.tensordot(chances, np.array(places), axes=1)
+        shocks, probabilities = _gauss_hermite(deviation, 7)
+        positions = [_spline_weights(nodes, mean + shock) for shock in shocks]
+        return np.tensordot(probabilities, np.array(positions), axes=1)
     density = np.exp(-0.5 * ((nodes[None, :] - mean[:, None]) / deviation) ** 2)
     return density / density.sum(axis=1, keepdims=True)
 

@@ -65,29 +65,29 @@ def lattice(
       every grid point, which "free" means with step ratchets.
     """
     every = range(factors.loading.shape[1])
-    kept = relevant_factors(schedule, factors) if keep is None else tuple(keep)
-    if not 1 <= len(kept) <= 2:
-        what = f"a lattice holds one or two price factors, and {kept} would be kept"
-        raise ValueError(f"lattice: {what}; name the two to keep (`keep`).")
-    dropped = tuple(i for i in every if i not in kept)
+    selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
+    if not 1 <= len(selected) <= 2:
+        message = f"a lattice holds one or two price factors, and {selected} would be kept"
+        raise ValueError(f"lattice: {message}; name the two to keep (`keep`).")
+    dropped = tuple(i for i in every if i not in selected)
     if len(schedule.steps.forward) == 0:
-        return _at_the_end(schedule, kept, dropped)
+        return _at_the_end(schedule, selected, dropped)
     if volumes == "free":
         volumes = free_volumes(schedule, interpolation)
-    spacing = spacing or (0.15 if len(kept) == 1 else 0.3)
-    grid = factor_grid(factors, kept, spacing, slow_nodes)
+    spacing = spacing or (0.15 if len(selected) == 1 else 0.3)
+    grid = factor_grid(factors, selected, spacing, slow_nodes)
     step = step or volume_scale(schedule) / (inventories - 1)
     days, value = _backward(schedule, interpolation, grid, step, volumes)
-    return LatticeResult(value, *_forward(schedule, grid, days), kept, dropped)
+    return LatticeResult(value, *_forward(schedule, grid, days), selected, dropped)
 
 
-def _at_the_end(schedule, kept, dropped) -> LatticeResult:
+def _at_the_end(schedule, selected, dropped) -> LatticeResult:
     """No decision left: the value of the gas in store."""
     constants = schedule.constants
     stock = np.array([constants.inventory])
     value = float(end_value(schedule, stock, constants.end_forward)[0])
     delta = float(constants.end_fraction * constants.end_discount * constants.inventory)
-    return LatticeResult(value, np.zeros(0), delta, np.zeros(0), stock, kept, dropped)
+    return LatticeResult(value, np.zeros(0), delta, np.zeros(0), stock, selected, dropped)
 
 
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
@@ -108,10 +108,10 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     common = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
     neutral = alone & common & np.all(decay == 1, axis=0)
     # A factor that never moves any price is dropped as well.
-    silent = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
+    defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(decay.mean(axis=0), kind="stable")
-    kept = tuple(int(i) for i in speed if not neutral[i] and not silent[i])
-    return kept or (int(speed[0]),)
+    selected = tuple(int(i) for i in speed if not neutral[i] and not defaulted[i])
+    return selected or (int(speed[0]),)
 
 
 def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes):

@@ -102,8 +102,8 @@ def decide(
             floor, ceiling = (today.hold, today.up) if code == BUY_TO else (today.down, today.hold)
             target = nodes[node]
             within = (target > floor[:, None]) & (target < ceiling[:, None])
-            worth = np.max(net_value, axis=0) + today.keep[:, None] * price
-            offer(code, np.where(within, worth, -np.inf))
+            values = np.max(net_value, axis=0) + today.keep[:, None] * price
+            offer(code, np.where(within, values, -np.inf))
     move_to = None
     if volumes == "every":
         move_to = _try_every_node(today, prices, nodes, after, best, choice)
@@ -117,9 +117,9 @@ def _try_every_node(today: Moves, prices: UnitPrices, nodes, after, best, choice
     for j, node in enumerate(nodes):
         rows = np.flatnonzero((today.down < node) & (node < today.up))
         if len(rows):
-            worth = after[j] + cash(prices, node - today.keep[rows])
-            better = worth > best[rows]
-            best[rows] = np.where(better, worth, best[rows])
+            value = after[j] + cash(prices, node - today.keep[rows])
+            better = value > best[rows]
+            best[rows] = np.where(better, value, best[rows])
             choice[rows] = np.where(better, MOVE_TO, choice[rows])
             move_to[rows] = np.where(better, j, move_to[rows])
     return move_to

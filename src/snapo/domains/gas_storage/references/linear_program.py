@@ -19,9 +19,9 @@ def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> Plan 
     if horizon == 0 or not _concave(schedule, interpolation):
         return None
     cuts, limits = _cuts(schedule, interpolation)
-    balance, kept = _balance(schedule)
+    balance, selected = _balance(schedule)
     answer = linprog(
-        -_earned(schedule), cuts, limits, balance, kept, _bounds(schedule), method="highs"
+        -_earned(schedule), cuts, limits, balance, selected, _bounds(schedule), method="highs"
     )
     if answer.status != 0:
         raise RuntimeError(f"The linear program of the intrinsic value failed: {answer.message}")
@@ -46,10 +46,10 @@ def _concave(schedule, interpolation: Interpolation) -> bool:
 def _pieces(levels, values, low, high) -> list[tuple[float, float]]:
     """(slope, value at inventory 0) of every linear piece of a function within [low, high]."""
     inside = levels[(levels > low) & (levels < high)]
-    ends = np.concatenate([[low], inside, [max(high, low + 1.0)]])
-    at = np.interp(ends, levels, values)
-    slopes = np.diff(at) / np.diff(ends)
-    return list(zip(slopes, at[:-1] - slopes * ends[:-1], strict=True))
+    endpoints = np.concatenate([[low], inside, [max(high, low + 1.0)]])
+    at = np.interp(endpoints, levels, values)
+    slopes = np.diff(at) / np.diff(endpoints)
+    return list(zip(slopes, at[:-1] - slopes * endpoints[:-1], strict=True))
 
 
 def _end_pieces(schedule) -> list[tuple[float, float]]:
@@ -57,13 +57,13 @@ def _end_pieces(schedule) -> list[tuple[float, float]]:
     levels, first = np.unique(constants.end_levels, return_index=True)
     at = constants.end_values[first]
     price = constants.end_fraction * constants.end_forward
-    pieces = _pieces(levels, at, steps.next_low[-1], steps.next_high[-1])
+    segments = _pieces(levels, at, steps.next_low[-1], steps.next_high[-1])
     discount = constants.end_discount
-    return [((slope + price) * discount, level * discount) for slope, level in pieces]
+    return [((slope + price) * discount, level * discount) for slope, level in segments]
 
 
-def _falls(pieces) -> bool:
-    slopes = np.array([slope for slope, _ in pieces])
+def _falls(segments) -> bool:
+    slopes = np.array([slope for slope, _ in segments])
     return bool(np.all(np.diff(slopes) <= 1e-12 * max(1.0, np.abs(slopes).max())))
 
 
@@ -87,13 +87,13 @@ def _cuts(schedule, interpolation: Interpolation) -> tuple[sparse.csr_array, np.
         stock = None if t == 0 else 2 * horizon + t - 1
         for variable, rate in ((t, day.injection), (horizon + t, day.withdrawal)):
             for slope, level in _pieces(day.levels, rate, steps.low[t], steps.high[t]):
-                known = slope * schedule.constants.inventory if t == 0 else 0.0
-                cut(variable, stock, slope, level + known)
+                available = slope * schedule.constants.inventory if t == 0 else 0.0
+                cut(variable, stock, slope, level + available)
     for slope, level in _end_pieces(schedule):
         cut(3 * horizon, 3 * horizon - 1, slope, level)
     shape = (len(limit), 3 * horizon + 1)
-    found = np.array(entry), (np.array(row, np.int64), np.array(column, np.int64))
-    return sparse.csr_array(found, shape), np.array(limit)
+    result = np.array(entry), (np.array(row, np.int64), np.array(column, np.int64))
+    return sparse.csr_array(result, shape), np.array(limit)
 
 
 def _balance(schedule) -> tuple[sparse.csr_array, np.ndarray]:
@@ -103,8 +103,8 @@ def _balance(schedule) -> tuple[sparse.csr_array, np.ndarray]:
     one = sparse.eye_array(horizon)
     stock = one - sparse.diags_array(keep[1:], offsets=-1, shape=(horizon, horizon))
     blocks = [-one, one, stock, sparse.csr_array((horizon, 1))]
-    kept = np.append(keep[0] * schedule.constants.inventory, np.zeros(horizon - 1))
-    return sparse.hstack(blocks, format="csr"), kept  # pyright: ignore[reportReturnType]
+    selected = np.append(keep[0] * schedule.constants.inventory, np.zeros(horizon - 1))
+    return sparse.hstack(blocks, format="csr"), selected  # pyright: ignore[reportReturnType]
 
 
 def _earned(schedule) -> np.ndarray:
@@ -125,11 +125,11 @@ def _earned(schedule) -> np.ndarray:
 def _bounds(schedule) -> list[tuple[float | None, float | None]]:
     """Forced flows from below, and nothing the other way on their days; inventory limits."""
     steps = schedule.steps
-    most = volume_scale(schedule)
+    maximum = volume_scale(schedule)
 
     def flow(forced, other):
         return [
-            (low, max(low, 0.0 if against > 0 else most))
+            (low, max(low, 0.0 if against > 0 else maximum))
             for low, against in zip(forced, other, strict=True)
         ]
 

@@ -48,12 +48,12 @@ def marginal_values(
     """
     table = slope_table(schedule)
     if factors is None:
-        found = _without_noise(schedule, interpolation, table)
+        without_noise = _without_noise(schedule, interpolation, table)
         reach = np.zeros(len(schedule.steps.forward))
     else:
         grid = factor_grid(factors, (factors.fast,), SPACING, 1)
-        found, reach = _with_noise(schedule, interpolation, table, grid), _reach(grid)
-    above, below = found
+        without_noise, reach = _with_noise(schedule, interpolation, table, grid), _reach(grid)
+    above, below = without_noise
     return MarginalValues(table.low, table.high, above, below, reach)
 
 
@@ -63,7 +63,7 @@ def _with_noise(
     """[2, T, rows, n] above and below."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
-    found, reach = np.zeros((2, horizon, ROWS, DEGREE + 1)), _reach(grid)
+    polynomials, reach = np.zeros((2, horizon, ROWS, DEGREE + 1)), _reach(grid)
     volumes = free_volumes(schedule, interpolation)
     nodes = table.nodes(horizon - 1)
     value = end_value(schedule, nodes[:, None], constants.end_forward * grid.noise(horizon))
@@ -75,13 +75,13 @@ def _with_noise(
             at = partial(_interpolated, nodes, after)
             sides = table.slopes(t, at, nodes[0], nodes[-1])
         for side, slope in enumerate(sides):
-            found[side, t] = _polynomial(grid.fast, reach[t] / FITTED, slope)
+            polynomials[side, t] = _polynomial(grid.fast, reach[t] / FITTED, slope)
         if t:
             inventory = table.nodes(t - 1)
             day_rates, prices = rates(schedule, interpolation, t), unit_prices(schedule, t, spot)
             _, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
             nodes = inventory
-    return found
+    return polynomials
 
 
 def _without_noise(schedule, interpolation: Interpolation, table: SlopeTable) -> np.ndarray:
@@ -89,12 +89,12 @@ def _without_noise(schedule, interpolation: Interpolation, table: SlopeTable) ->
     steps = schedule.steps
     low = np.append(steps.low, steps.next_low[-1:])
     high = np.append(steps.high, steps.next_high[-1:])
-    found = np.zeros((2, len(steps.forward), ROWS, DEGREE + 1))
+    slopes = np.zeros((2, len(steps.forward), ROWS, DEGREE + 1))
     for t, line in enumerate(values_after(schedule, interpolation, low, high)):
-        found[:, t, :, 0] = steps.gas_discount[t] * steps.forward[t]
+        slopes[:, t, :, 0] = steps.gas_discount[t] * steps.forward[t]
         if high[t + 1] > low[t + 1]:
-            found[:, t, :, 0] = table.slopes(t, line, low[t + 1], high[t + 1])
-    return found
+            slopes[:, t, :, 0] = table.slopes(t, line, low[t + 1], high[t + 1])
+    return slopes
 
 
 def _interpolated(nodes: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -109,10 +109,10 @@ def _reach(grid: FactorGrid) -> np.ndarray:
 
 def _polynomial(states: np.ndarray, deviation: float, values: np.ndarray) -> np.ndarray:
     """Least squares of values [rows, columns] on powers of f, weighted by the factor's density."""
-    found = np.zeros((len(values), DEGREE + 1))
+    polynomial = np.zeros((len(values), DEGREE + 1))
     if len(states) <= DEGREE or deviation == 0:
-        found[:, 0] = values[:, len(states) // 2]
-        return found
+        polynomial[:, 0] = values[:, len(states) // 2]
+        return polynomial
     unit = states / deviation
     weight = np.where(np.abs(unit) <= FITTED, np.exp(-(unit**2) / 4), 0.0)
     design = weight[:, None] * unit[:, None] ** np.arange(DEGREE + 1)

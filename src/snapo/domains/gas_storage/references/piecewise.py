@@ -59,12 +59,12 @@ def day_value(
     middle = moves(schedule, day_rates, t, 0.5 * (points[1:] + points[:-1]))
     for price, inject in ((prices.pay, True), (prices.earn, False)):
         for peak in _peaks(after, price):
-            target, worth = after.at[peak], after.value[peak]
+            target, values = after.at[peak], after.value[peak]
             floor = np.maximum(middle.down, middle.keep) if inject else middle.down
             ceiling = middle.up if inject else np.minimum(middle.up, middle.keep)
             within = (floor <= target) & (target <= ceiling)
             if within.any():
-                line = worth - price * (target - today.keep)
+                line = values - price * (target - today.keep)
                 start = np.vstack([start, np.where(within, line[:-1], -np.inf)])
                 finish = np.vstack([finish, np.where(within, line[1:], -np.inf)])
 
@@ -86,9 +86,9 @@ def best_move(
     down, up = today.down[0], today.up[0]
     inside = after.at[(after.at > down) & (after.at < up)]
     targets = np.concatenate([today.hold, today.down, today.up, inside])
-    worth = after(targets) + _cash(prices, targets - today.keep[0])
+    value = after(targets) + _cash(prices, targets - today.keep[0])
     flow = np.abs(targets - today.keep[0])
-    as_good = worth >= worth.max() - COLLINEAR * np.abs(after.value).max()
+    as_good = value >= value.max() - COLLINEAR * np.abs(after.value).max()
     return float(targets[as_good][np.argmin(flow[as_good])])
 
 
@@ -124,15 +124,15 @@ def _breakpoints(schedule, day_rates: Rates, t, targets, low, high, scale) -> np
     reached = [keep, keep + most_in, keep - most_out]
     reached += [keep + forced_in] if forced_in > 0 else []
     reached += [keep - forced_out] if forced_out > 0 else []
-    found = [knots]
-    for ends in reached:
+    results = [knots]
+    for endpoints in reached:
         for i in range(len(knots) - 1):
-            rise = ends[i + 1] - ends[i]
+            rise = endpoints[i + 1] - endpoints[i]
             if rise != 0:
-                share = (targets - ends[i]) / rise
+                share = (targets - endpoints[i]) / rise
                 share = share[(share > 0) & (share < 1)]
-                found.append(knots[i] + share * (knots[i + 1] - knots[i]))
-    points = np.unique(np.concatenate(found))
+                results.append(knots[i] + share * (knots[i + 1] - knots[i]))
+    points = np.unique(np.concatenate(results))
     points = points[np.append(True, np.diff(points) > SAME * scale)]
     points[-1] = max(high, points[-1])
     return points if len(points) > 1 else np.array([low, low])
@@ -154,21 +154,21 @@ def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -
     best = start.argmax(axis=0)
     column = np.arange(start.shape[1])
     crossed = np.flatnonzero(finish[best, column] < finish.max(axis=0))
-    at, worth = [points], [value]
-    begin, end = start[:, crossed], finish[:, crossed]
+    at, values = [points], [value]
+    first, end = start[:, crossed], finish[:, crossed]
     width = np.diff(points)[crossed]
     for i in range(len(start) - 1):
         with np.errstate(invalid="ignore", divide="ignore"):
-            before, after = begin[i] - begin[i + 1 :], end[i] - end[i + 1 :]
+            before, after = first[i] - first[i + 1 :], end[i] - end[i + 1 :]
             share = before / (before - after)
             inside = np.isfinite(share) & (before * after < 0)
         other, k = np.nonzero(inside)
         theta = share[other, k]
         at.append(points[crossed[k]] + theta * width[k])
-        worth.append(np.max(begin[:, k] * (1 - theta) + end[:, k] * theta, axis=0))
-    at, worth = np.concatenate(at), np.concatenate(worth)
+        values.append(np.max(first[:, k] * (1 - theta) + end[:, k] * theta, axis=0))
+    at, values = np.concatenate(at), np.concatenate(values)
     at, order = np.unique(at, return_index=True)
-    return Line(at, worth[order])
+    return Line(at, values[order])
 
 
 def _without_collinear(line: Line) -> Line:

@@ -30,19 +30,19 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
     """
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
-    kept = relevant_factors(schedule, factors)
-    step, spacing = _first_step(schedule), SPACINGS[min(len(kept), 2)]
+    selected = relevant_factors(schedule, factors)
+    step, spacing = _first_step(schedule), SPACINGS[min(len(selected), 2)]
 
     def value(parts: int = 1, finer: int = 1, slow: int = SLOW) -> float:
         grids = {"step": step / parts, "spacing": spacing / finer, "slow_nodes": slow}
-        return lattice(schedule, factors, interpolation, kept, **grids).value
+        return lattice(schedule, factors, interpolation, selected, **grids).value
 
     first = value()
-    found = [_halved(first, value), _halved(first, lambda n: value(finer=n))]
-    if len(kept) > 1:
-        found.append(_halved(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
-    total = first + sum(each.value - first for each in found)
-    return Refined(total, sum(each.error for each in found))
+    results = [_halved(first, value), _halved(first, lambda n: value(finer=n))]
+    if len(selected) > 1:
+        results.append(_halved(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
+    total = first + sum(item.value - first for item in results)
+    return Refined(total, sum(entry.error for entry in results))
 
 
 def _halved(first: float, value: Callable[[int], float]) -> Refined:

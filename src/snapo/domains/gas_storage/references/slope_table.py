@@ -51,7 +51,7 @@ class SlopeTable(NamedTuple):
             left[:, ::2] = row[::2], row[::2] - part
         width = min(part, high - low)
         left = np.clip(left, low, high - width)
-        above, below = ((values(each + width) - values(each)) / width for each in left)
+        above, below = ((values(item + width) - values(item)) / width for item in left)
         return above, below
 
 

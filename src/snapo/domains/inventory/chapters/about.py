@@ -80,9 +80,9 @@ def units_of(case: AnyCase) -> dict[str, str]:
     outputs, averages = OUTPUTS, AVERAGES
     counts = ["orders", "cycles", "cycles_met"]
     if isinstance(case, NetworkCase):
-        names = [place.name for place in case.places]
+        names = [position.name for position in case.places]
         ways = (*NETWORK_AVERAGES, "sent", "received")
-        averages = (*NETWORK_AVERAGES, *(f"{way}_{name}" for way in ways for name in names))
+        averages = (*NETWORK_AVERAGES, *(f"{path}_{name}" for path in ways for name in names))
         outputs, counts = NETWORK_OUTPUTS, ["orders", *(f"orders_{name}" for name in names)]
         states.pop("stock")  # "stock" is an output of a network
     money = dict.fromkeys(outputs, case.value_unit)

@@ -62,8 +62,8 @@ def measure(run: StudyRun) -> RuleResults:
         totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
         compare(name, worth_of_groups(problem.objective, totals, source), trained, numbers)
     if not is_network and (rule := myopic_of(setup)) is not None:
-        own = _first_paths(setup, run.solution.policy)
-        compare("myopic", _first_paths(setup, rule), own, {})
+        local = _first_paths(setup, run.solution.policy)
+        compare("myopic", _first_paths(setup, rule), local, {})
     return RuleResults(tuple(rows))
 
 
@@ -80,7 +80,7 @@ def show(run: Folder, result: RuleResults) -> Sequence[Block]:
     """Costs of all rules, and by how much they are above that of the trained one."""
     rows = result.rivals
     errors = [row.difference_error for row in rows if finite(row.difference_error)]
-    places = min(6, max([2, *(decimals([error], 2) for error in errors)]))
+    digits = min(6, max([2, *(decimals([error], 2) for error in errors)]))
     trained = rows[0].value or 1.0
 
     def numbers(row: RuleResult) -> str:
@@ -104,7 +104,7 @@ def show(run: Folder, result: RuleResults) -> Sequence[Block]:
         "Each rule has the best numbers that a search on other paths found; differences are "
         "paired, path by path, with one standard error."
     )
-    costs = table(rows, columns, "Costs of the rules", places=places)
+    costs = table(rows, columns, "Costs of the rules", places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]
 
 

@@ -45,11 +45,11 @@ class OtherLeadTimes:
 def measure(run: StudyRun) -> OtherLeadTimes:
     """A period less and a period more, as far as a case may have them."""
     rows = []
-    for place, lead, other, case in _other_cases(run.setup):
+    for position, lead, other, case in _other_cases(run.setup):
         if 0 <= other <= LONGEST_LEAD:
             change = _change(run, make_setup(case, run.setup.engines.name))
-            rows.append(OtherLeadTime(place, other, change.value, change.standard_error))
-            where = f" of {place}" if place else ""
+            rows.append(OtherLeadTime(position, other, change.value, change.standard_error))
+            where = f" of {position}" if position else ""
             run.tell(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
     return OtherLeadTimes(tuple(rows))
 
@@ -58,11 +58,11 @@ def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
     """(place, its lead time, the other one, the case with it); the horizon stays."""
     if isinstance(setup.problem.simulator, NetworkSimulator):
         network = network_of(setup)
-        for i, place in enumerate(network.places):
-            for other in (place.lead - 1, place.lead + 1):
-                places = list(network.places)
-                places[i] = replace(place, lead=other)
-                yield place.name, place.lead, other, replace(network, places=tuple(places))
+        for i, position in enumerate(network.places):
+            for other in (position.lead - 1, position.lead + 1):
+                digits = list(network.places)
+                digits[i] = replace(position, lead=other)
+                yield position.name, position.lead, other, replace(network, places=tuple(digits))
     else:
         case = case_of(setup)
         for other in (case.item.lead - 1, case.item.lead + 1):
@@ -111,9 +111,9 @@ def show(run: Folder, result: OtherLeadTimes) -> Sequence[Block]:
     ]  # fmt: skip
     if any(row.place for row in rows):
         columns.insert(0, Column("Place", "place"))
-    places = max(decimals([row.standard_error for row in rows], 2), 2)
+    digits = max(decimals([row.standard_error for row in rows], 2), 2)
     text = "The rule is trained anew for each, and compared on the same paths."
-    changes = table(rows, columns, "Other lead times", places=places)
+    changes = table(rows, columns, "Other lead times", places=digits)
     return [changes, Text(text, caveat=True)]
 
 

@@ -122,8 +122,8 @@ def today(setup: Setup, policy: Policy) -> Today:
 def show(run: Folder, result: OrderCurves) -> Sequence[Block]:
     """Orders by stock, a curve for every amount on its way."""
     case = CaseSummary.of(run)
-    unit, curves, places = case.item_unit, result.curves, result.places
-    names = [f"{number(curve.coming, places)} {unit}s on their way" for curve in curves]
+    unit, curves, digits = case.item_unit, result.curves, result.places
+    names = [f"{number(curve.coming, digits)} {unit}s on their way" for curve in curves]
     if len(curves) == 1:
         names = ["Order"]
 
@@ -154,16 +154,16 @@ def show(run: Folder, result: OrderCurves) -> Sequence[Block]:
 
 
 def _table(result: OrderCurves, unit: str) -> Table:
-    stock, curves, places = result.stock, result.curves, result.places
+    stock, curves, digits = result.stock, result.curves, result.places
     head = [("Stock", unit)]
     for curve in curves:
-        coming = f" ({number(curve.coming, places)} on their way)" if len(curves) > 1 else ""
+        coming = f" ({number(curve.coming, digits)} on their way)" if len(curves) > 1 else ""
         head += [(f"Order{coming}", unit), ("Up to", unit)]
     lines = np.linspace(0, len(stock) - 1, min(LINES, len(stock))).round().astype(int)
     rows = []
     for i in np.unique(lines):
         amounts = [stock[i], *(x for curve in curves for x in (curve.orders[i], curve.levels[i]))]
-        rows.append([number(x, places) for x in amounts])
+        rows.append([number(x, digits) for x in amounts])
     return Table(head, rows, "Orders and the level up to which they go", 0, folded="All numbers")
 
 

@@ -52,17 +52,17 @@ def measure(run: StudyRun) -> NetworkService:
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
-    places = tuple(_place(case, place, paths) for place in case.places)
-    return NetworkService(service.service_of(paths), service.costs_of(paths, names), places)
+    digits = tuple(_place(case, position, paths) for position in case.places)
+    return NetworkService(service.service_of(paths), service.costs_of(paths, names), digits)
 
 
-def _place(case: NetworkCase, place: Place, paths: Measured) -> PlaceService:
-    name, fixed, sells = place.name, place.fixed, place.demand is not None
+def _place(case: NetworkCase, position: Place, paths: Measured) -> PlaceService:
+    name, fixed, sells = position.name, position.fixed, position.demand is not None
     pooled, level, orders = f"sent_{name}" in paths.totals, f"level_{name}", f"orders_{name}"
     return PlaceService(
         name,
         service.ratio(paths, level, orders) if fixed else service.total(paths, level),
-        "" if place.supplier is None else case.places[place.supplier].name,
+        "" if position.supplier is None else case.places[position.supplier].name,
         service.total(paths, f"stock_{name}"),
         service.total(paths, orders) if fixed else None,
         service.ratio(paths, f"ordered_{name}", orders) if fixed else None,
@@ -75,15 +75,20 @@ def _place(case: NetworkCase, place: Place, paths: Measured) -> PlaceService:
 
 def show(run: Folder, result: NetworkService) -> Sequence[Block]:
     """A table with a row for every place."""
-    case, places = CaseSummary.of(run), result.places
-    unit, digits = case.item_unit, decimals([place.stock.value for place in places], 4)
+    case, decimal_places = CaseSummary.of(run), result.places
+    unit, digits = (
+        case.item_unit,
+        decimals([position.stock.value for position in decimal_places], 4),
+    )
 
     def mean(name: str, label: str, unit: str, decimals: int) -> Column:
-        return Column(label, lambda place: _value(getattr(place, name)), unit, places=decimals)
+        return Column(
+            label, lambda location: _value(getattr(location, name)), unit, places=decimals
+        )
 
     columns = [
         Column("Place", "name"),
-        Column("Supplied by", lambda place: place.supplier or "outside"),
+        Column("Supplied by", lambda index: index.supplier or "outside"),
         mean("level", "Orders up to", unit, 2),
         Column("Stock", lambda place: WithError(place.stock.value, place.stock.standard_error),
                unit, places=digits),
@@ -95,14 +100,14 @@ def show(run: Folder, result: NetworkService) -> Sequence[Block]:
         "is the mean over periods of all goods at the place, on their way to it and further down, "
         "less demand that waits, with its order."
     )
-    if any(place.sent for place in places):
+    if any(place.sent for place in decimal_places):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]
         text += " Sent and received is what stores send one another in a period."
-    if any(place.orders for place in places):
+    if any(place.orders for place in decimal_places):
         columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
         columns.append(mean("order_size", "Order size", unit, 2))
         text += " Where an order has a cost of its own, the level is the mean over its orders."
-    rows = table(places, columns, "Stock and service by place")
+    rows = table(decimal_places, columns, "Stock and service by place")
     return [rows, Text(text, caveat=True)]
 
 
@@ -125,7 +130,7 @@ def network_tables(paths: Measured) -> list[Shown]:
     case = network_of(paths.setup)
     columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
     rows = []
-    for place in (_place(case, place, paths) for place in case.places):
-        rate = place.fill_rate.times(100) if place.fill_rate else (None, None)
-        rows.append((place.name, *place.stock.times(1), *rate))
+    for position in (_place(case, location, paths) for location in case.places):
+        rate = position.fill_rate.times(100) if position.fill_rate else (None, None)
+        rows.append((position.name, *position.stock.times(1), *rate))
     return [*service.live_tables(paths), Shown("Places", columns, rows)]

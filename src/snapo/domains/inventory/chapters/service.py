@@ -117,14 +117,14 @@ def headline(run: Folder) -> Section:
     if value is None:
         return Section("value", title, "Cost", [lacking(run, "training")])
     error = finite(run.result.get("standard_error"))
-    places = decimals([value], 6) if not error else max(0, decimals([error], 2))
+    digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     if run.unit:
-        label, text = "Cost", quantity(-value, run.unit, places)
+        label, text = "Cost", quantity(-value, run.unit, digits)
     else:
-        label, text = "Value", number(value, places)
+        label, text = "Value", number(value, digits)
     objective = CaseSummary.of(run).objective
     note = f"{objective}; on fresh paths of the exact simulator, ± one standard error"
-    top = Headline(label, text, plus_minus(error, places), note, marks=marks(run))
+    top = Headline(label, text, plus_minus(error, digits), note, marks=marks(run))
     blocks: list[Block] = [top, *notes(run), *SERVICE(run).blocks]
     return Section("value", title, "Cost", blocks)
 
@@ -141,23 +141,23 @@ def show(run: Folder, result: CostAndService) -> list[Block]:
     for name, (label, meaning) in AMOUNTS.items():
         if (mean := service.get(name)) is not None:
             unit = "" if name == "orders" else case.item_unit
-            places = max(0, decimals([mean.value], 4))
-            facts.append((label, quantity(mean.value, unit, places), meaning))
+            digits = max(0, decimals([mean.value], 4))
+            facts.append((label, quantity(mean.value, unit, digits), meaning))
     return [Facts(facts), _cost_table(result.costs, case.units.get("holding", ""))]
 
 
 def _cost_table(costs: Sequence[CostPart], unit: str) -> Table:
     everything = sum(cost.value for cost in costs) or 1.0
-    places = decimals([everything], 5)
+    digits = decimals([everything], 5)
     rows = [
         (
             cost.name.capitalize(),
-            *measured(cost.value, cost.standard_error, places),
+            *measured(cost.value, cost.standard_error, digits),
             percent(cost.value / everything),
         )
         for cost in costs
     ]
-    rows.append(("Together", number(everything, places), "", percent(1.0)))
+    rows.append(("Together", number(everything, digits), "", percent(1.0)))
     head = [("Cost", ""), ("", unit), ("", ""), ("Share", "")]
     return Table(head, rows, "Cost by part", 1, strong=frozenset([len(rows) - 1]))
 

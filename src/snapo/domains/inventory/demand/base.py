@@ -33,7 +33,7 @@ class Demand(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def read(cls, section: Section, table: Any, unit: str, most: float) -> Self:
+    def read(cls, section: Section, table: Any, unit: str, maximum: float) -> Self:
         """From its table; `unit` of demand in a period, `most` the largest factor of a period."""
 
     @abc.abstractmethod
@@ -70,7 +70,7 @@ class Demand(eqx.Module):
 
     def values(self) -> dict[str, float]:
         """The parameters as the case gives them."""
-        return {each.name: float(each.values[0]) for each in self.given()}
+        return {item.name: float(item.values[0]) for item in self.given()}
 
 
 KINDS: dict[str, type[Demand]] = {}
@@ -90,13 +90,11 @@ def register(demand: type[Demand]) -> type[Demand]:
 
 def mean_given(value: float, unit: str) -> Given:
     """The mean of a period whose factor is 1."""
-    words = "mean demand of a period"
-    return Given(MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", words=words)
+    text = "mean demand of a period"
+    return Given(MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", words=text)
 
 
 def deviation_given(value: float, unit: str) -> Given:
     """The standard deviation of a period whose factor is 1."""
-    words = "standard deviation of the demand of a period"
-    return Given(
-        DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", words=words
-    )
+    text = "standard deviation of the demand of a period"
+    return Given(DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", words=text)

@@ -48,28 +48,28 @@ class Counts(Demand):
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
         """`below` [T, K]: F(k - 1); `chance` [T, K]: p(k)."""
         k = jnp.arange(self.most)
-        chance = jnp.exp(self.logarithms(parameters, factors[:, None], k))
-        upto = jnp.cumsum(chance, 1)
+        probability = jnp.exp(self.logarithms(parameters, factors[:, None], k))
+        upto = jnp.cumsum(probability, 1)
         rest = jnp.maximum(1 - upto[:, -1:], TAIL / 1000)
         nothing = jnp.zeros_like(rest)
         below = jnp.concatenate([nothing, upto], 1)
-        return {"below": below, "chance": jnp.concatenate([chance, rest], 1)}
+        return {"below": below, "chance": jnp.concatenate([probability, rest], 1)}
 
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
-        below, chance = now["below"], now["chance"]
+        below, probability = now["below"], now["chance"]
         uniform = ndtr(normal)
         k = jnp.sum(uniform >= below[1:]).astype(jnp.int32)
-        start, size = below[k], jax.lax.stop_gradient(chance[k])
+        start, size = below[k], jax.lax.stop_gradient(probability[k])
         if not spread:
             return k + _moved(start, size)
         # Where u lies between F(k - 1) and F(k): the quantile function, joined by straight lines.
         share = jax.lax.stop_gradient(jnp.clip((uniform - start) / size, 0.0, 1.0))
-        return k + share - 0.5 + _moved(start + share * chance[k], size)
+        return k + share - 0.5 + _moved(start + share * probability[k], size)
 
     def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         with jax.enable_x64(True):
-            k, given = jnp.arange(self.most), jnp.asarray(float(factor))
-            return np.asarray(jnp.exp(self.logarithms(parameters, given, k)))
+            k, values = jnp.arange(self.most), jnp.asarray(float(factor))
+            return np.asarray(jnp.exp(self.logarithms(parameters, values, k)))
 
 
 def _moved(level: Array, size: Array) -> Array:

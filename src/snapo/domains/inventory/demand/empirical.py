@@ -48,21 +48,21 @@ class Empirical(Demand):
     spread: float | None = None
 
     @classmethod
-    def read(cls, section: Section, table: EmpiricalTable, unit: str, most: float):
-        mention = Mention(section, "history", table.history)
-        rows = read_rows(mention, ["period", "demand"], ["factor"])
+    def read(cls, section: Section, table: EmpiricalTable, unit: str, maximum: float):
+        reference = Mention(section, "history", table.history)
+        rows = read_rows(reference, ["period", "demand"], ["factor"])
         if not FEWEST <= len(rows) <= MOST:
-            what = f"there are {len(rows)} periods; allowed are {FEWEST} to {MOST}"
-            raise CaseError(table.history, "", None, what)
+            message = f"there are {len(rows)} periods; allowed are {FEWEST} to {MOST}"
+            raise CaseError(table.history, "", None, message)
         with_factor = "factor" in rows[0].cells
-        found = [
+        numbers = [
             row.number("demand", 0.0) / (row.number("factor", 1e-3, 1e3) if with_factor else 1.0)
             for row in rows
         ]
-        if max(found) == min(found):
-            what = "demand is the same in all periods: there is nothing to draw from"
-            raise CaseError(table.history, "", None, what)
-        return cls(tuple(sorted(found)), unit, table.mean, table.deviation)
+        if max(numbers) == min(numbers):
+            message = "demand is the same in all periods: there is nothing to draw from"
+            raise CaseError(table.history, "", None, message)
+        return cls(tuple(sorted(numbers)), unit, table.mean, table.deviation)
 
     def given(self):
         mean, spread = self._moments()
@@ -70,28 +70,31 @@ class Empirical(Demand):
 
     def _moments(self) -> tuple[float, float]:
         """Mean and standard deviation: the history's own, or those that the case moves it to."""
-        found = np.array(self.numbers)
-        mean = float(found.mean()) if self.mean is None else self.mean
-        return mean, float(found.std()) if self.spread is None else self.spread
+        numbers = np.array(self.numbers)
+        mean = float(numbers.mean()) if self.mean is None else self.mean
+        return mean, float(numbers.std()) if self.spread is None else self.spread
 
     def prepare(self, parameters, factors):
-        found = np.array(self.numbers)
-        scores = jnp.asarray((found - found.mean()) / found.std())
+        numbers = np.array(self.numbers)
+        scores = jnp.asarray((numbers - numbers.mean()) / numbers.std())
         levels = parameters[MEAN] + parameters[DEVIATION] * scores
-        return {"factor": factors, "levels": jnp.broadcast_to(levels, (*factors.shape, len(found)))}
+        return {
+            "factor": factors,
+            "levels": jnp.broadcast_to(levels, (*factors.shape, len(numbers))),
+        }
 
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
         levels, n = now["levels"], len(self.numbers)
-        place = ndtr(normal) * n
-        k = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, n - 1)
+        position = ndtr(normal) * n
+        k = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, n - 1)
         return now["factor"] * levels[k]
 
     def deviation(self, parameters, factors):
         return parameters[DEVIATION] * factors
 
     def chances(self, parameters, factor=1.0):
-        whole = np.round(self.numbers).astype(int)
-        return np.bincount(whole) / len(whole)
+        complete = np.round(self.numbers).astype(int)
+        return np.bincount(complete) / len(complete)
 
     def integral(self) -> bool:
         return self.in_pieces() and self.mean is None and self.spread is None

@@ -31,8 +31,8 @@ class Geometric(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: GeometricTable, unit: str, most: float):
-        mean = ROOM * most * table.mean
+    def read(cls, section: Section, table: GeometricTable, unit: str, maximum: float):
+        mean = ROOM * maximum * table.mean
         return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean, unit)
 
     def given(self):

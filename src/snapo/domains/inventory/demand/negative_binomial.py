@@ -37,26 +37,26 @@ class NegativeBinomial(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: NegativeBinomialTable, unit: str, most: float):
+    def read(cls, section: Section, table: NegativeBinomialTable, unit: str, maximum: float):
         if table.deviation**2 <= 1.01 * table.mean:
-            least = (1.01 * table.mean) ** 0.5
-            what = f"allowed is a number above {least:.4g}, of a Poisson demand; see that kind"
-            raise section.error("deviation", table.deviation, what)
+            minimum = (1.01 * table.mean) ** 0.5
+            message = f"allowed is a number above {minimum:.4g}, of a Poisson demand; see that kind"
+            raise section.error("deviation", table.deviation, message)
         if table.deviation > 10 * table.mean:
-            what = f"allowed is at most ten times the mean, {10 * table.mean:g}"
-            raise section.error("deviation", table.deviation, what)
+            message = f"allowed is at most ten times the mean, {10 * table.mean:g}"
+            raise section.error("deviation", table.deviation, message)
         size = table.mean**2 / (table.deviation**2 - table.mean)
-        mean = ROOM * most * table.mean
-        found = most_of(stats.nbinom(size, size / (size + mean)).ppf)
-        return cls(found, table.mean, table.deviation, unit)
+        mean = ROOM * maximum * table.mean
+        result = most_of(stats.nbinom(size, size / (size + mean)).ppf)
+        return cls(result, table.mean, table.deviation, unit)
 
     def given(self):
         return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
 
     def logarithms(self, parameters, factor, k):
         mean, size = parameters[MEAN] * factor, _size(parameters)
-        known = gammaln(k + size) - gammaln(size) - gammaln(k + 1.0)
-        return known - size * jnp.log1p(mean / size) - k * jnp.log1p(size / mean)
+        available = gammaln(k + size) - gammaln(size) - gammaln(k + 1.0)
+        return available - size * jnp.log1p(mean / size) - k * jnp.log1p(size / mean)
 
     def deviation(self, parameters, factors):
         mean = parameters[MEAN] * factors

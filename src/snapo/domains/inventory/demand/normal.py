@@ -28,10 +28,10 @@ class Normal(Demand):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: NormalTable, unit: str, most: float):
+    def read(cls, section: Section, table: NormalTable, unit: str, maximum: float):
         if table.deviation > table.mean:
-            what = f"allowed is at most the mean, {table.mean:g}: demand would often be below 0"
-            raise section.error("deviation", table.deviation, what)
+            message = f"allowed is at most the mean, {table.mean:g}: demand would often be below 0"
+            raise section.error("deviation", table.deviation, message)
         return cls(table.mean, table.deviation, unit)
 
     def given(self):

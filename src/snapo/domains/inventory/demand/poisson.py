@@ -32,8 +32,8 @@ class Poisson(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: PoissonTable, unit: str, most: float):
-        return cls(most_of(stats.poisson(ROOM * most * table.mean).ppf), table.mean, unit)
+    def read(cls, section: Section, table: PoissonTable, unit: str, maximum: float):
+        return cls(most_of(stats.poisson(ROOM * maximum * table.mean).ppf), table.mean, unit)
 
     def given(self):
         return (mean_given(self.mean, self.unit),)

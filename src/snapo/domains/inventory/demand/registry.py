@@ -20,12 +20,12 @@ def kinds() -> dict[str, type[Demand]]:
     return dict(KINDS)
 
 
-def read_demand(section: Section, data: Mapping[str, Any], unit: str, most: float) -> Demand:
+def read_demand(section: Section, data: Mapping[str, Any], unit: str, maximum: float) -> Demand:
     """The demand of the table `[demand]`; `most`: the largest factor of a period."""
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
-        known = ", ".join(f'"{each}"' for each in sorted(KINDS))
-        raise section.error("kind", kind, f"allowed is one of {known}")
+        available = ", ".join(f'"{item}"' for item in sorted(KINDS))
+        raise section.error("kind", kind, f"allowed is one of {available}")
     table = parse(KINDS[kind].table, data, str(section.file), section.name)
-    return KINDS[kind].read(section, table, unit, most)
+    return KINDS[kind].read(section, table, unit, maximum)

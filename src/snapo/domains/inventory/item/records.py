@@ -42,7 +42,7 @@ class Item:
     def given(self) -> tuple[Given, ...]:
         """Its numbers as inputs; a cost of every order only where there is one."""
         costs = (self.holding, self.shortage, self.purchase)
-        starts = [each for each in (self.stock, self.coming) if each is not None]
+        starts = [item for item in (self.stock, self.coming) if item is not None]
         return (*costs, *([self.ordering] if self.fixed else []), *starts)
 
     def cost(self, name: str) -> float:

@@ -123,13 +123,13 @@ class InventorySimulator(Simulator):
         stock, coming = state["stock"], state.get("coming", jnp.zeros(0))
         gap = (now["level"] - stock - jnp.sum(coming)) / unit
         lead = self.case.item.lead
-        seen = [
+        observed = [
             jnp.stack([gap, unit, (stock - now["mean"][0]) / unit]),
             (coming - now["mean"][1 : max(lead, 1)]) / unit,
         ]
         if self.case.seasonal:
-            seen.append((now["mean"] - constants["typical"]) / unit)
-        return jnp.concatenate(seen)
+            observed.append((now["mean"] - constants["typical"]) / unit)
+        return jnp.concatenate(observed)
 
     def step(self, constants, now, state, action, noise, smooth):
         item, corner = self.case.item, CORNER * constants["usual"]
@@ -155,7 +155,7 @@ class InventorySimulator(Simulator):
         missed, cycles = _cycle(state, order, unmet, item.lead, smooth)
         averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order, *cycles)))
         outputs = {"result": -sum(costs.values()), **costs}
-        outputs |= {name: now["counted"] * each for name, each in averages.items()}
+        outputs |= {name: now["counted"] * average for name, average in averages.items()}
         if item.fixed:
             outputs = _weighted(outputs, likelihood, now["weight"] * usual_cost(self.case))
         after = left if item.lost else stock - demand
@@ -174,8 +174,8 @@ class InventorySimulator(Simulator):
         assert isinstance(order, Choice)
         drawn, likelihood = order.draw(parts["order"], noise[1])
         # What was drawn long ago has no effect on this period, only noise.
-        kept = 1 - 1 / memory(self.case)
-        likelihood = likelihood * (1 + kept * (state["likelihood"] - 1))
+        selected = 1 - 1 / memory(self.case)
+        likelihood = likelihood * (1 + selected * (state["likelihood"] - 1))
         return jnp.concatenate([drawn, parts["size"]]), likelihood
 
     def in_mean(self):
@@ -184,7 +184,7 @@ class InventorySimulator(Simulator):
         if not case.demand.integral():
             return ()
         season = [case.season.name] if case.seasonal else []
-        return (*(each.name for each in case.demand.given()), *season)
+        return (*(item.name for item in case.demand.given()), *season)
 
     def state_scale(self, constants):
         unit = constants["usual"]
@@ -209,9 +209,9 @@ def _order(action_set: Actions, action, fixed: bool, smooth):
 def _weighted(outputs, likelihood, usual):
     """The outputs, with the derivative of the likelihood of what has led to them; of the result
     only as far as it is not `usual`, for the less is multiplied, the less noise there is."""
-    surprise = outputs["result"] + usual
-    weighted = {name: likelihood * each for name, each in outputs.items()}
-    return weighted | {"result": outputs["result"] + (likelihood - 1) * surprise}
+    innovation = outputs["result"] + usual
+    weighted = {name: likelihood * output for name, output in outputs.items()}
+    return weighted | {"result": outputs["result"] + (likelihood - 1) * innovation}
 
 
 def _cycle(state, order, unmet, lead: int, smooth):
@@ -221,14 +221,14 @@ def _cycle(state, order, unmet, lead: int, smooth):
     if not isinstance(smooth, Exact):
         return state["missed"], (nothing, nothing)
     arrived = state["coming"][0] if lead > 1 else order
-    ends = (arrived > LEAST).astype(unmet.dtype)
+    endpoints = (arrived > LEAST).astype(unmet.dtype)
     if lead == 0:  # it ends before the demand of this period
-        return jnp.maximum((1 - ends) * state["missed"], unmet), (
-            ends,
-            ends * (1 - state["missed"]),
+        return jnp.maximum((1 - endpoints) * state["missed"], unmet), (
+            endpoints,
+            endpoints * (1 - state["missed"]),
         )
     missed = jnp.maximum(state["missed"], unmet)
-    return (1 - ends) * missed, (ends, ends * (1 - missed))
+    return (1 - endpoints) * missed, (endpoints, endpoints * (1 - missed))
 
 
 def _next(state, after, order, lead: int):
@@ -243,13 +243,13 @@ def _next(state, after, order, lead: int):
 
 def inputs_of(case: InventoryCase) -> dict[str, Input]:
     """Every number of the case that has a sensitivity."""
-    found = [*case.item.given(), *case.demand.given(), *([case.season] if case.seasonal else [])]
-    return {each.name: _plain(each) for each in found}
+    results = [*case.item.given(), *case.demand.given(), *([case.season] if case.seasonal else [])]
+    return {item.name: _plain(item) for item in results}
 
 
-def _plain(given) -> Input:
+def _plain(values) -> Input:
     """One number as one number, not as a list of one."""
-    made = given.input()
-    if given.labels != ("",):
+    made = values.input()
+    if values.labels != ("",):
         return made
-    return eqx.tree_at(lambda each: each.value, made, made.value.reshape(()))
+    return eqx.tree_at(lambda item: item.value, made, made.value.reshape(()))

@@ -14,14 +14,14 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
     Shang and Song, Management Science 49 (2003): with echelon holding costs h and u their sum
     upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
     """
-    found = []
+    averages = []
     for i in range(len(case.places)):
         p, local = _costs_below(case, i)
         up = _above(case, i)
         holding = float(case.holding.values[i])
         ratios = (p + up) / (p + local), (p + up) / (p + max(holding, up))
-        found.append(np.mean([stats.norm.ppf(min(each, 0.9999)) for each in ratios]))
-    return np.clip(found, -1.0, 4.0)
+        averages.append(np.mean([stats.norm.ppf(min(ratio, 0.9999)) for ratio in ratios]))
+    return np.clip(averages, -1.0, 4.0)
 
 
 def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
@@ -42,11 +42,11 @@ def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     season."""
     reach = case.serves[:, case.sellers]
     means, spreads = [], []
-    for place, demand in selling(case):
-        own = demand.values()
-        factors = np.ones(1) if place.season is None else place.season.values
-        means.append(own[MEAN] * float(factors.mean()))
-        spreads.append(float(np.mean(demand.deviation(own, factors))))
+    for position, demand in selling(case):
+        local = demand.values()
+        factors = np.ones(1) if position.season is None else position.season.values
+        means.append(local[MEAN] * float(factors.mean()))
+        spreads.append(float(np.mean(demand.deviation(local, factors))))
     return reach @ np.array(means), np.sqrt(reach @ np.array(spreads) ** 2)
 
 
@@ -68,8 +68,8 @@ def _ordering(case: NetworkCase) -> np.ndarray:
 
 
 def _echelon_cost(case: NetworkCase, i: int) -> float:
-    own = float(case.holding.values[i])
-    return max(own - _above(case, i), own / 10)
+    local = float(case.holding.values[i])
+    return max(local - _above(case, i), local / 10)
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
@@ -102,16 +102,18 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
     batch, wait = first_batches(case)
     middle = _usual_levels(case) + unit * batch / 2
     middle[list(case.fixed)] -= unit[list(case.fixed)] * wait / 2
-    leads = np.array([place.lead for place in case.places])
-    kept = case.holding.values * np.maximum(middle - leads * mean - case.supplies @ middle, 0.0)
+    lead_time = np.array([position.lead for position in case.places])
+    selected = case.holding.values * np.maximum(
+        middle - lead_time * mean - case.supplies @ middle, 0.0
+    )
     for i, cost in zip(case.fixed, _ordering(case)):
-        kept[i] += cost * mean[i] / lots[i]
+        selected[i] += cost * mean[i] / lots[i]
     for i in case.sellers:
         p, h = _costs_below(case, i)
         dense = float(stats.norm.pdf(stats.norm.ppf(p / (p + h))))
-        safety = (h + p) * dense * np.sqrt(leads[i] + 1) * unit[i]
-        kept[i] = np.hypot(lots[i] * h * p / (h + p), safety)
-    return kept
+        safety = (h + p) * dense * np.sqrt(lead_time[i] + 1) * unit[i]
+        selected[i] = np.hypot(lots[i] * h * p / (h + p), safety)
+    return selected
 
 
 def _usual_levels(case: NetworkCase) -> np.ndarray:
@@ -123,5 +125,5 @@ def _usual_levels(case: NetworkCase) -> np.ndarray:
 def memory(case: NetworkCase) -> np.ndarray:
     """[m] periods after which an order has no effect any more: twenty times a lot's, and those
     that it takes to the last customer. See `item.estimates.memory`."""
-    lots, (mean, _), places = economic_lots(case), served(case), list(case.fixed)
-    return 20 * (case.cover[places] + lots[places] / mean[places])
+    lots, (mean, _), positions = economic_lots(case), served(case), list(case.fixed)
+    return 20 * (case.cover[positions] + lots[positions] / mean[positions])

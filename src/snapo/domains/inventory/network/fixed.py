@@ -55,8 +55,8 @@ def placed(
         orders = orders.at[i].set(option[1])
     if ratios:
         # What was drawn long ago has no effect on this period, only noise.
-        kept = jnp.asarray(1 - 1 / memory(case), likelihood.dtype)
-        likelihood = jnp.stack(ratios) * (1 + kept * (likelihood - 1))
+        selected = jnp.asarray(1 - 1 / memory(case), likelihood.dtype)
+        likelihood = jnp.stack(ratios) * (1 + selected * (likelihood - 1))
     return Placed(orders, likelihood)
 
 

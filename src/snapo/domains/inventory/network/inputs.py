@@ -13,26 +13,26 @@ from .records import NetworkCase, Place
 def network_inputs(case: NetworkCase) -> dict[str, Input]:
     """Every number of the case that has a sensitivity; those of a place's demand as "NAME.key"."""
     costs = [case.holding, case.shortage, case.ordering, case.transshipment]
-    found = {each.name: each.input() for each in costs if each is not None}
-    for place, demand in selling(case):
-        for each in demand.given():
-            made = each.input()
+    mades = {cost.name: cost.input() for cost in costs if cost is not None}
+    for position, demand in selling(case):
+        for item in demand.given():
+            made = item.input()
             made = eqx.tree_at(lambda x: x.value, made, made.value.reshape(()))
-            found[f"{place.name}.{each.name}"] = made
-        if place.season is not None:
-            found[f"{place.name}.{place.season.name}"] = place.season.input()
-    return found
+            mades[f"{position.name}.{item.name}"] = made
+        if position.season is not None:
+            mades[f"{position.name}.{position.season.name}"] = position.season.input()
+    return mades
 
 
 def selling(case: NetworkCase) -> list[tuple[Place, Demand]]:
     """The places with customers, in the order of `case.sellers`, and their demand."""
-    places = [case.places[i] for i in case.sellers]
-    return [(place, place.demand) for place in places if place.demand is not None]
+    positions = [case.places[i] for i in case.sellers]
+    return [(position, position.demand) for position in positions if position.demand is not None]
 
 
 def demands(case: NetworkCase, inputs: Any) -> list[tuple[Demand, dict[str, Any]]]:
     """(demand, its parameters, and the season where there is one) of every place that sells."""
-    return [(demand, _own(inputs, place.name)) for place, demand in selling(case)]
+    return [(demand, _own(inputs, position.name)) for position, demand in selling(case)]
 
 
 def _own(inputs: Any, name: str) -> dict[str, Any]:

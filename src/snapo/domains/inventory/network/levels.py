@@ -34,16 +34,16 @@ def levels(case: NetworkCase, inputs: Any, periods: int) -> Levels:
     reach = jnp.asarray(case.serves[:, case.sellers])
     longest = int(max(case.way(i) for i in case.sellers))
     means, spreads, usual, typical = [], [], [], []
-    for demand, own in demands(case, inputs):
-        factors = season(own, periods + longest)
-        means.append(own[MEAN] * factors)
-        spreads.append(demand.deviation(own, factors))
-        once = own.get("season", jnp.ones(1))
-        typical.append(own[MEAN] * once.mean())
-        usual.append(demand.deviation(own, once).mean())
-    each = np.add.outer(np.arange(periods), np.arange(longest))
-    mean = (reach @ jnp.stack(means))[:, each]
-    variance = (reach @ jnp.stack(spreads) ** 2)[:, each]
+    for demand, local in demands(case, inputs):
+        factors = season(local, periods + longest)
+        means.append(local[MEAN] * factors)
+        spreads.append(demand.deviation(local, factors))
+        once = local.get("season", jnp.ones(1))
+        typical.append(local[MEAN] * once.mean())
+        usual.append(demand.deviation(local, once).mean())
+    item = np.add.outer(np.arange(periods), np.arange(longest))
+    mean = (reach @ jnp.stack(means))[:, item]
+    variance = (reach @ jnp.stack(spreads) ** 2)[:, item]
     covered = jnp.asarray(np.arange(longest) < case.cover[:, None], mean.dtype)[:, None]
     safety = jnp.sqrt(jnp.sum(variance * covered, 2))
     level = jnp.sum(mean * covered, 2) + jnp.asarray(safety_factors(case))[:, None] * safety
@@ -51,9 +51,9 @@ def levels(case: NetworkCase, inputs: Any, periods: int) -> Levels:
     return Levels(jnp.swapaxes(mean, 0, 1), level.T, unit, reach @ jnp.stack(typical))
 
 
-def season(own: dict[str, Any], periods: int) -> jax.Array:
+def season(local: dict[str, Any], periods: int) -> jax.Array:
     """[T] factors of a place's demand, of its inputs."""
-    factors = jnp.asarray(own.get("season", jnp.ones(1)))
+    factors = jnp.asarray(local.get("season", jnp.ones(1)))
     return factors[np.arange(periods) % len(factors)]
 
 
@@ -62,11 +62,11 @@ def start(case: NetworkCase) -> tuple[jax.Array, jax.Array]:
 
     A place starts with its echelon's level less those of the places that it supplies.
     """
-    own = {name: each.value for name, each in network_inputs(case).items()}
-    found = levels(case, own, 1)
-    level, leads = found.level[0], np.array([place.lead for place in case.places])
-    slots = np.arange(max(leads)) < leads[:, None]
-    coming = found.ahead[0, :, : slots.shape[1]] * slots
+    local = {name: network_input.value for name, network_input in network_inputs(case).items()}
+    result = levels(case, local, 1)
+    level, lead_time = result.level[0], np.array([position.lead for position in case.places])
+    slots = np.arange(max(lead_time)) < lead_time[:, None]
+    coming = result.ahead[0, :, : slots.shape[1]] * slots
     stock = level - jnp.asarray(case.supplies) @ level - coming.sum(1)
     stock = jnp.maximum(stock, 0.0)
     return (jnp.round(stock), jnp.round(coming)) if case.whole else (stock, coming)

@@ -55,14 +55,14 @@ class EchelonRule(Policy):
         hidden: tuple[int, ...] = (32, 32),
         plain: bool = False,
     ):
-        places, before = len(case.places), case.moving(True)
+        positions, before = len(case.places), case.moving(True)
         self.movers, self.shifts = case.moving(False) + before, len(before)
         self.fixed, self.action = case.fixed, action
-        self.first = jnp.full(places, jnp.asarray(batch), jnp.float32)
+        self.first = jnp.full(positions, jnp.asarray(batch), jnp.float32)
         self.wait = jnp.full(len(self.fixed), jnp.asarray(wait), jnp.float32)
         self.kept = jnp.full(len(self.movers), 0.0 if plain else KEPT, jnp.float32)
         # Of the two numbers of a choice the second is scored.
-        widths = (features - places, *hidden, action.size - len(self.fixed))
+        widths = (features - positions, *hidden, action.size - len(self.fixed))
         self.network = None if plain else Network(widths, key=key)
 
     def __call__(self, observation, smooth=EXACT):
@@ -77,11 +77,11 @@ class EchelonRule(Policy):
             amounts, shift = units * smooth.positive_part(raw), jnp.zeros_like(last)
             above = self._something(above, amounts, smooth)
         else:
-            found = self.network(jnp.concatenate([gap, observation[2 * n :]]))
-            amounts = raw + found[: raw.shape[0]]
+            network = self.network(jnp.concatenate([gap, observation[2 * n :]]))
+            amounts = raw + network[: raw.shape[0]]
             amounts = units * jax.nn.softplus(SHARP * amounts) / SHARP
-            shift = last * found[raw.shape[0] : raw.shape[0] + self.shifts]
-            above = above + found[raw.shape[0] + self.shifts :]
+            shift = last * network[raw.shape[0] : raw.shape[0] + self.shifts]
+            above = above + network[raw.shape[0] + self.shifts :]
         parts = [amounts, shift, *self._choices(TRIGGER * above, smooth)]
         return self.action.settle(jnp.concatenate(parts), smooth)
 
@@ -90,8 +90,8 @@ class EchelonRule(Policy):
         if not self.fixed or not isinstance(smooth, Exact):
             return above
         assert isinstance(self.action, Product)
-        least = 0.5 if isinstance(self.action["order"], Integers) else 0.0
-        return jnp.where(amounts[np.array(self.fixed, int)] > least, above, -1.0)
+        minimum = 0.5 if isinstance(self.action["order"], Integers) else 0.0
+        return jnp.where(amounts[np.array(self.fixed, int)] > minimum, above, -1.0)
 
     def _choices(self, scores, smooth) -> list[Array]:
         """[2] whether to order, of each of `fixed`, by its score."""

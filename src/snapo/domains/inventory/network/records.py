@@ -96,48 +96,48 @@ class NetworkCase:
     @cached_property
     def sellers(self) -> tuple[int, ...]:
         """The numbers of the places with customers."""
-        return tuple(i for i, place in enumerate(self.places) if place.demand is not None)
+        return tuple(i for i, position in enumerate(self.places) if position.demand is not None)
 
     @cached_property
     def fixed(self) -> tuple[int, ...]:
         """The numbers of the places where an order costs something whatever its size."""
-        return tuple(i for i, place in enumerate(self.places) if place.fixed)
+        return tuple(i for i, position in enumerate(self.places) if position.fixed)
 
     @property
     def seasonal(self) -> bool:
         """Whether periods differ, at any place."""
-        return any(place.season is not None for place in self.places)
+        return any(position.season is not None for position in self.places)
 
     def moving(self, before: bool) -> tuple[int, ...]:
         """The numbers of the places that are in a pool before, or after demand is known."""
-        return tuple(sorted({i for each in self.pools if each.before == before
-                             for i in each.places}))  # fmt: skip
+        return tuple(sorted({i for pool in self.pools if pool.before == before
+                             for i in pool.places}))  # fmt: skip
 
     @cached_property
     def serves(self) -> np.ndarray:
         """[n, n]: 1 where the place of the column is that of the row, or supplied through it."""
-        found = np.eye(len(self.places))
+        serves = np.eye(len(self.places))
         for i in range(len(self.places)):
-            for each in self._way(i):
-                found[each, i] = 1.0
-        return found
+            for item in self._way(i):
+                serves[item, i] = 1.0
+        return serves
 
     @cached_property
     def supplies(self) -> np.ndarray:
         """[n, n]: 1 where the place of the row is the supplier of that of the column."""
-        found = np.zeros((len(self.places),) * 2)
-        for i, place in enumerate(self.places):
-            if place.supplier is not None:
-                found[place.supplier, i] = 1.0
-        return found
+        supplies = np.zeros((len(self.places),) * 2)
+        for i, position in enumerate(self.places):
+            if position.supplier is not None:
+                supplies[position.supplier, i] = 1.0
+        return supplies
 
     @cached_property
     def linked(self) -> np.ndarray:
         """[n, n]: 1 where what one place does may have an effect on the other."""
-        found = self.supplies + self.supplies.T + np.eye(len(self.places))
+        supplies = self.supplies + self.supplies.T + np.eye(len(self.places))
         for pool in self.pools:
-            found[np.ix_(pool.places, pool.places)] = 1.0
-        return (np.linalg.matrix_power(found, len(self.places)) > 0).astype(float)
+            supplies[np.ix_(pool.places, pool.places)] = 1.0
+        return (np.linalg.matrix_power(supplies, len(self.places)) > 0).astype(float)
 
     def way(self, i: int) -> int:
         """Periods that goods need from outside to the customers of a place, its own included."""
@@ -146,19 +146,19 @@ class NetworkCase:
     @cached_property
     def cover(self) -> np.ndarray:
         """[n] periods of demand from an order to the last customer that it can reach in time."""
-        own = np.array([place.lead + 1 for place in self.places])
+        local = np.array([position.lead + 1 for position in self.places])
         ways = [self.way(i) for i in range(len(self.places))]
         reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
-        above = [way - step for way, step in zip(ways, own)]
+        above = [path - step for path, step in zip(ways, local)]
         return np.array(reach) - np.array(above)
 
     def _way(self, i: int) -> list[int]:
         """The suppliers of a place, the nearest first."""
-        found, here = [], self.places[i].supplier
+        results, here = [], self.places[i].supplier
         while here is not None:
-            found.append(here)
+            results.append(here)
             here = self.places[here].supplier
-        return found
+        return results
 
     @property
     def weights(self) -> np.ndarray:

@@ -62,14 +62,14 @@ def classical(setup: Setup) -> dict[str, Numbers]:
 def echelon_rule(
     setup: Setup,
     above: Sequence[float],
-    kept: float = 0.0,
+    selected: float = 0.0,
     wait: Sequence[float] | None = None,
 ) -> EchelonRule:
     """The rule with these `Numbers`."""
     problem, case = setup.problem, network_of(setup)
     rule = EchelonRule(case, problem.action, problem.features, key=jax.random.key(0), plain=True)
     after = len(case.moving(False))
-    keeps = [kept if kept == ENDLESS else 0.0] * after + [kept] * len(case.moving(True))
+    keeps = [selected if selected == ENDLESS else 0.0] * after + [selected] * len(case.moving(True))
     waits = [-ENDLESS] * len(case.fixed) if wait is None else wait
     values = tuple(jnp.asarray(x, jnp.float32) for x in (above, keeps, waits))
     return eqx.tree_at(lambda x: (x.first, x.kept, x.wait), rule, values)
@@ -83,9 +83,9 @@ def best(setup: Setup, start: Numbers) -> Numbers:
     n = len(start.above)
 
     def numbers(point: tuple[float, ...]) -> Numbers:
-        kept = point[-1] if banded else start.kept
+        selected = point[-1] if banded else start.kept
         wait = point[n : n + len(waits)] if start.wait is not None else None
-        return Numbers(point[:n], kept, wait)
+        return Numbers(point[:n], selected, wait)
 
     def cost(point: tuple[float, ...]) -> float:
         if banded and point[-1] < 0:
@@ -111,7 +111,7 @@ def _for_planner(setup: Setup, numbers: Numbers) -> dict[str, float]:
     case, level = network_of(setup), first_levels(setup)
     unit = np.asarray(setup.problem.schedule.constants["unit"])
     levels = level + np.array(numbers.above) * unit
-    entries = {place.name: float(x) for place, x in zip(case.places, levels)}
+    entries = {position.name: float(x) for position, x in zip(case.places, levels)}
     for i, wait in zip(case.fixed, numbers.wait or ()):
         entries[f"{case.places[i].name} from"] = float(level[i] - wait * unit[i])
     banded = case.moving(True) and numbers.kept != ENDLESS

@@ -35,7 +35,7 @@ from .transshipment import in_pieces, move_after, move_before
 
 CORNER = 8.0  # of a corner in deviations of demand, times the temperature
 OUTPUTS = ("result", "holding", "shortage", "ordering", "transshipment")
-TOTALS = {each: each for each in ("demand", "sold", "stock", "orders")} | {"received": "moved"}
+TOTALS = {name: name for name in ("demand", "sold", "stock", "orders")} | {"received": "moved"}
 AVERAGES = (*TOTALS.values(), "short", "level", "ordered")
 
 Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places that have any
@@ -87,20 +87,21 @@ class NetworkSimulator(Simulator):
     @property
     def longest(self) -> int:
         """The longest lead time."""
-        return max(place.lead for place in self.case.places)
+        return max(position.lead for position in self.case.places)
 
     def prepare(self, inputs: Any) -> Schedule:
         """What differs by period stands in the steps where there is a season, else once in the
         constants: `step` looks for it in both."""
         case = self.case
         periods = self.horizon if case.seasonal else 1
-        found = levels(case, inputs, periods)
-        each = {
-            "level": found.level,
-            "ahead": found.ahead,
-            "mean": found.ahead[:, :, 0],
+        result = levels(case, inputs, periods)
+        item = {
+            "level": result.level,
+            "ahead": result.ahead,
+            "mean": result.ahead[:, :, 0],
             "demand": [
-                demand.prepare(own, season(own, periods)) for demand, own in demands(case, inputs)
+                demand.prepare(local, season(local, periods))
+                for demand, local in demands(case, inputs)
             ],
         }
         stock, coming = start(case)
@@ -108,9 +109,9 @@ class NetworkSimulator(Simulator):
         constants = {
             "holding": inputs["holding_cost"],
             "shortage": nothing.at[jnp.asarray(case.sellers)].set(inputs["shortage_cost"]),
-            "unit": found.unit,
-            "typical": found.typical,
-            "corner": CORNER * found.unit,
+            "unit": result.unit,
+            "typical": result.typical,
+            "corner": CORNER * result.unit,
             "stock": stock,
             "coming": coming,
         }
@@ -120,8 +121,8 @@ class NetworkSimulator(Simulator):
             constants["order"] = nothing.at[jnp.asarray(case.fixed)].set(inputs["order_cost"])
         steps = {"weight": jnp.asarray(case.weights), "counted": jnp.asarray(case.counted)}
         if not case.seasonal:
-            return Schedule(constants | jax.tree.map(lambda x: x[0], each), steps)
-        return Schedule(constants, steps | each)
+            return Schedule(constants | jax.tree.map(lambda x: x[0], item), steps)
+        return Schedule(constants, steps | item)
 
     def initial(self, constants, noise):
         state = {"stock": constants["stock"]}
@@ -138,51 +139,51 @@ class NetworkSimulator(Simulator):
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
         coming = state.get("coming", jnp.zeros((len(case.places), 0)))
         gap = (here["level"] - self._echelon(state)) / unit
-        seen = [gap, unit, (stock - here["stock"]) / unit]
-        for i, place in enumerate(case.places):
-            seen.append((coming[i, : place.lead] - ahead[i, : place.lead]) / unit[i])
-        for i, (place, _) in zip(case.sellers, selling(case)):
-            if place.season is not None:
-                seen.append((ahead[i, : case.way(i)] - here["typical"][i]) / unit[i])
-        return jnp.concatenate(seen)
+        observed = [gap, unit, (stock - here["stock"]) / unit]
+        for i, position in enumerate(case.places):
+            observed.append((coming[i, : position.lead] - ahead[i, : position.lead]) / unit[i])
+        for i, (position, _) in zip(case.sellers, selling(case)):
+            if position.season is not None:
+                observed.append((ahead[i, : case.way(i)] - here["typical"][i]) / unit[i])
+        return jnp.concatenate(observed)
 
     def _echelon(self, state):
         """[n] goods at a place, on their way there and further down, less demand that waits."""
         stock = state["stock"]
-        own = stock + state["coming"].sum(1) if self.longest else stock
-        return jnp.asarray(self.case.serves, stock.dtype) @ own
+        local = stock + state["coming"].sum(1) if self.longest else stock
+        return jnp.asarray(self.case.serves, stock.dtype) @ local
 
     def step(self, constants, now, state, action, noise, smooth):
         case, here = self.case, {**constants, **now}
         parts = {"order": action}
         if isinstance(self.action, Product):
             parts = self.action.parts(action)
-        drawn, wanted = self._placed(parts, state, noise, smooth)
-        stock, sent = self._sent(here, state["stock"], wanted, smooth)
+        drawn, requested = self._placed(parts, state, noise, smooth)
+        stock, sent = self._sent(here, state["stock"], requested, smooth)
         after, arrived = self._moved(state, sent)
         stock, moves = stock + arrived, []
         if "band" in parts:
             moves.append(move_before(case, here, stock, parts["band"], parts["shift"], smooth))
             stock = moves[-1].stock
-        asked = self._asked(here, noise, smooth, stock.dtype)
-        stock = stock - asked
+        request = self._asked(here, noise, smooth, stock.dtype)
+        stock = stock - request
         if "held" in parts:
             moves.append(move_after(case, here, stock, parts["held"], smooth))
             stock = moves[-1].stock
         left = smooth.positive_part(stock, here["corner"])
         short = left - stock
         # Goods that waited were met first.
-        sold = smooth.positive_part(asked - short, here["corner"])
+        sold = smooth.positive_part(request - short, here["corner"])
         everywhere = tuple(range(len(case.places)))
-        level = self._echelon(state) + wanted
+        level = self._echelon(state) + requested
         amounts: Amounts = {
             "stock": (left, everywhere),
-            "demand": (asked, case.sellers),
+            "demand": (request, case.sellers),
             "sold": (sold, case.sellers),
             "level": (level if drawn is None else drawn.orders * level, everywhere),
         }
         if drawn is not None:
-            amounts |= {"orders": (drawn.orders, case.fixed), "ordered": (wanted, case.fixed)}
+            amounts |= {"orders": (drawn.orders, case.fixed), "ordered": (requested, case.fixed)}
             after["likelihood"] = drawn.likelihood
         weights = Weights(case, None if drawn is None else drawn.likelihood)
         outputs = self._costs(here, after, left, short, moves, drawn, weights)
@@ -195,19 +196,19 @@ class NetworkSimulator(Simulator):
         if not self.case.fixed:
             return None, parts["order"]
         assert isinstance(self.action, Product)
-        own = noise[len(self.case.sellers) :]
-        drawn = placed(self.case, self.action, parts, state["likelihood"], own, smooth)
+        local = noise[len(self.case.sellers) :]
+        drawn = placed(self.case, self.action, parts, state["likelihood"], local, smooth)
         return drawn, drawn.orders * parts["order"]
 
     def _asked(self, here, noise, smooth, dtype):
         """[n] demand of customers."""
-        asked = jnp.zeros(len(self.case.places), dtype)
+        request = jnp.zeros(len(self.case.places), dtype)
         # In training orders are no whole numbers, so that a derivative by whole demand, which is
         # right on lines that are straight between them, would be wrong.
         spread = not isinstance(smooth, Exact)
         for k, (i, (_, demand)) in enumerate(zip(self.case.sellers, selling(self.case))):
-            asked = asked.at[i].set(demand.draw(here["demand"][k], noise[k], spread))
-        return asked
+            request = request.at[i].set(demand.draw(here["demand"][k], noise[k], spread))
+        return request
 
     def _costs(self, here, after, left, short, moves, drawn, weights):
         """Costs by part, and the result."""
@@ -219,14 +220,14 @@ class NetworkSimulator(Simulator):
         }
         if drawn is not None:
             by_place["ordering"] = here["order"] * drawn.orders
-        costs = {name: jnp.sum(weights.of(each)) for name, each in by_place.items()}
+        costs = {name: jnp.sum(weights.of(item)) for name, item in by_place.items()}
         together = sum(by_place.values())
         result = jnp.sum(together) + weights.surprise(together)
         if moves:
-            moved = jnp.stack([each.cost for each in moves]).sum()
+            moved = jnp.stack([entry.cost for entry in moves]).sum()
             costs["transshipment"] = weights.of_all(moved)
             result = result + costs["transshipment"]
-        outputs = {name: here["weight"] * each for name, each in costs.items()}
+        outputs = {name: here["weight"] * cost for name, cost in costs.items()}
         return outputs | {"result": -here["weight"] * result}
 
     def _means(self, here, amounts: Amounts, short, moves, weights, smooth):
@@ -235,30 +236,30 @@ class NetworkSimulator(Simulator):
         if moves:
             members = tuple(sorted({*case.moving(False), *case.moving(True)}))
             amounts = amounts | {
-                "sent": (jnp.stack([each.sent for each in moves]).sum(0), members),
-                "received": (jnp.stack([each.received for each in moves]).sum(0), members),
+                "sent": (jnp.stack([entry.sent for entry in moves]).sum(0), members),
+                "received": (jnp.stack([value.received for value in moves]).sum(0), members),
             }
-        for way, (each, places) in amounts.items():
-            mine = weights.of(each)
-            means |= {f"{way}_{case.places[i].name}": mine[i] for i in places}
-            if way in TOTALS:
-                means[TOTALS[way]] = mine[jnp.asarray(places)].sum()
+        for path, (item, positions) in amounts.items():
+            mine = weights.of(item)
+            means |= {f"{path}_{case.places[i].name}": mine[i] for i in positions}
+            if path in TOTALS:
+                means[TOTALS[path]] = mine[jnp.asarray(positions)].sum()
         fell = smooth.indicator(jnp.max(short) - 1e-3, here["corner"][0])
         means["short"] = weights.of_all(fell)
         return {name: here["counted"] * each for name, each in means.items()}
 
-    def _sent(self, constants, stock, wanted, smooth):
+    def _sent(self, constants, stock, requested, smooth):
         """(stocks after sending [n], amounts sent to each place [n])."""
         supplies = jnp.asarray(self.case.supplies, stock.dtype)
-        total = supplies @ wanted
+        total = supplies @ requested
         held = smooth.positive_part(stock, constants["corner"])
         # In this order, as stock is differentiated upwards where it is just what was asked for.
-        given = smooth.minimum(held, total, constants["corner"])
+        values = smooth.minimum(held, total, constants["corner"])
         some = total > 0
-        share = jnp.where(some, given, 1.0) / jnp.where(some, total, 1.0)
+        share = jnp.where(some, values, 1.0) / jnp.where(some, total, 1.0)
         outside = jnp.asarray([float(p.supplier is None) for p in self.case.places], stock.dtype)
-        sent = wanted * outside
-        for amounts, mine in zip(wanted * share[:, None], supplies):
+        sent = requested * outside
+        for amounts, mine in zip(requested * share[:, None], supplies):
             sent = sent + in_pieces(self.case, mine * amounts, smooth)
         return stock - supplies @ sent, sent
 
@@ -266,8 +267,8 @@ class NetworkSimulator(Simulator):
         """(the goods on their way, arrivals [n])."""
         if not self.longest:
             return {}, sent
-        leads = np.array([place.lead for place in self.case.places])
-        slots = jnp.asarray(np.arange(self.longest + 1) == leads[:, None], sent.dtype)
+        lead_time = np.array([position.lead for position in self.case.places])
+        slots = jnp.asarray(np.arange(self.longest + 1) == lead_time[:, None], sent.dtype)
         full = jnp.concatenate([state["coming"], jnp.zeros_like(sent)[:, None]], 1)
         full = full + slots * sent[:, None]
         return {"coming": full[:, 1:]}, full[:, 0]
@@ -275,10 +276,13 @@ class NetworkSimulator(Simulator):
     def in_mean(self):
         """Parameters of whole demand, and its season."""
         return tuple(
-            f"{place.name}.{each.name}"
-            for place, demand in selling(self.case)
+            f"{position.name}.{item.name}"
+            for position, demand in selling(self.case)
             if demand.integral()
-            for each in (*demand.given(), *([place.season] if place.season is not None else []))
+            for item in (
+                *demand.given(),
+                *([position.season] if position.season is not None else []),
+            )
         )
 
     def state_scale(self, constants):

@@ -36,7 +36,7 @@ class Moved(NamedTuple):
 def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Moved:
     """Balances the pools that act before demand; `band`, `shift` [m] of `case.moving(True)`."""
     members = np.array(case.moving(True), int)
-    band, shift = (jnp.zeros_like(stock).at[members].set(each) for each in (band, shift))
+    band, shift = (jnp.zeros_like(stock).at[members].set(item) for item in (band, shift))
 
     def levels(pool: Pool, stock):
         inside = _mask(pool.places, stock)
@@ -71,8 +71,8 @@ def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) ->
         lack = smooth.positive_part(now - lower, corner) - (now - lower)
         lack = _mask(pool.takers, stock) * lack
         moved = smooth.minimum(spare.sum(), lack.sum(), corner.sum())
-        given, taken = (shared(case, moved, each, smooth) for each in (spare, lack))
-        sent, received = sent + given, received + taken
+        values, taken = (shared(case, moved, item, smooth) for item in (spare, lack))
+        sent, received = sent + values, received + taken
         cost = cost + constants["transshipment"][k] * moved
     return Moved(stock - sent + received, sent, received, cost)
 
@@ -80,8 +80,8 @@ def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) ->
 def shared(case: NetworkCase, total, parts, smooth):
     """[n] `total`, at most the sum of `parts` [n], shared in proportion to them."""
     some = jnp.sum(parts) > 0
-    found = parts * jnp.where(some, total, 0.0) / jnp.where(some, jnp.sum(parts), 1.0)
-    return in_pieces(case, found, smooth)
+    result = parts * jnp.where(some, total, 0.0) / jnp.where(some, jnp.sum(parts), 1.0)
+    return in_pieces(case, result, smooth)
 
 
 def in_pieces(case: NetworkCase, amounts, smooth):
@@ -101,11 +101,11 @@ def _cheapest_first(case: NetworkCase, before: bool) -> list[int]:
     if case.transshipment is None:
         return []
     costs = case.transshipment.values
-    chosen = [k for k, pool in enumerate(case.pools) if pool.before == before]
-    return sorted(chosen, key=lambda k: costs[k])
+    selected = [k for k, pool in enumerate(case.pools) if pool.before == before]
+    return sorted(selected, key=lambda k: costs[k])
 
 
-def _mask(places: Sequence[int], like):
-    found = np.zeros(like.shape)
-    found[list(places)] = 1.0
-    return jnp.asarray(found, like.dtype)
+def _mask(positions: Sequence[int], like):
+    result = np.zeros(like.shape)
+    result[list(positions)] = 1.0
+    return jnp.asarray(result, like.dtype)

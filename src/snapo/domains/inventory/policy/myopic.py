@@ -36,18 +36,18 @@ class Myopic(Policy):
         unit, moves, met = observation[1], self.moves.array, self.met.array
         n = moves.shape[0]
         amounts = jnp.round(observation[HEAD:] * unit + self.mean)
-        chances = (jnp.arange(n) == jnp.minimum(amounts[0], n - 1)).astype(observation.dtype)
+        probabilities = (jnp.arange(n) == jnp.minimum(amounts[0], n - 1)).astype(observation.dtype)
         for i in range(self.lead):
-            chances = chances @ moves.astype(observation.dtype)
+            probabilities = probabilities @ moves.astype(observation.dtype)
             if i + 1 < self.lead:
-                chances = _moved(chances, amounts[1 + i])
-        reached = chances @ met.astype(observation.dtype)
+                probabilities = _moved(probabilities, amounts[1 + i])
+        reached = probabilities @ met.astype(observation.dtype)
         order = jnp.sum(reached < self.ratio).astype(observation.dtype)
         return within(self.action, order, smooth)
 
 
 def myopic(
-    chances: Float[np.ndarray, " demands"],
+    probabilities: Float[np.ndarray, " demands"],
     mean: float,
     holding: float,
     shortage: float,
@@ -55,21 +55,21 @@ def myopic(
     action: Actions,
 ) -> Myopic:
     """The rule for demand with these chances of 0, 1, …"""
-    n = 2 * len(chances)
+    n = 2 * len(probabilities)
     padded = np.zeros(n)
-    padded[: len(chances)] = chances
+    padded[: len(probabilities)] = probabilities
     stocks = np.arange(n)
     back = np.subtract.outer(stocks, stocks)  # [stock, left]: the demand between them
     moves = np.where(back >= 0, padded[np.maximum(back, 0)], 0.0)
     moves[:, 0] += 1 - moves.sum(1)
     upto = np.cumsum(padded)
-    met = upto[np.minimum(np.add.outer(stocks, np.arange(len(chances))), n - 1)]
-    tables = (Frozen(jnp.asarray(each, jnp.float32)) for each in (moves, met))
+    met = upto[np.minimum(np.add.outer(stocks, np.arange(len(probabilities))), n - 1)]
+    tables = (Frozen(jnp.asarray(item, jnp.float32)) for item in (moves, met))
     return Myopic(*tables, shortage / (shortage + holding), mean, lead, action)  # pyright: ignore
 
 
-def _moved(chances: Array, by: Array) -> Array:
+def _moved(probabilities: Array, by: Array) -> Array:
     """Chances of a stock to which an amount is added; what would be beyond stays at the end."""
-    n = chances.shape[0]
-    places = jnp.minimum(jnp.arange(n) + by.astype(jnp.int32), n - 1)
-    return jnp.zeros_like(chances).at[places].add(chances)
+    n = probabilities.shape[0]
+    positions = jnp.minimum(jnp.arange(n) + by.astype(jnp.int32), n - 1)
+    return jnp.zeros_like(probabilities).at[positions].add(probabilities)

@@ -43,9 +43,9 @@ class OrderUpTo(Policy):
         wait: float = 0.0,
         hidden: tuple[int, ...] = (32, 32),
     ):
-        seen, outputs = features - HEAD + 1, 2 if isinstance(action, Product) else 1
-        self.network = Network((seen, *hidden, outputs), key=key)
-        self.gain = jnp.zeros(seen, jnp.float32)
+        observed, outputs = features - HEAD + 1, 2 if isinstance(action, Product) else 1
+        self.network = Network((observed, *hidden, outputs), key=key)
+        self.gain = jnp.zeros(observed, jnp.float32)
         self.first = jnp.asarray(batch, jnp.float32)
         self.wait = jnp.asarray(wait, jnp.float32)
         self.action = action
@@ -53,19 +53,19 @@ class OrderUpTo(Policy):
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         gap, unit = observation[0], observation[1]
-        seen = jnp.concatenate([gap[None], observation[HEAD:]])
-        found = self.network(seen)
-        raw = gap + self.first + self.gain @ seen + found[0]
+        observed = jnp.concatenate([gap[None], observation[HEAD:]])
+        network = self.network(observed)
+        raw = gap + self.first + self.gain @ observed + network[0]
         size = unit * jax.nn.softplus(SHARP * raw) / SHARP
         if not isinstance(self.action, Product):
             return within(self.action, size, smooth)
-        score = TRIGGER * (gap - self.wait + found[1])
+        score = TRIGGER * (gap - self.wait + network[1])
         placed = self.action["order"].squash(jnp.stack([jnp.zeros_like(score), score]), smooth)
         return jnp.concatenate([placed, within(self.action["size"], size, smooth)])
 
 
 def within(action: Actions, size, smooth):
     """[1] an amount of at least 0, no more than the most that can be ordered, rounded if whole."""
-    most = float(action.bounds()[1][0])
-    cut = smooth.minimum(size, most, scale=most) if most < float("inf") else size
+    maximum = float(action.bounds()[1][0])
+    cut = smooth.minimum(size, maximum, scale=maximum) if maximum < float("inf") else size
     return action.settle(cut[None], smooth)

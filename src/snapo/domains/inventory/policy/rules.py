@@ -120,6 +120,6 @@ def myopic_of(setup: Setup) -> Policy | None:
         return classical(setup, "base stock", {"above": 0.0})
     if not (demand.integral() and item.whole):
         return None
-    chances = demand.chances(demand.values())
+    probabilities = demand.chances(demand.values())
     costs = item.cost("holding"), item.cost("shortage")
-    return myopic(chances, mean_demand(case), *costs, item.lead, setup.problem.action)
+    return myopic(probabilities, mean_demand(case), *costs, item.lead, setup.problem.action)

@@ -16,8 +16,8 @@ def search(
     cost: Callable[[tuple[float, ...]], float],
     start: Sequence[float],
     step: float,
-    least: float,
-    most: int = 300,
+    minimum: float,
+    maximum: int = 300,
     together: Sequence[tuple[int, int]] = (),
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `least`.
@@ -35,15 +35,15 @@ def search(
         return costs[point]
 
     steps = _steps(len(start), together)
-    best = tuple(least * round(x / least) for x in start)
-    while step >= least and len(costs) < most:
-        grid = max(1, round(step / least)) * least
+    best = tuple(minimum * round(x / minimum) for x in start)
+    while step >= minimum and len(costs) < maximum:
+        grid = max(1, round(step / minimum)) * minimum
         near = [tuple(x + grid * d for x, d in zip(best, direction)) for direction in steps]
         neighbour = min(near, key=of)
         if of(neighbour) < of(best):
             best = neighbour
         else:
-            step = grid / 2 if grid > least else 0.0
+            step = grid / 2 if grid > minimum else 0.0
     return best
 
 

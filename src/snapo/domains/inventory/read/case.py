@@ -30,8 +30,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     horizon = parse(HorizonTable, top.horizon, name, "horizon")
     season = read_season(Section(file, "season", notes), top.season) if top.season else no_season()
     per = f"{table.unit}/{table.period}"
-    most = float(season.values.max())
-    demand = read_demand(Section(file, "demand", notes), top.demand, per, most)
+    maximum = float(season.values.max())
+    demand = read_demand(Section(file, "demand", notes), top.demand, per, maximum)
     item = _item(
         Section(file, "item", notes),
         table,
@@ -57,24 +57,26 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     )
 
 
-def _item(section: Section, table: ItemTable, whole: bool) -> Item:
+def _item(section: Section, table: ItemTable, complete: bool) -> Item:
     arrivals = max(table.lead_time - 1, 0)
     if table.coming is not None and len(table.coming) != arrivals:
-        what = f"a lead time of {table.lead_time} needs {arrivals} numbers, the next arrival first"
-        raise section.error("coming", table.coming, what)
-    if table.whole and not whole:
+        message = (
+            f"a lead time of {table.lead_time} needs {arrivals} numbers, the next arrival first"
+        )
+        raise section.error("coming", table.coming, message)
+    if table.whole and not complete:
         section.notes.append("Orders are whole numbers, demand is not.")
     shortage = table.shortage
     if table.unmet == "lost":
-        by_unit, words = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
-        shortage = replace(shortage, unit=by_unit, words=words)
+        by_unit, text = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
+        shortage = replace(shortage, unit=by_unit, words=text)
     coming = replace(STOCK, unit=table.unit, meaning="at the start")
     rows = positions((*section.keys, "coming"), (arrivals,))
     labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
     return Item(
         lost=table.unmet == "lost",
         lead=table.lead_time,
-        whole=whole if table.whole is None else table.whole,
+        whole=complete if table.whole is None else table.whole,
         most=float("inf") if table.most is None else float(table.most),
         holding=table.holding,
         shortage=shortage,

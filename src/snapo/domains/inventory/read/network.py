@@ -111,12 +111,12 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     top = parse(NetworkFile, data, name, "")
     table = parse(NetworkTable, top.network, name, "network")
     horizon = parse(HorizonTable, top.horizon, name, "horizon")
-    rows = [parse(PlaceTable, each, name, f"place[{i}]") for i, each in enumerate(top.place)]
+    rows = [parse(PlaceTable, item, name, f"place[{i}]") for i, item in enumerate(top.place)]
     sections = [Section(file, f"place[{i}]", notes) for i in range(len(rows))]
     _check(rows, sections, Section(file, "network", notes), table.unmet)
     names = [row.name for row in rows]
     per = f"{table.unit}/{table.period}"
-    places = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
+    positions = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
     money = f"{table.currency}/{table.unit}"
     by_period = f"{money}/{table.period}"
     selling = [row for row in rows if row.demand is not None]
@@ -129,11 +129,11 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     paying = [row for row in rows if row.order > 0]
     ordering = _costs("order_cost", paying, [row.order for row in paying], table.currency,
                       "of an order of any size")  # fmt: skip
-    whole = all(_whole(place) for place in places)
+    complete = all(_whole(position) for position in positions)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
     costs = [cost for cost in (held, short, moving) if cost is not None]
-    inputs = [*costs, *(x for site in places for x in _demand(site))]
+    inputs = [*costs, *(x for site in positions for x in _demand(site))]
     notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
     return NetworkCase(
         **read_settings(top, name),
@@ -144,8 +144,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         unit=table.unit,
         period=table.period,
         lost=table.unmet == "lost",
-        whole=whole if table.whole is None else table.whole,
-        places=places,
+        whole=complete if table.whole is None else table.whole,
+        places=positions,
         pools=pools,
         holding=held,
         shortage=short,
@@ -158,11 +158,11 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     )
 
 
-def _check(rows: list[PlaceTable], sections: list[Section], whole: Section, unmet: str) -> None:
+def _check(rows: list[PlaceTable], sections: list[Section], complete: Section, unmet: str) -> None:
     """Names, suppliers without a circle, customers at every end, shortage where there are any."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MOST:
-        raise whole.error("place", len(rows), f"allowed are 1 to {MOST} tables [[place]]")
+        raise complete.error("place", len(rows), f"allowed are 1 to {MOST} tables [[place]]")
     for i, (row, section) in enumerate(zip(rows, sections)):
         if row.name in names[:i]:
             raise section.error("name", row.name, "another place has this name")
@@ -170,19 +170,19 @@ def _check(rows: list[PlaceTable], sections: list[Section], whole: Section, unme
             raise section.error("supplier", row.supplier, f"the places are {', '.join(names)}")
         if (row.demand is None) != (row.shortage is None):
             key = "shortage" if row.shortage is None else "demand"
-            what = "a place with customers has both, demand and shortage; any other has neither"
-            raise section.error(key, None, what)
-        supplying = any(each.supplier == row.name for each in rows)
+            message = "a place with customers has both, demand and shortage; any other has neither"
+            raise section.error(key, None, message)
+        supplying = any(item.supplier == row.name for item in rows)
         if row.demand is None and not supplying:
             raise section.error("demand", None, "this place has no customers and supplies no other")
         if row.demand is not None and supplying:
-            what = "a place that supplies another one has no customers of its own: add a place"
-            raise section.error("demand", row.demand, what)
-        seen, here = {row.name}, row.supplier
+            message = "a place that supplies another one has no customers of its own: add a place"
+            raise section.error("demand", row.demand, message)
+        observed, here = {row.name}, row.supplier
         while here is not None:
-            if here in seen:
+            if here in observed:
                 raise section.error("supplier", row.supplier, "the suppliers form a circle")
-            seen.add(here)
+            observed.add(here)
             here = rows[names.index(here)].supplier
 
 
@@ -192,19 +192,19 @@ def _pools(
     """The pools of stores, and the cost of a unit moved in each; None where there are none."""
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
     pools, costs, labels = [], [], []
-    for i, each in enumerate(tables):
+    for i, item in enumerate(tables):
         section = Section(file, f"transshipment[{i}]", notes)
-        table = parse(TransshipmentTable, each, str(file), section.name)
+        table = parse(TransshipmentTable, item, str(file), section.name)
         if unknown := [name for name in table.between if name not in sell]:
-            what = f"the places with customers are {', '.join(sell)}"
-            raise section.error("between", unknown[0], what)
+            message = f"the places with customers are {', '.join(sell)}"
+            raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
             raise section.error("between", table.between, "each place stands there once")
         if table.one_way and len(table.between) != 2:
-            what = "one way leads from the first to the second of two places"
-            raise section.error("one_way", True, what)
-        places = tuple(names.index(name) for name in table.between)
-        pool = Pool(places if table.one_way else tuple(sorted(places)), table.one_way,
+            message = "one way leads from the first to the second of two places"
+            raise section.error("one_way", True, message)
+        positions = tuple(names.index(name) for name in table.between)
+        pool = Pool(positions if table.one_way else tuple(sorted(positions)), table.one_way,
                     table.when == "before")  # fmt: skip
         if pool in pools:
             raise section.error("between", table.between, "another table has the same places")
@@ -215,9 +215,9 @@ def _pools(
         labels.append(ways.join(table.between) + early)
     if not pools:
         return (), None
-    words = "of a unit that one store sends another"
+    text = "of a unit that one store sends another"
     return tuple(pools), Given("transshipment_cost", np.array(costs), tuple(labels), money,
-                               np.arange(len(pools)), group="costs", words=words)  # fmt: skip
+                               np.arange(len(pools)), group="costs", words=text)  # fmt: skip
 
 
 def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Place:
@@ -229,8 +229,8 @@ def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Pl
             raise section.error("season", row.season, "only a place with customers has a season")
         season = read_season(_inner(section, "season"), row.season)
     if row.demand is not None:
-        most = float(season.values.max()) if season is not None else 1.0
-        demand = read_demand(_inner(section, "demand"), row.demand, unit, most)
+        maximum = float(season.values.max()) if season is not None else 1.0
+        demand = read_demand(_inner(section, "demand"), row.demand, unit, maximum)
     return Place(row.name, supplier, row.lead_time, demand, season, row.order > 0)
 
 
@@ -246,13 +246,13 @@ def _inner(section: Section, name: str) -> Section:
     return Section(section.file, f"{section.name}.{name}", section.notes)
 
 
-def _whole(place: Place) -> bool:
+def _whole(position: Place) -> bool:
     """Whether all that its customers ask for is whole: a history times a season is not."""
-    demand = place.demand
-    return demand is None or demand.whole or (demand.in_pieces() and place.season is None)
+    demand = position.demand
+    return demand is None or demand.whole or (demand.in_pieces() and position.season is None)
 
 
-def _costs(name: str, rows: list[PlaceTable], values: list[float], unit: str, words: str) -> Given:
+def _costs(name: str, rows: list[PlaceTable], values: list[float], unit: str, text: str) -> Given:
     labels = tuple(row.name for row in rows)
     index = np.arange(len(rows))
-    return Given(name, np.array(values), labels, unit, index, group="costs", words=words)
+    return Given(name, np.array(values), labels, unit, index, group="costs", words=text)

@@ -24,13 +24,17 @@ def read_season(section: Section, data: Mapping[str, Any]) -> Given:
     table = parse(SeasonTable, data, str(section.file), section.name)
     rows = read_rows(Mention(section, "file", table.file), ["period", "factor"], [])
     if not SHORTEST_SEASON <= len(rows) <= LONGEST_SEASON:
-        what = f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
-        raise CaseError(table.file, "", None, what)
-    found = np.array([row.number("factor", 0.001, 1000) for row in rows])
+        message = (
+            f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
+        )
+        raise CaseError(table.file, "", None, message)
+    numbers = np.array([row.number("factor", 0.001, 1000) for row in rows])
     labels = tuple(row.label("period") for row in rows)
-    places = tuple(row.position("factor") for row in rows)
+    positions = tuple(row.position("factor") for row in rows)
     index = np.arange(len(rows))
-    return Given("season", found, labels, "1", index, group="demand", words=WORDS, places=places)
+    return Given(
+        "season", numbers, labels, "1", index, group="demand", words=WORDS, places=positions
+    )
 
 
 def no_season() -> Given:

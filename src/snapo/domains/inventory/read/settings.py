@@ -19,14 +19,14 @@ def read_settings(top: Whole, file: str) -> dict[str, Any]:
 
     **Raises:** `CaseError` for every mistake, and for an objective that costs do not have.
     """
-    found = {
+    settings = {
         "objective": read_objective(top.objective, file),
         "training": read_training(top.training, file),
         "evaluation": read_evaluation(top.evaluation, file),
     }
-    kind = found["objective"].kind
-    check_window(found["training"], [kind], file)
+    kind = settings["objective"].kind
+    check_window(settings["training"], [kind], file)
     if kind == "crra":
-        what = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
-        raise CaseError(file, "objective.kind", "crra", what)
-    return found
+        message = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
+        raise CaseError(file, "objective.kind", "crra", message)
+    return settings

@@ -39,8 +39,8 @@ def pooled_stores(
 
     # The levels of each store by itself, from which pooling goes down.
     start = mean + stats.norm.ppf(shortage / (shortage + holding)) * deviation
-    found = optimize.minimize(cost, start, method="BFGS", options={"gtol": 1e-7})
-    return Pooled(float(found.fun), np.asarray(found.x))
+    minimize = optimize.minimize(cost, start, method="BFGS", options={"gtol": 1e-7})
+    return Pooled(float(minimize.fun), np.asarray(minimize.x))
 
 
 def one_newsvendor(deviation: float, holding: float, shortage: float) -> float:

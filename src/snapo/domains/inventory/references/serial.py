@@ -34,9 +34,9 @@ def serial_line(
     - `width`: of the grid, in units of demand.
     """
     echelon = np.asarray(holding) - np.append(np.asarray(holding)[1:], 0.0)
-    whole = int(np.sum(periods))
-    reach = 10 * deviation * np.sqrt(whole)
-    grid = np.arange(-reach - whole * mean, whole * mean + reach, width)
+    complete = int(np.sum(periods))
+    reach = 10 * deviation * np.sqrt(complete)
+    grid = np.arange(-reach - complete * mean, complete * mean + reach, width)
     carried = (shortage + holding[0]) * np.maximum(-grid, 0)
     levels, cost = [], np.nan
     for h, length in zip(echelon, periods):

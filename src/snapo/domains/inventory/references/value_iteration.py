@@ -39,7 +39,7 @@ class Optimum(NamedTuple):
 
 
 def lost_sales(
-    chances: Float[np.ndarray, " demands"],
+    probabilities: Float[np.ndarray, " demands"],
     mean: float,
     costs: Costs,
     lead: int,
@@ -53,7 +53,7 @@ def lost_sales(
     - `lead`: periods from an order to its arrival, 0 or more.
     - `most_stock`, `most_order`: limits of the grid; they must not bind at the optimum.
     """
-    moves, idle = _period(chances, mean, costs, most_stock)
+    moves, idle = _period(probabilities, mean, costs, most_stock)
     paid = costs.purchase * np.arange(most_order + 1) + costs.order * (
         np.arange(most_order + 1) > 0
     )
@@ -75,12 +75,12 @@ def lost_sales(
 
 
 def backlogged(
-    chances: Float[np.ndarray, " demands"],
+    probabilities: Float[np.ndarray, " demands"],
     mean: float,
     costs: Costs,
     lead: int,
-    least: int,
-    most: int,
+    minimum: int,
+    maximum: int,
     tolerance: float = 1e-6,
 ) -> Optimum:
     """Unmet demand waits; the shortage cost is of every unit that waits, every period.
@@ -88,29 +88,31 @@ def backlogged(
     The state is the inventory position before the order, `least` to `most`: an order now is felt
     in the period in which it is on hand, after the demand of the periods until then.
     """
-    levels = np.arange(least, most + 1)
+    levels = np.arange(minimum, maximum + 1)
     felt = np.array([1.0])
     for _ in range(lead + 1):
-        felt = np.convolve(felt, chances)
+        felt = np.convolve(felt, probabilities)
     demands = np.arange(len(felt))
     left = np.maximum(np.subtract.outer(levels, demands), 0) @ felt
     expected = costs.holding * left + costs.shortage * (left - levels + mean * (lead + 1))
-    place = np.clip(np.subtract.outer(levels, np.arange(len(chances))) - least, 0, len(levels) - 1)
+    position = np.clip(
+        np.subtract.outer(levels, np.arange(len(probabilities))) - minimum, 0, len(levels) - 1
+    )
     more = np.subtract.outer(-levels, -levels)  # [from, to]
     paid = np.where(more >= 0, costs.purchase * more + costs.order * (more > 0), np.inf)
 
     def worth(value: np.ndarray) -> np.ndarray:
-        return (expected + value[place] @ chances) + paid
+        return (expected + value[position] @ probabilities) + paid
 
-    found = _iterate(worth, np.zeros(len(levels)), tolerance)
-    return found._replace(orders=found.orders - np.arange(len(levels)), first=least)
+    iterate = _iterate(worth, np.zeros(len(levels)), tolerance)
+    return iterate._replace(orders=iterate.orders - np.arange(len(levels)), first=minimum)
 
 
-def _period(chances, mean: float, costs: Costs, most_stock: int):
+def _period(probabilities, mean: float, costs: Costs, most_stock: int):
     """[stock, stock left] transitions, and the expected cost [stock] of a period."""
     moves = np.zeros((most_stock + 1, most_stock + 1))
     for stock in range(1, most_stock + 1):
-        met = chances[: min(stock, len(chances))]
+        met = probabilities[: min(stock, len(probabilities))]
         moves[stock, stock - np.arange(len(met))] = met
     moves[:, 0] += 1 - moves.sum(1)
     stocks = np.arange(most_stock + 1)
@@ -118,14 +120,14 @@ def _period(chances, mean: float, costs: Costs, most_stock: int):
     return moves, costs.holding * left + costs.shortage * (mean - stocks + left)
 
 
-def _iterate(worth, value: np.ndarray, tolerance: float, most: int = 20_000) -> Optimum:
+def _iterate(values, value: np.ndarray, tolerance: float, maximum: int = 20_000) -> Optimum:
     """Relative value iteration until both bounds are within `tolerance`."""
-    for _ in range(most):
-        every = worth(value)
+    for _ in range(maximum):
+        every = values(value)
         after = every.min(-1)
         change = after - value
         low, high = float(change.min()), float(change.max())
         if high - low < tolerance:
             return Optimum(low, high, every.argmin(-1))
         value = after - after.flat[0]
-    raise ValueError(f"value iteration: {high - low:g} are left after {most} rounds.")  # pyright: ignore
+    raise ValueError(f"value iteration: {high - low:g} are left after {maximum} rounds.")  # pyright: ignore

@@ -50,8 +50,8 @@ class Reservoir(snapo.Simulator):
     def step(self, constants, now, state, action, noise, smooth):
         wet, swing = constants["rain_volatility"], constants["price_volatility"]
         inflow = now["inflow"] * jnp.exp(wet * noise[0] - wet**2 / 2)
-        wanted = constants["turbine"] * action[0]
-        release = smooth.minimum(wanted, state["water"], scale=constants["turbine"])
+        requested = constants["turbine"] * action[0]
+        release = smooth.minimum(requested, state["water"], scale=constants["turbine"])
         full = constants["capacity"]
         left = state["water"] - release + inflow
         water = smooth.minimum(left, full, scale=constants["turbine"])  # the rest spills

@@ -28,27 +28,27 @@ def limits(case: PensionCase) -> Limits:
     low, high = np.array(assets.low, float), np.array(assets.high, float)
     group = np.full(len(low), -1)
     group_low, group_high = [], []
-    for each in assets.groups:
-        group[np.array(each.members)] = len(group_low)
-        group_low.append(float(each.low))
-        group_high.append(float(each.high))
+    for item in assets.groups:
+        group[np.array(item.members)] = len(group_low)
+        group_low.append(float(item.low))
+        group_high.append(float(item.high))
     for alone in np.flatnonzero(group < 0):
         group[alone] = len(group_low)
         group_low.append(float(low[alone]))
         group_high.append(float(high[alone]))
     none = np.zeros(0)
     if overlay is None:
-        least = most = none
+        minimum = maximum = none
     elif overlay.unit == "assets":
-        least, most = np.array(overlay.low, float), np.array(overlay.high, float)
+        minimum, maximum = np.array(overlay.low, float), np.array(overlay.high, float)
     else:
-        most = np.full(case.buckets, float(overlay.leverage.used()))
-        least = -most
-    return Limits(low, high, group, np.array(group_low), np.array(group_high), least, most)
+        maximum = np.full(case.buckets, float(overlay.leverage.used()))
+        minimum = -maximum
+    return Limits(low, high, group, np.array(group_low), np.array(group_high), minimum, maximum)
 
 
 def best_mix(
-    limits: Limits, worth: Float[Array, " n"], swaps: Float[Array, " b"]
+    limits: Limits, value: Float[Array, " n"], swaps: Float[Array, " b"]
 ) -> Float[Array, ""]:
     """max over weights and shares of weights @ worth + shares @ swaps.
 
@@ -56,7 +56,7 @@ def best_mix(
     its group and the whole leave, is exact: first what lower bounds demand, then the rest.
     """
     best = jnp.sum(jnp.maximum(limits.least * swaps, limits.most * swaps))
-    order = jnp.argsort(-worth)
+    order = jnp.argsort(-value)
     member = jnp.asarray(limits.group)[:, None] == np.arange(len(limits.group_low))
     weight = jnp.asarray(limits.low)
     held = weight @ member
@@ -64,15 +64,15 @@ def best_mix(
     # What groups must hold beyond their classes' lower bounds, from their own best classes.
     missing = jnp.maximum(limits.group_low - held, 0.0)
     for rank in range(len(limits.low)):
-        place = order[rank]
-        add = jnp.minimum(room[place], missing @ member[place])
-        weight, room = weight.at[place].add(add), room.at[place].add(-add)
-        missing = missing - add * member[place]
+        position = order[rank]
+        add = jnp.minimum(room[position], missing @ member[position])
+        weight, room = weight.at[position].add(add), room.at[position].add(-add)
+        missing = missing - add * member[position]
     free, group_room = 1 - jnp.sum(weight), limits.group_high - weight @ member
     for rank in range(len(limits.low)):
-        place = order[rank]
-        add = jnp.minimum(jnp.minimum(room[place], group_room @ member[place]), free)
+        position = order[rank]
+        add = jnp.minimum(jnp.minimum(room[position], group_room @ member[position]), free)
         add = jnp.maximum(add, 0.0)
-        weight, free = weight.at[place].add(add), free - add
-        group_room = group_room - add * member[place]
-    return weight @ worth + best
+        weight, free = weight.at[position].add(add), free - add
+        group_room = group_room - add * member[position]
+    return weight @ value + best

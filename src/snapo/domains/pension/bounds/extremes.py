@@ -36,25 +36,25 @@ def extremes(
     """Of a path whose markets `before` and `after` each step have leaves [T, …]."""
     case = simulator.case
 
-    def step(rights: tuple[State, State], given):
-        now, market, then = given
-        least, most = (each._replace(market=market) for each in rights)
-        received = _most_received(simulator, terms, now, least, most)
-        bounds = _increases(simulator, terms, now, market, then, least.log_price_last)
+    def step(rights: tuple[State, State], values):
+        now, market, then = values
+        lower, maximum = (right._replace(market=market) for right in rights)
+        received = _most_received(simulator, terms, now, lower, maximum)
+        bounds = _increases(simulator, terms, now, market, then, lower.log_price_last)
         zero = jnp.zeros_like(bounds[0])
-        lowest = simulator.rights(now, least, then, bounds[0], zero)
-        return (lowest, simulator.rights(now, most, then, bounds[1], zero)), received
+        lowest = simulator.rights(now, lower, then, bounds[0], zero)
+        return (lowest, simulator.rights(now, maximum, then, bounds[1], zero)), received
 
     start = opening(terms)
-    (least, _), received = jax.lax.scan(step, (start, start), (steps, before, after))
-    last = balance(case, terms, terms.last, terms.last_shape, least)
+    (minimum, _), received = jax.lax.scan(step, (start, start), (steps, before, after))
+    last = balance(case, terms, terms.last, terms.last_shape, minimum)
     return Extremes(received, last.liability)
 
 
-def _most_received(simulator, terms: Terms, now: Period, least: State, most: State) -> Array:
+def _most_received(simulator, terms: Terms, now: Period, minimum: State, maximum: State) -> Array:
     """Contributions without assets against the most rights, less benefits on the least."""
     case = simulator.case
-    books = balance(case, terms, now.people, now.shape, most)
+    books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(
         case.plan,
         terms.plan,
@@ -62,16 +62,16 @@ def _most_received(simulator, terms: Terms, now: Period, least: State, most: Sta
         liability=books.liability,
         normal_cost=books.accrual,
         payroll=now.people.payroll,
-        wage=jnp.exp(most.market.log_wage),
+        wage=jnp.exp(maximum.market.log_wage),
         step=case.step,
         smooth=Exact(),
         annuity=now.annuity,
     )
     if now.agreed is not None:
         highest = highest + now.agreed
-    alive = least.theta * jnp.exp(-least.deaths)
-    benefit = alive * (now.people.benefit + least.fresh * now.people.fresh_benefit)
-    return highest - benefit - now.people.expenses * jnp.exp(least.market.log_price)
+    alive = minimum.theta * jnp.exp(-minimum.deaths)
+    benefit = alive * (now.people.benefit + minimum.fresh * now.people.fresh_benefit)
+    return highest - benefit - now.people.expenses * jnp.exp(minimum.market.log_price)
 
 
 def _increases(simulator, terms: Terms, now: Period, market: Market, then: Market, last: Array):
@@ -86,5 +86,5 @@ def _increases(simulator, terms: Terms, now: Period, market: Market, then: Marke
         )
         for ratio in (jnp.zeros_like(growth), jnp.full_like(growth, FUNDED))
     )
-    least = jnp.minimum(poor[0], rich[0]) - poor[1]
-    return now.due * least, now.due * jnp.maximum(poor[0], rich[0])
+    minimum = jnp.minimum(poor[0], rich[0]) - poor[1]
+    return now.due * minimum, now.due * jnp.maximum(poor[0], rich[0])

@@ -40,8 +40,8 @@ def gaussian_returns(case: PensionCase, terms: Terms, now: Period, market: Marke
 
     def over_cash(noise):
         moved = move(case, terms.market, now.market, market, noise)
-        bonds = [each.log for each in moved.beneath if each is not None]
-        shares = tuple(None if each is None else each.share for each in moved.beneath)
+        bonds = [item.log for item in moved.beneath if item is not None]
+        shares = tuple(None if entry is None else entry.share for entry in moved.beneath)
         logs = jnp.append(jnp.log(moved.gross) - moved.cash, -moved.cash)
         return logs, jnp.concatenate([jnp.zeros(0), *bonds]), shares
 
@@ -69,9 +69,9 @@ def worth(case: PensionCase, returns: Returns, price: Float[Array, " Z"]) -> Wor
         stop = start + (0 if share is None else share.shape[-1])
         gains.append(None if share is None else share @ bonds[start:stop])
         start = stop
-    for (_, places), gain in zip(by_kind(case), gains):
+    for (_, positions), gain in zip(by_kind(case), gains):
         if gain is not None:
-            classes = classes.at[np.array(places)].set(1 + gain)
+            classes = classes.at[np.array(positions)].set(1 + gain)
     swaps = gains[-1] if case.buckets else jnp.zeros(0)
     return Worth(classes, swaps, jnp.exp(exponent[-1]))
 

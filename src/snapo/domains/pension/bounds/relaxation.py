@@ -69,23 +69,23 @@ class FundRelaxation:
         self.simulator, self.schedule = simulator, problem.schedule
         self.in_money = IN_MONEY in problem.objective.outputs
         fund = self.schedule.constants
-        least = max(float(fund.liability), LEAST * float(fund.assets))
-        self.conjugate = conjugate(problem.objective, float(fund.assets) / least)
+        minimum = max(float(fund.liability), LEAST * float(fund.assets))
+        self.conjugate = conjugate(problem.objective, float(fund.assets) / minimum)
         self.limits = limits(simulator.case)
         self.price, self.y = self._fitted(problem, policy, paths)
 
-    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+    def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         if not scale.all():
             raise ValueError('nothing limits a fund\'s assets in hindsight: take --penalty "value"')
         with jax.enable_x64(True):
-            known = self._paths(rolled, draws), self._extremes(rolled)
-            value, money = self._split(self.price, *known)
+            available = self._paths(rollout, draws), self._extremes(rollout)
+            value, money = self._split(self.price, *available)
             y = scale[0] * self.y
             return np.asarray(self.conjugate(y * value) + y * money)
 
-    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+    def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         with jax.enable_x64(True):
-            return scale[0] * self.y * np.asarray(self._surprises(rolled, draws))
+            return scale[0] * self.y * np.asarray(self._surprises(rollout, draws))
 
     def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
         """Prices of risk [Z] of a step's normals, the share of the fair ones at which the bound is
@@ -96,14 +96,14 @@ class FundRelaxation:
         (block,) = source.blocks(paths, 1)
         draws = source.draws(block, problem.simulator)
         engine = Xla(precision="float64").bind(problem)
-        rolled = engine.values(policy, draws, Exact(), record=("state",))
+        rollout = engine.values(policy, draws, Exact(), record=("state",))
         with jax.enable_x64(True):
-            known = self._paths(rolled, draws), self._extremes(rolled)
-            price = fair(known[0].returns)
+            available = self._paths(rollout, draws), self._extremes(rollout)
+            price = fair(available[0].returns)
             split = jax.jit(self._split)
-            found = [self._lowest(*split(share * price, *known)) for share in SHARES]
-        least = int(np.argmin([value for value, _ in found]))
-        return SHARES[least] * price, found[least][1]
+            lowests = [self._lowest(*split(share * price, *available)) for share in SHARES]
+        minimum = int(np.argmin([value for value, _ in lowests]))
+        return SHARES[minimum] * price, lowests[minimum][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
         """The bound on paths of these (see `_split`) where it is lowest, and the y there."""
@@ -111,24 +111,24 @@ class FundRelaxation:
         def bound(log: float) -> float:
             return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
 
-        found = minimize_scalar(bound, (-3.0, 0.0))
-        return float(found.fun), float(np.exp(found.x))
+        result = minimize_scalar(bound, (-3.0, 0.0))
+        return float(result.fun), float(np.exp(result.x))
 
-    def _paths(self, rolled: Rollout, draws: Draws) -> Paths:
-        before = rolled.record["state"].market
+    def _paths(self, rollout: Rollout, draws: Draws) -> Paths:
+        before = rollout.record["state"].market
         across = jax.vmap(gaussian_returns, (None, None, None, 0), ACROSS)
         terms, steps = self.schedule.constants, self.schedule.steps
         returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.case, terms, steps, before)
         return Paths(returns, self._noise(draws))
 
-    def _extremes(self, rolled: Rollout) -> Extremes:
+    def _extremes(self, rollout: Rollout) -> Extremes:
         """[N, …] the least and the most that decisions can bring about on these paths."""
-        before = rolled.record["state"].market
+        before = rollout.record["state"].market
         after = jax.tree.map(
-            lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rolled.state.market
+            lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rollout.state.market
         )
-        each = jax.vmap(extremes, (None, None, None, 1, 1))
-        return each(self.simulator, self.schedule.constants, self.schedule.steps, before, after)
+        item = jax.vmap(extremes, (None, None, None, 1, 1))
+        return item(self.simulator, self.schedule.constants, self.schedule.steps, before, after)
 
     def _noise(self, draws: Draws) -> Array:
         steps = draws.steps(jnp.zeros((), jnp.uint32), self.simulator.horizon)
@@ -142,39 +142,39 @@ class FundRelaxation:
 
         def step(returns: Returns, noise):
             units = worth(case, returns, price)
-            most = best_mix(self.limits, units.classes, units.swaps)
+            upper = best_mix(self.limits, units.classes, units.swaps)
             log = -noise @ price - price @ price / 2
             # Minus the log return of cash.
             log = log + returns.mean[-1] + returns.load[-1] @ noise
-            return units, most, log - jnp.log(most)
+            return units, upper, log - jnp.log(upper)
 
-        units, most, log = jax.vmap(jax.vmap(step, (ACROSS, 0)))(paths.returns, paths.noise)
+        units, maximum, log = jax.vmap(jax.vmap(step, (ACROSS, 0)))(paths.returns, paths.noise)
         after = jnp.exp(jnp.cumsum(log, axis=0))
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
-        return Deflated(before / most, after, units)
+        return Deflated(before / maximum, after, units)
 
     def _split(self, price: Any, paths: Paths, bounds: Extremes) -> tuple[Array, Array]:
         """[N] each, over the assets now: D L at the end, or D where the objective is in money;
         these assets and all money received, deflated."""
-        found, assets = self._deflated(price, paths), self.schedule.constants.assets
-        received = jnp.sum(self._counts(found) * bounds.received.T, axis=0)
-        least = 1.0 if self.in_money else bounds.liability
-        return found.after[-1] * least / assets, 1 + received / assets
+        result, assets = self._deflated(price, paths), self.schedule.constants.assets
+        received = jnp.sum(self._counts(result) * bounds.received.T, axis=0)
+        minimum = 1.0 if self.in_money else bounds.liability
+        return result.after[-1] * minimum / assets, 1 + received / assets
 
-    def _counts(self, found: Deflated) -> Array:
+    def _counts(self, result: Deflated) -> Array:
         """[T, N] by which money received in a step is deflated: at its start or at its end."""
         if self.simulator.case.plan.timing == "advance":
-            ones = jnp.ones_like(found.after[:1])
-            return jnp.concatenate([ones, found.after[:-1]])
-        return found.over * found.worth.money
+            ones = jnp.ones_like(result.after[:1])
+            return jnp.concatenate([ones, result.after[:-1]])
+        return result.over * result.worth.money
 
-    def _surprises(self, rolled: Rollout, draws: Draws) -> Array:
+    def _surprises(self, rollout: Rollout, draws: Draws) -> Array:
         """[N] sum over the steps of D A after each one, less its mean before it, of the policy;
         over the assets now."""
-        paths = self._paths(rolled, draws)
-        found = self._deflated(self.price, paths)
+        paths = self._paths(rollout, draws)
+        result = self._deflated(self.price, paths)
         simulator, constants = self.simulator, self.schedule.constants
-        states, actions = rolled.record["state"], rolled.record["action"]
+        states, actions = rollout.record["state"], rollout.record["action"]
 
         def step(now, state, action, noise, units: Worth):
             done = simulator.happen(constants, now, state, action, noise, Exact())
@@ -188,6 +188,6 @@ class FundRelaxation:
         case = simulator.case
         across = jax.vmap(step, (None, 0, 0, 0, 0))
         after, mean = jax.vmap(across)(
-            self.schedule.steps, states, actions, paths.noise, found.worth
+            self.schedule.steps, states, actions, paths.noise, result.worth
         )
-        return jnp.sum(found.after * after - found.over * mean, axis=0) / constants.assets
+        return jnp.sum(result.after * after - result.over * mean, axis=0) / constants.assets

@@ -170,14 +170,16 @@ class Explained(PensionSimulator):
         `as_expected` the same with mortality as it was expected, `reserved` as in `PlanTerms`."""
         # The reserve for a payment's expenses goes with it.
         books, benefit = done.books, reserved * done.flows.benefit
-        kept = books.liability + books.accrual
-        interest = (kept - benefit if self._in_advance else kept) * jnp.expm1(done.moved.cash)
+        selected = books.liability + books.accrual
+        interest = (selected - benefit if self._in_advance else selected) * jnp.expm1(
+            done.moved.cash
+        )
         unindexed = jnp.exp(-done.after.jump)
         return {
             "benefits": -benefit,
             "accrual": books.accrual,
             "interest": interest,
-            "rates": as_expected * unindexed - (kept - benefit + interest),
+            "rates": as_expected * unindexed - (selected - benefit + interest),
             "mortality": (owed - as_expected) * unindexed,
             "indexation": owed * (1 - unindexed),
         }
@@ -197,12 +199,12 @@ def _assets(case: PensionCase, done: Happened) -> dict[str, Array]:
     cash, flows, held = done.moved.cash, done.flows, done.held
     working = done.invested - held.cost
     over = working * held.weights * (done.moved.gross - jnp.exp(cash))
-    part = np.array([each.part for each in case.assets.classes])
-    found = {name: jnp.sum(over * (part == name)) for name in ("rates", "credit", "assets")}
+    part = np.array([class_.part for class_ in case.assets.classes])
+    rates = {name: jnp.sum(over * (part == name)) for name in ("rates", "credit", "assets")}
     if held.notional is not None:
         swaps = jnp.sum(held.notional * jnp.exp(cash) * jnp.expm1(done.moved.swaps))
-        found["rates"] = found["rates"] + swaps
-    return found | {
+        rates["rates"] = rates["rates"] + swaps
+    return rates | {
         "accrual": flows.contribution,
         "benefits": -flows.benefit - flows.expenses,
         "costs": -held.cost,
@@ -269,7 +271,7 @@ def sources(case: PensionCase) -> dict[str, list[Given]]:
         "mortality": case.lee_carter,
     }
     return {
-        name: [each for each in every_given(record) if each.group == "volatility"]
+        name: [item for item in every_given(record) if item.group == "volatility"]
         for name, record in records.items()
         if record is not None
     }

@@ -47,11 +47,11 @@ class BondsPriced(PensionSimulator):
 
     def terminal(self, constants, state, smooth):
         market = state.market
-        worth = log_factor(constants.market, constants.last_shape, market) + market.log_discount
+        value = log_factor(constants.market, constants.last_shape, market) + market.log_discount
         if _real(self.case):
-            worth = worth + market.log_price
+            value = value + market.log_price
         years = np.rint(nodes(self.case.step) * self.case.step * 1e6) / 1e6
-        bonds = {f"bond {u}": jnp.exp(worth[np.flatnonzero(years == u)[0]]) for u in TENORS}
+        bonds = {f"bond {u}": jnp.exp(value[np.flatnonzero(years == u)[0]]) for u in TENORS}
         return super().terminal(constants, state, smooth) | bonds
 
 
@@ -120,13 +120,13 @@ def _real(case: PensionCase) -> bool:
     return case.liability.future_indexation == "full"
 
 
-def _price(case: PensionCase, given: dict[str, Any], years: float, real: bool) -> float:
+def _price(case: PensionCase, values: dict[str, Any], years: float, real: bool) -> float:
     """P(0, years) on today's curve, nominal or index-linked."""
     with jax.enable_x64(True):
         when = np.array([years])
-        found = float(log_bond(case.curve, given, when)[0])
-        prices = float(log_bond(case.inflation.break_even, given, when)[0]) if real else 0.0
-    return float(np.exp(found - prices))
+        result = float(log_bond(case.curve, values, when)[0])
+        prices = float(log_bond(case.inflation.break_even, values, when)[0]) if real else 0.0
+    return float(np.exp(result - prices))
 
 
 def _tested(test: Expected, source: Scenarios, tests: int) -> MarketTest:
@@ -185,7 +185,7 @@ def assumptions(run: PensionRun) -> Section:
     blocks: list[Block] = [Text(run.model)] if run.model else []
     blocks += [*evidence.notes(run), *not_asked(run)]
     if run.kinds:
-        rows = [(name.capitalize(), words) for name, words in run.kinds.items()]
+        rows = [(name.capitalize(), text) for name, text in run.kinds.items()]
         blocks.append(Table([("Kind", ""), ("Meaning", "")], rows, "Kinds of assets", 2))
     if run.held:
         names = ", ".join(name_of(name).lower() for name in run.held)

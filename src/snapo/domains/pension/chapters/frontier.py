@@ -83,41 +83,41 @@ class FrontierSweep:
 
 def measure(run: StudyRun) -> FrontierSweep:
     """The sweep of the weights that the case asks for."""
-    asked, setup = case_of(run).frontier, run.setup
-    if asked is None:
+    request, setup = case_of(run).frontier, run.setup
+    if request is None:
         return FrontierSweep()
     assert run.solution.policy is not None
     problem, source = setup.problem, setup.problem.sources.evaluation
-    weights = np.linspace(0.0, 1.0, asked.points)
-    goals = [_mixture(problem, asked, weight) for weight in weights]
+    weights = np.linspace(0.0, 1.0, request.points)
+    goals = [_mixture(problem, request, weight) for weight in weights]
     sweep = []
-    for weight, candidate in zip(weights, _swept(run, goals, asked)):
+    for weight, candidate in zip(weights, _swept(run, goals, request)):
         paths, engine = setup.evaluation.paths, setup.engines.evaluate
         totals = path_totals(problem, candidate.policy, paths, engine=engine)
-        sweep.append(_measured(totals, source, asked.level, weight))
+        sweep.append(_measured(totals, source, request.level, weight))
     sweep = [replace(x, efficient=not any(_better(other, x) for other in sweep)) for x in sweep]
-    own = {name: np.asarray(total) for name, total in run.solution.totals.items()}
-    return FrontierSweep(asked.level, tuple(sweep), _measured(own, source, asked.level))
+    local = {name: np.asarray(total) for name, total in run.solution.totals.items()}
+    return FrontierSweep(request.level, tuple(sweep), _measured(local, source, request.level))
 
 
-def _swept(run: StudyRun, goals: Sequence[Objective], asked: Frontier) -> list[Candidate]:
+def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> list[Candidate]:
     """The best policy for each goal, after the goals were trained for in order and back again."""
     setup, policy = run.setup, run.solution.policy
     assert policy is not None
-    known = [_candidate(setup, policy)]
+    available = [_candidate(setup, policy)]
     upward = list(range(len(goals)))
     for goal in (*upward, *upward[-2::-1]):
         run.tell(f"frontier: point {goal + 1} of {len(goals)}")
-        start = best(known, goals[goal])
-        found = _trained(setup, start.policy, goals[goal], asked)
-        known.append(_candidate(setup, found))
-    return [best(known, goal) for goal in goals]
+        start = best(available, goals[goal])
+        result = _trained(setup, start.policy, goals[goal], frontier)
+        available.append(_candidate(setup, result))
+    return [best(available, goal) for goal in goals]
 
 
-def best(known: Sequence[Candidate], goal: Objective) -> Candidate:
+def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
     """The candidate that is worth most; the first of equals."""
-    values = np.array([worth(goal, each.totals) for each in known])
-    return known[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
+    values = np.array([worth(goal, item.totals) for item in candidates])
+    return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 
 
 def _candidate(setup: Setup, policy: Policy) -> Candidate:
@@ -128,24 +128,24 @@ def _candidate(setup: Setup, policy: Policy) -> Candidate:
     return Candidate(policy, totals)
 
 
-def _mixture(problem: Problem, asked: Frontier, share: float) -> Objective:
+def _mixture(problem: Problem, frontier: Frontier, share: float) -> Objective:
     scale = float(problem.schedule.constants.liability)
-    tail = (1 - share) * CVaR("surplus_ratio", asked.level)
+    tail = (1 - share) * CVaR("surplus_ratio", frontier.level)
     return tail - share / scale * Mean("pv_contribution")
 
 
-def _trained(setup: Setup, start: Policy, goal: Objective, asked: Frontier) -> Policy:
+def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -> Policy:
     """The best policy along a training that begins where another one ended: at its last
     temperature, and with hardly any warm-up."""
-    given = setup.training
+    values = setup.training
     training = replace(
-        given,
-        steps=asked.steps,
-        paths=max(given.paths, 2 * round(TAIL / (1 - asked.level) / 2)),
-        warmup=min(given.warmup, asked.steps // 8),
-        temperature_start=given.temperature_end,
+        values,
+        steps=frontier.steps,
+        paths=max(values.paths, 2 * round(TAIL / (1 - frontier.level) / 2)),
+        warmup=min(values.warmup, frontier.steps // 8),
+        temperature_start=values.temperature_end,
         exploration=0.0,  # the policy has explored already
-        validation_every=max(1, asked.steps // CHECKS),
+        validation_every=max(1, frontier.steps // CHECKS),
     )
     problem = replace(setup.problem, objective=goal)
     return train(problem, begin(start, training), training, setup.engines.train).best
@@ -237,8 +237,8 @@ def _dots(
     style = {"color": LIGHT[colour], "markersize": 6, "elinewidth": 1.0, "capsize": 2.5}
     axes.errorbar(x, y, xerr=across, yerr=up, fmt="o", **style)
     for name, right, high in zip(names, x, y):
-        place = (6, -13 if below else 5)
-        axes.annotate(name, (right, high), place, textcoords="offset points")
+        position = (6, -13 if below else 5)
+        axes.annotate(name, (right, high), position, textcoords="offset points")
 
 
 TITLE = with_measure("Efficient frontier")

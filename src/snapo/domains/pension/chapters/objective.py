@@ -67,13 +67,13 @@ def measure(run: StudyRun) -> ObjectiveValue:
         WeightedTerm(term.weight, term.output, term.objective.kind)
         for term in case_of(run).objective
     )
-    sure = equivalent(objective, solution.value)
-    if sure is None or not isinstance(objective, ExpectedUtility):
+    certain = equivalent(objective, solution.value)
+    if certain is None or not isinstance(objective, ExpectedUtility):
         return ObjectiveValue(terms, solution.value)
-    error = sure.slope * solution.standard_error
+    error = certain.slope * solution.standard_error
     aversion = objective.utility.risk_aversion  # pyright: ignore
     return ObjectiveValue(
-        terms, solution.value, sure.ratio, sure.slope, objective.output, error, aversion
+        terms, solution.value, certain.ratio, certain.slope, objective.output, error, aversion
     )
 
 

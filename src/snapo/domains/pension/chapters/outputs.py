@@ -153,9 +153,9 @@ def _outputs(run: StudyRun) -> Iterator[Derived]:
     policy, table = solution.policy, solution.sensitivities
     assert policy is not None
     assert table is not None
-    sure = equivalent(problem.objective, solution.value)
-    value, slope = (solution.value, 1.0) if sure is None else (sure.ratio, sure.slope)
-    name = "Objective" if sure is None else "Certainty equivalent"
+    certain = equivalent(problem.objective, solution.value)
+    value, slope = (solution.value, 1.0) if certain is None else (certain.ratio, certain.slope)
+    name = "Objective" if certain is None else "Certainty equivalent"
     error = slope * solution.standard_error
     yield Derived(OutputValue("objective", name, False, value, error), table.held, slope)
     totals = {name: np.asarray(total) for name, total in solution.totals.items()}
@@ -247,8 +247,8 @@ def _summary(
             scale, unit = 1.0, ""
         elif output.money:
             scale, unit = run.size(effects)
-        places = decimals([effect / scale for effect in effects], 3)
-        columns.append([number(effect / scale, places, True) for effect in effects])
+        digits = decimals([effect / scale for effect in effects], 3)
+        columns.append([number(effect / scale, digits, True) for effect in effects])
         head.append((output.name, unit))
     rows = [(rise(family), *cells) for family, *cells in zip(families, *columns)]
     return Table(head, rows, "The largest effects of the usual moves on each output", 1)

@@ -150,16 +150,16 @@ class RecordedPaths:
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
             # All of the course, whose program the certificate uses too.
-            rolled = bound.values(policy, draws, Exact(), record=COURSE)
-            action = np.asarray(rolled.record["action"])
+            rollout = bound.values(policy, draws, Exact(), record=COURSE)
+            action = np.asarray(rollout.record["action"])
             if limited:
-                action = _traded(case_of(run), action, rolled.record["state"].weights)
+                action = _traded(case_of(run), action, rollout.record["state"].weights)
             actions.append(action)
-            outputs.append({k: np.asarray(v) for k, v in rolled.record["outputs"].items()})
-            last.append(np.asarray(rolled.totals["funding_ratio"]))
-        found = {k: np.concatenate([each[k] for each in outputs], 1) for k in outputs[0]}
-        funding = np.concatenate([found["funding"], np.concatenate(last)[None]])
-        return cls(case_of(run), np.concatenate(actions, 1), found, funding)
+            outputs.append({k: np.asarray(v) for k, v in rollout.record["outputs"].items()})
+            last.append(np.asarray(rollout.totals["funding_ratio"]))
+        table = {k: np.concatenate([output[k] for output in outputs], 1) for k in outputs[0]}
+        funding = np.concatenate([table["funding"], np.concatenate(last)[None]])
+        return cls(case_of(run), np.concatenate(actions, 1), table, funding)
 
     @property
     def weights(self) -> np.ndarray:
@@ -178,14 +178,14 @@ class RecordedPaths:
 def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
     """The actions [T, N, A] with weights as traded, from those `held` [T, N, n] before."""
     count = len(case.assets.classes)
-    wanted = action[:, :, :count].astype(np.float64)
-    wanted[:, :, case.assets.cash] += 1 - wanted.sum(2)
+    requested = action[:, :, :count].astype(np.float64)
+    requested[:, :, case.assets.cash] += 1 - requested.sum(2)
     with jax.enable_x64(True):
 
-        def one(wanted, held):
-            return dealt(case.assets, case.step, wanted, held, Exact())
+        def one(target, held):
+            return dealt(case.assets, case.step, target, held, Exact())
 
-        weights = jax.jit(jax.vmap(jax.vmap(one)))(wanted, np.asarray(held, np.float64))
+        weights = jax.jit(jax.vmap(jax.vmap(one)))(requested, np.asarray(held, np.float64))
     return np.concatenate([np.asarray(weights), action[:, :, count:]], 2)
 
 
@@ -193,14 +193,14 @@ def by_year(record: RecordedPaths) -> YearlyFans:
     """Fans at the ends of years: funding ratio, contributions, indexation; and probabilities."""
     case, outputs = record.case, record.outputs
     steps = round(1 / case.step)
-    ends = np.arange(0, case.steps + 1, steps)
-    funding = record.funding[ends]
+    endpoints = np.arange(0, case.steps + 1, steps)
+    funding = record.funding[endpoints]
     granted = _yearly(outputs["granted"] - outputs["cut"], steps)
     if case.plan.indexation.rate is not None:
         # Fixed increases are part of the payments, and are not granted on top.
         granted = granted + float(case.plan.indexation.rate.used())
     return YearlyFans(
-        years=ends * case.step,
+        years=endpoints * case.step,
         funding=_fan(funding),
         underfunded=(funding < 1).mean(1),
         shortfall=np.array([_tail(np.minimum(row - 1, 0)) for row in funding]),
@@ -211,17 +211,17 @@ def by_year(record: RecordedPaths) -> YearlyFans:
     )
 
 
-def _yearly(values: np.ndarray, each: int) -> np.ndarray:
+def _yearly(values: np.ndarray, item: int) -> np.ndarray:
     """[years, N] sums over the steps of a year; steps beyond the last whole year are left out."""
-    whole = len(values) // each * each
-    return values[:whole].reshape(-1, each, values.shape[1]).sum(1)
+    complete = len(values) // item * item
+    return values[:complete].reshape(-1, item, values.shape[1]).sum(1)
 
 
 def _fan(values: np.ndarray) -> Fan:
     """{quantile: [times]} of [times, N], and the mean."""
     quantiles = np.quantile(values, [q / 100 for q in QUANTILES], axis=1)
-    named = {f"p{q:02d}": row for q, row in zip(QUANTILES, quantiles)}
-    return {"mean": values.mean(1)} | named
+    by_name = {f"p{q:02d}": row for q, row in zip(QUANTILES, quantiles)}
+    return {"mean": values.mean(1)} | by_name
 
 
 def _tail(values: np.ndarray) -> float:
@@ -244,9 +244,9 @@ def policy_map(record: RecordedPaths) -> PolicyMap:
             column = np.digitize(record.funding[:-1][year].ravel(), RATIOS) - 1
             flat = values[year].ravel()
             for k in range(len(RATIOS) - 1):
-                chosen = column == k
-                if chosen.sum() >= FEW:
-                    cells[row, k] = flat[chosen].mean()
+                selected = column == k
+                if selected.sum() >= FEW:
+                    cells[row, k] = flat[selected].mean()
         return cells
 
     hedge = mapped(record.overlay.mean(2)) if case.buckets else EMPTY
@@ -259,7 +259,7 @@ def mean_mix(record: RecordedPaths) -> MeanMix:
     steps = round(1 / case.step)
     weights, overlay = record.weights[::steps].mean(1), record.overlay[::steps].mean(1)
     years = np.arange(0, case.steps, steps) * case.step
-    names = tuple(each.name for each in case.assets.classes)
+    names = tuple(class_.name for class_ in case.assets.classes)
     return MeanMix(years, names, weights.T, overlay.T)
 
 
@@ -290,21 +290,21 @@ def show(run: PensionRun, result: PathTables) -> Sequence[Block]:
         _map("growth", "share of equity, property and other risky classes", table, table.growth)
     ]
     if table.hedge.size:
-        words = "mean place of the swap notionals between their limits"
-        blocks.append(_map("hedge", words, table, table.hedge))
+        text = "mean place of the swap notionals between their limits"
+        blocks.append(_map("hedge", text, table, table.hedge))
     return [*blocks, _mix(result.mix)]
 
 
-def _map(name: str, words: str, table: PolicyMap, values: np.ndarray) -> Chart:
+def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     rows = range(0, len(table.years), max(1, -(-len(table.years) // 12)))
     down = [f"year {number(table.years[i] + 1, 0)}" for i in rows]
     across, grid = _columns(table.ratios), values[list(rows)]
-    alt = f"Map of the {words}, by funding ratio across and year upwards."
+    alt = f"Map of the {text}, by funding ratio across and year upwards."
     svg = draw(
         f"map-{name}", alt, lambda axes: heat(axes, grid, across, down, "%"), 60.0 + 19 * len(rows)
     )
     caption = (
-        f"{words[:1].upper()}{words[1:]}, in per cent: means over the paths that are at that"
+        f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths that are at that"
         " funding ratio in that year; empty where hardly any is."
     )
     return Chart(svg, caption)

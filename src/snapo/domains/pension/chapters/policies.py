@@ -69,25 +69,25 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     return tuple(compare(run.setup, run.solution, run.tell))
 
 
-def compare(setup: Setup, solution: Solution, tell: Tell) -> list[PolicyWorth]:
+def compare(setup: Setup, solution: Solution, progress: Tell) -> list[PolicyWorth]:
     """The policies of `measure`."""
     problem, case = setup.problem, case_in(setup)
-    own = {name: np.asarray(total) for name, total in solution.totals.items()}
-    policies = [_worth(problem, LEARNED, "Learned policy", own, own)]
+    local = {name: np.asarray(total) for name, total in solution.totals.items()}
+    policies = [_worth(problem, LEARNED, "Learned policy", local, local)]
 
     def evaluate(key: str, name: str, policy: Policy) -> Totals:
         paths, engine = setup.evaluation.paths, setup.engines.evaluate
         totals = path_totals(problem, policy, paths, engine=engine)
-        policies.append(_worth(problem, key, name, totals, own))
+        policies.append(_worth(problem, key, name, totals, local))
         return totals
 
-    tell("tuning constant mix")
+    progress("tuning constant mix")
     mix = tuned(setup, _one_of(_rules(case, ConstantMix(case), EVEN), MIX))
     totals = evaluate(MIX, "Constant mix", mix)
     rules, held = _rules(case, mix.rule, reached(problem, totals)), present_mixes(case)
     for key, (name, _) in list(rules.items())[1:]:
         policy = _one_of(rules, key)
-        tell(f"{'holding' if key in held else 'tuning'} {name.lower()}")
+        progress(f"{'holding' if key in held else 'tuning'} {name.lower()}")
         evaluate(key, name, policy if key in held else tuned(setup, policy))
     return policies
 
@@ -113,17 +113,17 @@ def tuned(setup: Setup, policy: OneOf) -> OneOf:
     """The best of the rules along a run of training, as for the network."""
     rate = max(RATE, setup.training.learning_rate)
     training = replace(setup.training, learning_rate=rate)
-    found = train(setup.problem, begin(policy, training), training, setup.engines.train)
-    return found.best  # pyright: ignore[reportReturnType]
+    result = train(setup.problem, begin(policy, training), training, setup.engines.train)
+    return result.best  # pyright: ignore[reportReturnType]
 
 
-def _worth(problem: Problem, key: str, name: str, totals, own) -> PolicyWorth:
+def _worth(problem: Problem, key: str, name: str, totals, local) -> PolicyWorth:
     objective, source = problem.objective, problem.sources.evaluation
     case = problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
-    value, mine = worth(objective, totals), worth(objective, own)
+    value, mine = worth(objective, totals), worth(objective, local)
     with np.errstate(invalid="ignore"):
         # Ruin in both is no difference that can be measured.
-        spread = objective.influence(own) - objective.influence(totals)
+        spread = objective.influence(local) - objective.influence(totals)
         error = _error(spread, source)
     final = np.asarray(totals[yardstick(case).output])
     policy = PolicyWorth(
@@ -142,7 +142,7 @@ def _worth(problem: Problem, key: str, name: str, totals, own) -> PolicyWorth:
         return policy
     years = case.steps * case.step
     # ln of a sure ratio per year moves by its slope over the ratio for one unit of utility.
-    ours = objective.influence(own) * best.slope / best.ratio
+    ours = objective.influence(local) * best.slope / best.ratio
     theirs = objective.influence(totals) * ratio.slope / ratio.ratio
     return replace(
         policy,
@@ -159,16 +159,16 @@ def _error(values: np.ndarray, source: Scenarios) -> float:
 
 def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     """A table of all policies, and contributions against the ratio in bad times."""
-    sure = all(np.isfinite(policy.equivalent) for policy in policies)
-    body = [_row(run, policy, sure) for policy in policies]
+    certain = all(np.isfinite(policy.equivalent) for policy in policies)
+    body = [_row(run, policy, certain) for policy in policies]
     head = [("Policy", "")]
-    if sure:
+    if certain:
         head += [("Certainty equivalent", "%"), ("Learned leads by", "bp a year"), ("Error", "bp")]
     else:
         head += [("Objective", ""), ("Learned leads by", ""), ("Error", "")]
     _, unit = run.size([policy.pv_contribution for policy in policies])
-    words = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
-    head += [(words[0], "%"), ("5 % quantile", "%"), (words[1], "%"), ("PV contributions", unit)]
+    text = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
+    head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
         " same bounds; the present mix is held as it is, untuned. The lead is paired path by path;"
@@ -195,8 +195,8 @@ def _contribution(run: PensionRun, policy: PolicyWorth) -> float:
     return policy.pv_contribution / run.size(policy.pv_contribution)[0]
 
 
-def _row(run: PensionRun, policy: PolicyWorth, sure: bool) -> tuple[str, ...]:
-    if sure:
+def _row(run: PensionRun, policy: PolicyWorth, certain: bool) -> tuple[str, ...]:
+    if certain:
         value = points(policy.equivalent, 2)
         lead = number(1e4 * policy.lead, 1, True), plus_minus(1e4 * policy.lead_error, 1)
     else:

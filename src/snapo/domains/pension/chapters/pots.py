@@ -106,8 +106,8 @@ def _recorded(run: StudyRun) -> tuple[np.ndarray, np.ndarray]:
     for block in source.blocks(paths, max(8, paths // 1024)):
         draws = source.draws(block, problem.simulator)
         # All of the course, whose program the certificate has compiled or will use again.
-        rolled = bound.values(run.solution.policy, draws, Exact(), record=COURSE)
-        state = rolled.record["state"]
+        rollout = bound.values(run.solution.policy, draws, Exact(), record=COURSE)
+        state = rollout.record["state"]
         levels.append(np.asarray(state.level))
         shares.append(np.asarray(state.reserve) / np.asarray(state.fund.assets))
     return np.concatenate(levels, 1), np.concatenate(shares, 1)

@@ -100,71 +100,71 @@ def measure(run: StudyRun) -> Reconciliation:
     """The figures of the case, and those of its regulator."""
     case = case_of(run)
     examined, steps = examine(case), round(1 / case.step)
-    own, human = examined.figures, examined.human
-    flow = np.asarray(own.cash_flow)
-    whole = len(flow) // steps * steps
+    local, human = examined.figures, examined.human
+    flow = np.asarray(local.cash_flow)
+    complete = len(flow) // steps * steps
     inputs = plain(pension_inputs(case))
     result = FundFigures(
         lines=tuple(examined.lines),
         remarks=tuple(examined.remarks),
         in_words=tuple(in_words(case)),
-        liability=own.liability,
-        duration=own.duration,
-        convexity=own.convexity,
-        inflation01=own.inflation01,
+        liability=local.liability,
+        duration=local.duration,
+        convexity=local.convexity,
+        inflation01=local.inflation01,
         asset_duration=human.asset_duration,
         hedge_ratio=human.hedge_ratio,
         inflation_hedge_ratio=human.inflation_hedge_ratio,
         rate_volatility=human.rate_volatility,
         returns=human.returns,
-        key_rate_durations=_key_rate_durations(case, own),
-        cash_flow=flow[:whole].reshape(-1, steps).sum(1),
+        key_rate_durations=_key_rate_durations(case, local),
+        cash_flow=flow[:complete].reshape(-1, steps).sum(1),
         regulation=None if case.regulation is None else stand(case, inputs),
         funding=None if case.funding is None else bases(case, inputs),
     )
-    return Reconciliation(result, own.liability, human.funding)
+    return Reconciliation(result, local.liability, human.funding)
 
 
-def _key_rate_durations(case: PensionCase, own: Figures) -> KeyRateDurations:
-    if not own.liability:
+def _key_rate_durations(case: PensionCase, figures: Figures) -> KeyRateDurations:
+    if not figures.liability:
         return KeyRateDurations()
-    years = -own.key_rate / BASIS_POINT / own.liability
+    years = -figures.key_rate / BASIS_POINT / figures.liability
     return KeyRateDurations(tuple(case.curve.rate.labels), years)
 
 
 def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
     """Own figures against those given, and the tests that scenarios must pass."""
-    own = result.reconciliation
-    blocks: list[Block] = [Text(f"Note: {remark}.", caveat=True) for remark in own.remarks]
-    if own.lines:
+    local = result.reconciliation
+    blocks: list[Block] = [Text(f"Note: {remark}.", caveat=True) for remark in local.remarks]
+    if local.lines:
         head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
-        rows = [_row(line) for line in own.lines]
+        rows = [_row(line) for line in local.lines]
         blocks.append(Table(head, rows, "Own figures, and those of the actuary where given", 2))
-    if own.in_words:
-        blocks.append(Text(" ".join(f"{_capitalized(words)}." for words in own.in_words)))
-    scale, unit = run.size(own.liability)
-    hedge = own.inflation_hedge_ratio
+    if local.in_words:
+        blocks.append(Text(" ".join(f"{_capitalized(text)}." for text in local.in_words)))
+    scale, unit = run.size(local.liability)
+    hedge = local.inflation_hedge_ratio
     facts = [
-        ("Liability", number(own.liability / scale, 2), unit),
-        ("Duration", number(own.duration, 2), "years, −d ln L / d parallel shift"),
-        ("Convexity", number(own.convexity, 1), "years², of a parallel shift"),
-        ("Duration of assets", number(own.asset_duration, 2), "years, with swaps"),
-        ("Hedge ratio", percent(own.hedge_ratio, 0), "of a parallel shift"),
+        ("Liability", number(local.liability / scale, 2), unit),
+        ("Duration", number(local.duration, 2), "years, −d ln L / d parallel shift"),
+        ("Convexity", number(local.convexity, 1), "years², of a parallel shift"),
+        ("Duration of assets", number(local.asset_duration, 2), "years, with swaps"),
+        ("Hedge ratio", percent(local.hedge_ratio, 0), "of a parallel shift"),
         ("Inflation hedge", "none due" if hedge is None else percent(hedge, 0),
          "of a rise of all break-evens"),
-        ("Inflation +1 bp", run.large(own.inflation01, 3, True), "change of L"),
+        ("Inflation +1 bp", run.large(local.inflation01, 3, True), "change of L"),
     ]  # fmt: skip
     blocks.append(Facts(facts))
-    if own.regulation is not None:
-        blocks += _regulation(run, own.regulation)
-    if own.funding is not None:
-        blocks += _funding(run, own.funding)
+    if local.regulation is not None:
+        blocks += _regulation(run, local.regulation)
+    if local.funding is not None:
+        blocks += _funding(run, local.funding)
     if tests := CONSISTENCY.of(run):
         blocks.append(CONSISTENCY.show(run, tests)[0])
-    if own.key_rate_durations.label:
-        blocks.append(_durations(own.key_rate_durations))
-    if own.cash_flow.size:
-        blocks.append(_cash_flow(run, own.cash_flow))
+    if local.key_rate_durations.label:
+        blocks.append(_durations(local.key_rate_durations))
+    if local.cash_flow.size:
+        blocks.append(_cash_flow(run, local.cash_flow))
     return blocks
 
 
@@ -173,11 +173,11 @@ def _capitalized(text: str) -> str:
 
 
 def _row(line: Line) -> tuple[Any, ...]:
-    name, own = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
+    name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
     if line.given is None:
-        return name, "not given", own, number(None), ""
+        return name, "not given", local, number(None), ""
     verdict = Mark(bool(line.ok), "holds" if line.ok else "fails")
-    return name, verdict, own, number(line.given), power(line.error)
+    return name, verdict, local, number(line.given), power(line.error)
 
 
 def _durations(result: KeyRateDurations) -> Table:

@@ -125,8 +125,8 @@ def effects(setup: Setup, solution: Solution) -> MoveEffects:
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
-    sure = equivalent(problem.objective, solution.value)
-    slope = 1.0 if sure is None else sure.slope
+    certain = equivalent(problem.objective, solution.value)
+    slope = 1.0 if certain is None else certain.slope
     families, rows, combined = [], [], []
     for name, entry in table.inputs.items():
         usual = usual_move(entry)
@@ -141,7 +141,7 @@ def effects(setup: Setup, solution: Solution) -> MoveEffects:
         effect = _along(table, life.input, life.change, slope)
         effect |= {"count": len(life.change), "words": LIFE}
         combined.append(InputEffect("year_of_life", "1 year", "people", **effect))
-    unit = "objective" if sure is None else "ratio"
+    unit = "objective" if certain is None else "ratio"
     return MoveEffects(unit, tuple(families), tuple(combined), tuple(rows))
 
 
@@ -171,9 +171,9 @@ def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
     blocks: list[Block] = [_tornado(moves, scale, unit), _inputs(moves, scale, unit)]
     curves = dict.fromkeys(row.input for row in result.rows if row.group == CURVE)
     for name in curves:
-        own = [row for row in result.rows if row.input == name]
-        whole = next(family for family in result.families if family.input == name)
-        blocks.append(_nodes(whole, own, scale, unit))
+        local = [row for row in result.rows if row.input == name]
+        complete = next(family for family in result.families if family.input == name)
+        blocks.append(_nodes(complete, local, scale, unit))
     others = [row for row in result.rows if row.input not in curves]
     if others:
         blocks.append(_others(others, scale, unit))
@@ -189,9 +189,9 @@ def rise(move: Any) -> str:
 def _tornado(moves: Sequence[InputEffect], scale: float, unit: str) -> Chart:
     order = sorted(moves, key=lambda move: -abs(move.effect or 0.0))[:TOP]
     values = [scale * (move.effect or 0.0) for move in order]
-    places = decimals(values, 3)
+    digits = decimals(values, 3)
     swings = [
-        Swing(rise(move), value, number(value, places, True), scale * move.half_width)
+        Swing(rise(move), value, number(value, digits, True), scale * move.half_width)
         for move, value in zip(order, values)
     ]
     alt = "Effects of the usual moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
@@ -213,16 +213,16 @@ def _inputs(moves: Sequence[InputEffect], scale: float, unit: str) -> Table:
 def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
     effect, half = move.effect, scale * move.half_width
     # No digit beyond the interval's second one; six of the effect where it is hardly wide.
-    places = decimals([scale * (effect or 0.0)], 6 if half else 4)
-    places = min(decimals([half], 2), places) if half else places
+    digits = decimals([scale * (effect or 0.0)], 6 if half else 4)
+    digits = min(decimals([half], 2), digits) if half else digits
     return (
         name,
         move.move,
-        number(None if effect is None else scale * effect, places, True),
-        plus_minus(None if effect is None else half, places),
+        number(None if effect is None else scale * effect, digits, True),
+        plus_minus(None if effect is None else half, digits),
         rough(scale * (move.policy or 0.0)),
         move.source or "",
-        number(None if move.reacting is None else scale * move.reacting, places, True),
+        number(None if move.reacting is None else scale * move.reacting, digits, True),
     )
 
 
@@ -232,12 +232,14 @@ def _columns(unit: str) -> list[tuple[str, str]]:
             ("Policy reacting", unit)]  # fmt: skip
 
 
-def _nodes(whole: InputEffect, rows: Sequence[NumberEffect], scale: float, unit: str) -> Table:
+def _nodes(
+    input_effect: InputEffect, rows: Sequence[NumberEffect], scale: float, unit: str
+) -> Table:
     """One line per node, and the `whole` input moved at once: the parallel shift, which is their
     sum."""
-    name = name_of(whole.input)
+    name = name_of(input_effect.input)
     body = [_row(row, row.label, scale) for row in rows]
-    body.append(_row(whole, "Parallel = sum", scale))
+    body.append(_row(input_effect, "Parallel = sum", scale))
     head = [("Node", ""), ("Rise", ""), *_columns(unit)]
     folded = f"{name} by node: {len(rows)} key rates"
     strong = frozenset([len(body) - 1])

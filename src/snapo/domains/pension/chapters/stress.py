@@ -110,7 +110,7 @@ def scenarios(case: PensionCase, shocks: Sequence[Shock]) -> list[Stressed]:
 
 
 def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed:
-    given = {each.name: each for each in every_given(case)}
+    inputs = {item.name: item for item in every_given(case)}
     values: dict[str, np.ndarray] = {}
     price = np.ones(len(case.assets.classes))
     for target, curve in zip(CURVES, (case.curve, case.inflation.break_even)):
@@ -119,14 +119,14 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
             values[curve.rate.name] = _moved(curve, lines)
     for shock in shocks:
         if shock.target == PRICE:
-            for i, each in enumerate(case.assets.classes):
-                if shock.label in ("", each.name, each.kind):
+            for i, class_ in enumerate(case.assets.classes):
+                if shock.label in ("", class_.name, class_.kind):
                     price[i] *= 1 + shock.size
         elif shock.target not in CURVES:
-            known = given[shock.target]
-            now = values.get(shock.target, known.values).copy()
-            chosen = np.array([shock.label in ("", label) for label in known.labels])
-            now[chosen] = shock.of(now[chosen])
+            available = inputs[shock.target]
+            now = values.get(shock.target, available.values).copy()
+            selected = np.array([shock.label in ("", label) for label in available.labels])
+            now[selected] = shock.of(now[selected])
             values[shock.target] = now
     return Stressed(name, values, price)
 
@@ -150,9 +150,9 @@ def _by_tenor(curve: Curve, lines: Sequence[Shock], rates: np.ndarray) -> np.nda
     for line in lines:
         if not line.label:
             rates = line.of(rates)
-    known = sorted((float(line.label), line.size) for line in lines if line.label)
-    if known:
-        tenors, sizes = np.array(known).T
+    available = sorted((float(line.label), line.size) for line in lines if line.label)
+    if available:
+        tenors, sizes = np.array(available).T
         rates = lines[0].of(rates, np.interp(curve.tenor, tenors, sizes))
     return rates
 
@@ -173,10 +173,10 @@ def stressed(
     return StressedBalance(scenario.scenario, assets, liability, assets / liability, surplus)
 
 
-def _change(worth: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
+def _change(value: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
     """Changes of `worth` from one set of inputs to another."""
     with jax.enable_x64(True):
-        return np.asarray(worth(case, after)) - np.asarray(worth(case, before))
+        return np.asarray(value(case, after)) - np.asarray(value(case, before))
 
 
 def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block]:
@@ -208,8 +208,8 @@ def _signed(scenario: str) -> str:
 
 def _balance(assets: float, liability: float, scale: float) -> tuple[str, ...]:
     amounts = assets / scale, liability / scale
-    places = decimals(amounts, 4)  # a surplus is small beside what it is left of
-    return tuple(number(x, places) for x in (*amounts, amounts[0] - amounts[1]))
+    digits = decimals(amounts, 4)  # a surplus is small beside what it is left of
+    return tuple(number(x, digits) for x in (*amounts, amounts[0] - amounts[1]))
 
 
 STRESS = Chapter(

@@ -63,20 +63,20 @@ def measure(run: StudyRun) -> TodayTables:
     """All of it in closed form, from the first decision on the recorded paths."""
     case, inputs, paths = case_of(run), plain(run.setup.problem.inputs), PATHS.of(run)
     assert paths is not None
-    weights, places = paths.first_decision.weights, paths.first_decision.overlay
-    values, own = limit_unit(case), figures(case, inputs)
-    wanted = notionals(case, places, values)
+    weights, digits = paths.first_decision.weights, paths.first_decision.overlay
+    values, local = limit_unit(case), figures(case, inputs)
+    requested = notionals(case, digits, values)
     now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
     after = _rebalanced(case, weights)
     return TodayTables(
-        balance.trades(case, weights, places, values),
-        balance.ladder(case, inputs, own, now),
-        balance.ladder(after, inputs, own, wanted),
-        balance.inflation_ladder(case, inputs, own, now),
-        balance.inflation_ladder(after, inputs, own, wanted),
+        balance.trades(case, weights, digits, values),
+        balance.ladder(case, inputs, local, now),
+        balance.ladder(after, inputs, local, requested),
+        balance.inflation_ladder(case, inputs, local, now),
+        balance.inflation_ladder(after, inputs, local, requested),
         Collateral(
             balance.headroom(case, case.assets.weight.used(), now),
-            balance.headroom(case, weights, wanted),
+            balance.headroom(case, weights, requested),
         ),
     )
 
@@ -155,11 +155,11 @@ class Buckets:
 
     @classmethod
     def of(cls, run: PensionRun, before: CurveLadder, after: CurveLadder) -> "Buckets":
-        place = np.digitize(before.tenor, EDGES)
+        position = np.digitize(before.tenor, EDGES)
 
         def bucketed(values: np.ndarray) -> np.ndarray:
-            values = np.nan_to_num(values) if values.size else np.zeros(len(place))
-            return np.bincount(place, values, len(BUCKET_NAMES))
+            values = np.nan_to_num(values) if values.size else np.zeros(len(position))
+            return np.bincount(position, values, len(BUCKET_NAMES))
 
         sides = [{side: bucketed(getattr(x, side)) for side in SIDES} for x in (before, after)]
         return cls(run, *sides)
@@ -167,7 +167,7 @@ class Buckets:
     @property
     def used(self) -> np.ndarray:
         both = (*self.before.values(), *self.after.values())
-        return np.flatnonzero(sum(np.abs(each) for each in both) > 0)
+        return np.flatnonzero(sum(np.abs(item) for item in both) > 0)
 
     def picture(self, name: str, caption: str) -> Chart:
         used, (scale, unit) = self.used, self.run.size(*self.before.values())
@@ -190,12 +190,12 @@ class Buckets:
         head.append(("Hedge ratio", "%"))
         return Table(head, rows, caption, 1, strong=frozenset([len(rows) - 1]))
 
-    def _line(self, name: str, places: list, scale: float) -> tuple[str, ...]:
-        liability = float(self.before["liability"][places].sum())
+    def _line(self, name: str, digits: list, scale: float) -> tuple[str, ...]:
+        liability = float(self.before["liability"][digits].sum())
         cells = [name, number(liability / scale, 3, True)]
         for when in (self.before, self.after):
-            held = [float(when[side][places].sum()) for side in ("assets", "swaps")]
-            cells += [number(each / scale, 3, True) for each in held]
+            held = [float(when[side][digits].sum()) for side in ("assets", "swaps")]
+            cells += [number(item / scale, 3, True) for item in held]
             cells.append(number(100 * sum(held) / liability, 0) if abs(liability) > 0 else "")
         return tuple(cells)
 
@@ -206,8 +206,8 @@ def _real(run: PensionRun, result: TodayTables) -> Table:
     for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
         for side in ("assets", "liability"):
             names = (side, f"real_{side}")
-            whole, real = (float(np.nan_to_num(getattr(ladder, x)).sum()) for x in names)
-            parts.append((f"{when}: {side}", real, whole - real, whole))
+            complete, real = (float(np.nan_to_num(getattr(ladder, x)).sum()) for x in names)
+            parts.append((f"{when}: {side}", real, complete - real, complete))
     scale, unit = run.size(*(np.array(numbers) for _, *numbers in parts))
     rows = [(name, *(number(x / scale, 3, True) for x in numbers)) for name, *numbers in parts]
     head = [("", ""), ("Real rates", unit), ("Nominal rates", unit), ("Both", unit)]
@@ -229,23 +229,23 @@ def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
             _headroom(run, "After today's trades", collateral.after),
             ("Required", f"{number(now.required, 0)} bp", "rise in rates to be withstood"),
         ]
-    broken = [(x, words, result.limits[x]) for x, words in BREACHES if x in result.limits]
+    broken = [(x, text, result.limits[x]) for x, text in BREACHES if x in result.limits]
     note = f"probability in any month, {run.measure}"
-    facts += [(words, share(breaches.ever, 2), note) for _, words, breaches in broken]
+    facts += [(label, share(breaches.ever, 2), note) for _, label, breaches in broken]
     blocks: list[Block] = [Facts(facts)]
     if now is None and not run.left_out(TODAY.name):
         blocks.append(Text("The case has no swaps, and needs no collateral."))
     return [*blocks, *(_months(run, *breaches) for breaches in broken)]
 
 
-def _months(run: PensionRun, name: str, words: str, breaches: LimitBreaches) -> Chart | Text:
+def _months(run: PensionRun, name: str, label: str, breaches: LimitBreaches) -> Chart | Text:
     """Shares of the paths that break one limit, step by step."""
     months = breaches.share
     if not np.any(months > 0):
-        return Text(f"{words}: on no path in any month.")
+        return Text(f"{label}: on no path in any month.")
     worst = int(np.nanargmax(months))
-    layer = Layer(words, 100 * months, "limit", 0.8)
-    text = f"{words} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
+    layer = Layer(label, 100 * months, "limit", 0.8)
+    text = f"{label} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
     years, unit = np.arange(len(months)) * run.step, "% of paths"
     svg = draw(f"breach-{name}", text, lambda axes: stack(axes, years, [layer], unit), 180)
     return Chart(svg, f"{text} Shares of the paths by month.")

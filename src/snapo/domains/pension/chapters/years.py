@@ -90,14 +90,14 @@ def indexation(run: PensionRun, result: PathTables) -> Sequence[Block]:
     return [Chart(svg, caption), _table(fan, 0.01, "%", text)]
 
 
-def _certain(each: np.ndarray, total: np.ndarray) -> str:
+def _certain(item: np.ndarray, total: np.ndarray) -> str:
     """Increases of each year that are the same on all paths, and cumulated, in words."""
-    if not np.any(each):
+    if not np.any(item):
         return "The plan grants no increases."
-    low, high = float(each.min()), float(each.max())
+    low, high = float(item.min()), float(item.max())
     size = share(low, 2) if high - low < 1e-12 else f"{share(low, 2)} to {share(high, 2)}"
     return (
-        f"Pensions rise by {size} every year, on all paths alike: after {number(len(each), 0)} "
+        f"Pensions rise by {size} every year, on all paths alike: after {number(len(item), 0)} "
         f"years to {share(total[-1])} of today's."
     )
 

@@ -85,5 +85,5 @@ def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State)
 
 def _ratio(terms: Terms, state: State, liability: Array) -> Array:
     """Assets over liability; a fund without liabilities has a large one."""
-    least = LEAST * terms.assets
-    return state.assets / jnp.where(liability > least, liability, least)
+    minimum = LEAST * terms.assets
+    return state.assets / jnp.where(liability > minimum, liability, minimum)

@@ -45,7 +45,7 @@ def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
         years = steps * case.step * (real if linked else 1)
         return before(steps, linked) * jnp.exp(-rise * years)
 
-    eligible = np.array([each.eligible for each in case.assets.classes])
+    eligible = np.array([class_.eligible for class_ in case.assets.classes])
     return Stress(eligible * ratios(case, before, after), -swap_gains(case, before, after))
 
 
@@ -53,9 +53,9 @@ def stressed(case: PensionCase, rise: ArrayLike) -> Stress:
     """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
     with jax.enable_x64(True):
-        each = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
-        found = each(jnp.asarray(rise, jnp.float64))
-        return Stress(*map(np.asarray, found))
+        item = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
+        result = item(jnp.asarray(rise, jnp.float64))
+        return Stress(*map(np.asarray, result))
 
 
 def slope(case: PensionCase) -> np.ndarray:

@@ -19,30 +19,30 @@ NONE = 1e-12  # of the assets: fewer purchases than this are none
 
 
 def dealt(
-    assets: Assets, step: float, wanted: Array, now: Array, smooth: Constraints
+    assets: Assets, step: float, requested: Array, now: Array, smooth: Constraints
 ) -> Float[Array, " n"]:
     """The weights after trading, from those `now` [n] towards those `wanted` [n]; both add up to
     1, and so do the result's."""
     cash, count = assets.cash, len(assets.classes)
     is_cash = np.arange(count) == cash
-    move = jnp.where(is_cash, 0.0, wanted - now)
+    move = jnp.where(is_cash, 0.0, requested - now)
     if assets.band is not None:
         band = jnp.asarray(assets.band, move.dtype)
         far = smooth.indicator(jnp.abs(move) - band, NEAR)
         move = jnp.where(assets.band > 0, far * move, move)
     if assets.max_sale is not None:
         limited = np.isfinite(assets.max_sale)
-        most = jnp.asarray(np.where(limited, assets.max_sale, 0.0) * step, move.dtype) * now
-        move = jnp.where(limited, smooth.maximum(move, -most, NEAR), move)
+        maximum = jnp.asarray(np.where(limited, assets.max_sale, 0.0) * step, move.dtype) * now
+        move = jnp.where(limited, smooth.maximum(move, -maximum, NEAR), move)
     bought = jnp.sum(jnp.maximum(move, 0.0))
-    free = now[cash] - wanted[cash] - jnp.sum(jnp.minimum(move, 0.0))
+    free = now[cash] - requested[cash] - jnp.sum(jnp.minimum(move, 0.0))
     # While training, a class within its band is bought in traces, whose reciprocal has no bounds.
     some = bought > NONE
     room = jnp.where(some, bought, 1.0)
     paid = smooth.clip(free, 0.0, room, NEAR) / room
     move = jnp.where(some & (move > 0), move * paid, move)
     if assets.turnover is not None:
-        most = assets.turnover * step
-        turned = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
-        move = move * most / smooth.maximum(turned, most, NEAR)
+        maximum = assets.turnover * step
+        rotated = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
+        move = move * maximum / smooth.maximum(rotated, maximum, NEAR)
     return now + move - jnp.where(is_cash, jnp.sum(move), 0.0)

@@ -77,13 +77,13 @@ def _rates(view: View) -> Array:
     return factors[:-1] / scales(view.case)[:-1]
 
 
-def _level(place: int) -> Callable[[View], Array]:
+def _level(position: int) -> Callable[[View], Array]:
     """The long (0) or short (1) rate."""
 
     def see(view: View) -> Array:
         market = view.terms.market
         slopes = market.rate_slope @ view.state.market.factors
-        return ((view.now.market.rate_level + slopes) / RATE)[place]
+        return ((view.now.market.rate_level + slopes) / RATE)[position]
 
     return see
 
@@ -133,12 +133,12 @@ FEATURES: dict[str, Feature] = {
 
 def slots(case: PensionCase) -> dict[str, slice]:
     """Where each observed name stands in the observation."""
-    found, start = {}, 0
+    slices, start = {}, 0
     for name in case.observation:
         stop = start + FEATURES[name].size(case)
-        found[name] = slice(start, stop)
+        slices[name] = slice(start, stop)
         start = stop
-    return found
+    return slices
 
 
 def observe(
@@ -146,8 +146,8 @@ def observe(
 ) -> Float[Array, " features"]:
     """The observation of one path at the start of a step; `ratio` is the funding ratio F."""
     view = View(case, terms, now, state, ratio)
-    seen = [FEATURES[name] for name in case.observation if FEATURES[name].size(case)]
-    return jnp.concatenate([jnp.reshape(feature.see(view), (-1,)) for feature in seen])
+    observed = [FEATURES[name] for name in case.observation if FEATURES[name].size(case)]
+    return jnp.concatenate([jnp.reshape(feature.see(view), (-1,)) for feature in observed])
 
 
 def scales(case: PensionCase) -> np.ndarray:
@@ -160,8 +160,8 @@ def scales(case: PensionCase) -> np.ndarray:
 
 def spread_scales(case: PensionCase) -> np.ndarray:
     """[R] the same of ln(s / mean)."""
-    a, given = case.credit.mean_reversion.used(), case.credit.volatility
-    return _after_ten_years(given.used() if given.values.size else np.zeros(len(a)), a)
+    a, values = case.credit.mean_reversion.used(), case.credit.volatility
+    return _after_ten_years(values.used() if values.values.size else np.zeros(len(a)), a)
 
 
 def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:

@@ -73,9 +73,9 @@ class Period(NamedTuple):
 def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
-    found = people(case, inputs, basis_log_bond(case, inputs))
+    result = people(case, inputs, basis_log_bond(case, inputs))
     if limited(case):
-        found = found._replace(lpi=lpi(case, inputs, payment_nodes))
+        result = result._replace(lpi=lpi(case, inputs, payment_nodes))
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
     due, averaging = indexation_flags(case)
     assets = case.assets
@@ -83,19 +83,21 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         market=terms,
         plan=plan_terms(case, inputs),
         assets=use(inputs, assets.amount),
-        liability=jnp.sum(found.accrued[0] * jnp.exp(shape[0] - terms.slope @ terms.start.factors)),
+        liability=jnp.sum(
+            result.accrued[0] * jnp.exp(shape[0] - terms.slope @ terms.start.factors)
+        ),
         weight=use(inputs, assets.weight),
         cost=use(inputs, assets.cost),
         fee=use(inputs, assets.fee) * case.step,
         swaps=_swaps(case, inputs, payment_nodes),
-        last=jax.tree.map(lambda leaf: leaf[-1], found),
+        last=jax.tree.map(lambda leaf: leaf[-1], result),
         last_shape=shape[-1],
     )
     return Schedule(
         without_empty(constants),
         Period(
             market=without_empty(steps),
-            people=jax.tree.map(lambda leaf: leaf[:-1], found),
+            people=jax.tree.map(lambda leaf: leaf[:-1], result),
             shape=shape[:-1],
             due=jnp.asarray(due, float),
             averaging=jnp.asarray(averaging, float),
@@ -154,12 +156,12 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
         added = added + log_growth(case, inputs)
     if basis.basis == "fixed":
         return added
-    found = added
+    result = added
     if case.scenarios is None:
-        found = found + log_bond(case.curve, inputs, years)
+        result = result + log_bond(case.curve, inputs, years)
     if basis.future_indexation == "full":
-        found = found - log_bond(case.inflation.break_even, inputs, years)
-    return found
+        result = result - log_bond(case.inflation.break_even, inputs, years)
+    return result
 
 
 def added_rate(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> Array:

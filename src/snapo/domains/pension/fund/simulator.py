@@ -175,12 +175,12 @@ class PensionSimulator(Simulator):
             assets = assets + jnp.sum(held.notional * returned)
         assets = assets if self._in_advance else assets + flows.net
         if held.notional is not None and constants.swaps is not None:
-            least = LEAST * constants.assets
+            minimum = LEAST * constants.assets
             # Gains are settled: what a par swap was struck on stays, a sum that grows with its bond
             # becomes that of a swap over as much.
             grown = jnp.exp(moved.cash + moved.swaps)
-            rolled = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
-            overlay = rolled / jnp.where(assets > least, assets, constants.assets)
+            rollout = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
+            overlay = rollout / jnp.where(assets > minimum, assets, constants.assets)
         weights = drifted(self.case.assets, held.weights * moved.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
@@ -217,10 +217,10 @@ class PensionSimulator(Simulator):
         ratio_sum = state.ratio_sum + now.averaging * books.ratio
         if rule.kind != "none" or rule.cut_years:
             growth = jnp.expm1(market.log_price - state.log_price_last)
-            given = indexation(
+            values = indexation(
                 self.case.plan, constants.plan, ratio=ratio_sum, price_growth=growth, smooth=smooth
             )
-            granted, cut = (now.due * each for each in given)
+            granted, cut = (now.due * item for item in values)
         after = self.rights(now, state, market, granted, cut)
         return after._replace(ratio_sum=ratio_sum * (1 - now.due)), granted, cut
 
@@ -281,7 +281,7 @@ class PensionSimulator(Simulator):
         return {"funding": "last", "bound_excess": "max"}
 
     def slack(self, constants: Terms, now: Period, state: State, outputs):
-        found = {"weights": -outputs["bound_excess"]}
+        table = {"weights": -outputs["bound_excess"]}
         if constants.swaps is not None:
-            found["collateral"] = -outputs["collateral_shortfall"]
-        return found
+            table["collateral"] = -outputs["collateral_shortfall"]
+        return table

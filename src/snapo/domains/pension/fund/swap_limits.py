@@ -11,7 +11,7 @@ from .books import balance, opening
 from .simulator import PensionSimulator
 
 
-def notionals(case: PensionCase, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
     """[b] notionals where the policy puts them, from their `places` in the ranges, 0 to 1.
 
     `values`: [b] the money that limits are shares of (see `limit_unit`).
@@ -19,11 +19,11 @@ def notionals(case: PensionCase, places: np.ndarray, values: np.ndarray) -> np.n
     overlay = case.overlay
     if overlay is None:
         return np.zeros(0)
-    shares = overlay.low + places * (overlay.high - overlay.low)
-    wanted = shares * values
+    shares = overlay.low + positions * (overlay.high - overlay.low)
+    requested = shares * values
     assets = float(case.assets.amount.used())
-    total, most = np.abs(wanted).sum() / assets, float(overlay.leverage.used())
-    return wanted * min(1.0, most / total) if total > 0 else wanted
+    total, maximum = np.abs(requested).sum() / assets, float(overlay.leverage.used())
+    return requested * min(1.0, maximum / total) if total > 0 else requested
 
 
 def limit_unit(case: PensionCase) -> np.ndarray:

@@ -37,7 +37,7 @@ class PlanTerms(NamedTuple):
 def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
     """The numbers of a case's rules, from its inputs; zeros where a rule does not need one."""
     indexed, paid = case.plan.indexation, case.plan.contribution
-    given = (
+    values = (
         indexed.cap,
         indexed.floor,
         indexed.lower_ratio,
@@ -52,4 +52,4 @@ def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
         paid.cap,
         paid.sponsor_limit,
     )
-    return PlanTerms(*(use(inputs, each) for each in given), reserved=reserved(case, inputs))
+    return PlanTerms(*(use(inputs, item) for item in values), reserved=reserved(case, inputs))

@@ -39,10 +39,10 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     value of the liability payments nearest to each swap."""
     count, cash = len(case.assets.classes), case.assets.cash
     others = action[:count] * (np.arange(count) != cash)
-    wanted = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
-    weights = wanted
+    requested = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
+    weights = requested
     if case.assets.dealing:
-        weights = dealt(case.assets, case.step, wanted, state.weights, smooth)
+        weights = dealt(case.assets, case.step, requested, state.weights, smooth)
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
     size = weights
     if case.assets.short:
@@ -60,7 +60,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         gap = swaps.stress.gap(assets * weights, notional)
         short = smooth.positive_part(gap, SHARE * terms.assets)
-    held = Holdings(weights, notional, cost, excess(case.assets, wanted), short)
+    held = Holdings(weights, notional, cost, excess(case.assets, requested), short)
     return _while_solvent(case.assets, held, assets) if case.assets.short else held
 
 
@@ -98,14 +98,14 @@ def _notional(case: PensionCase, swaps, action, assets, buckets, smooth) -> Floa
     return notional * swaps.leverage / _positive(smooth.maximum(total, swaps.leverage), 1e-9)
 
 
-def _positive(x: Array, least: float) -> Array:
-    return jnp.where(x > least, x, least)
+def _positive(x: Array, minimum: float) -> Array:
+    return jnp.where(x > minimum, x, minimum)
 
 
 def excess(assets: Assets, weights: Array) -> Array:
     """The largest amount by which a weight or a group leaves its bounds."""
     # In the type of the weights: JAX remembers an array of the case in the type it met first.
-    low, high = (jnp.asarray(each, weights.dtype) for each in (assets.low, assets.high))
+    low, high = (jnp.asarray(item, weights.dtype) for item in (assets.low, assets.high))
     largest = jnp.maximum(jnp.max(low - weights), jnp.max(weights - high))
     for group in assets.groups:
         total = sum(weights[i] for i in group.members)

@@ -31,19 +31,19 @@ def all_names(
     factors: Sequence[str], ratings: Sequence[str], currencies: Sequence[str], assets: Assets
 ) -> tuple[str, ...]:
     """The same from parts of a case."""
-    own = tuple(assets.classes[i].name for i in assets.shocks)
+    local = tuple(assets.classes[i].name for i in assets.shocks)
     market = ("inflation", "price index", "wage", MORTALITY)
-    return (*factors, *market, *ratings, *currencies, *own)
+    return (*factors, *market, *ratings, *currencies, *local)
 
 
 def matrix(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "B B"]:
     """Instantaneous correlations; motions that the case does not name are independent."""
     names = brownians(case)
-    place = [names.index(name) for name in case.correlation.names]
-    below = np.tril_indices(len(place), -1)
-    rows, columns = np.array(place, int)[below[0]], np.array(place, int)[below[1]]
-    given = use(inputs, case.correlation.lower)
-    lower = jnp.zeros((len(names), len(names))).at[rows, columns].set(given)
+    position = [names.index(name) for name in case.correlation.names]
+    below = np.tril_indices(len(position), -1)
+    rows, columns = np.array(position, int)[below[0]], np.array(position, int)[below[1]]
+    values = use(inputs, case.correlation.lower)
+    lower = jnp.zeros((len(names), len(names))).at[rows, columns].set(values)
     return jnp.eye(len(names)) + lower + lower.T
 
 

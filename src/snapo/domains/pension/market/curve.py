@@ -29,16 +29,16 @@ def log_bond(curve: Curve, inputs: dict[str, Any], years: np.ndarray) -> Float[A
         at_nodes = -jnp.cumsum(rate * np.diff(nodes, prepend=0.0))
         from_zero = jnp.concatenate([jnp.zeros(1), at_nodes])
         inside = _between(np.concatenate([[0.0], nodes]), from_zero, years)
-    beyond = np.maximum(years - nodes[-1], 0.0)
+    outside = np.maximum(years - nodes[-1], 0.0)
     forward = rate[0]
     if len(nodes) > 1:
         forward = (at_nodes[-2] - at_nodes[-1]) / (nodes[-1] - nodes[-2])
     if curve.extrapolation == "flat-forward":
-        return inside - forward * beyond
+        return inside - forward * outside
     assert curve.speed is not None
     # The forward rate moves from the last one to the ultimate one by exp(-speed * beyond).
-    fading = -np.expm1(-curve.speed * beyond) / curve.speed
-    return inside - forward * fading - use(inputs, curve.ultimate) * (beyond - fading)
+    fading = -np.expm1(-curve.speed * outside) / curve.speed
+    return inside - forward * fading - use(inputs, curve.ultimate) * (outside - fading)
 
 
 def _between(nodes: np.ndarray, values: Array, at: np.ndarray) -> Array:

@@ -96,9 +96,9 @@ def moments(
     case: PensionCase, factors: Factors, bond: BondLoads, covariance: Float[Array, "Z Z"]
 ) -> Moments:
     """One pass over the steps; see the formulas of `_grow`."""
-    place = slots(case)
-    count = len(place.zeta)
-    steps = _grow(factors, bond, covariance, place)
+    position = slots(case)
+    count = len(position.zeta)
+    steps = _grow(factors, bond, covariance, position)
     slope = bond.loads * factors.reach
     decay = factors.decay
 
@@ -114,26 +114,26 @@ def moments(
 
     start = jnp.zeros((count, count)), jnp.zeros(count), jnp.zeros(())
     _, later = jax.lax.scan(step, start, steps)
-    return Moments(*(jnp.concatenate([zero[None], each]) for zero, each in zip(start, later)))
+    return Moments(*(jnp.concatenate([zero[None], item]) for zero, item in zip(start, later)))
 
 
-def _grow(factors: Factors, bond: BondLoads, covariance: Array, place: Slots):
+def _grow(factors: Factors, bond: BondLoads, covariance: Array, position: Slots):
     """Additions of a step's shocks: Cov(s zeta), Cov(s zeta, k), Var(k); k = sum l s iota + own."""
-    zeta, iota, index = place.zeta, place.iota, place.index
+    zeta, iota, index = position.zeta, position.iota, position.index
     moved = factors.volatility
     loaded = moved * bond.loads
-    own = bond.own[:, None]
+    local = bond.own[:, None]
     ds = moved[:, :, None] * moved[:, None, :] * covariance[zeta[:, None], zeta]
-    dc = moved * (loaded @ covariance[zeta[:, None], iota].T + own * covariance[zeta, index])
+    dc = moved * (loaded @ covariance[zeta[:, None], iota].T + local * covariance[zeta, index])
     among = jnp.sum(loaded @ covariance[iota[:, None], iota] * loaded, axis=1)
     across = loaded @ covariance[iota, index]
     dtotal = among + bond.own * (2 * across + bond.own * covariance[index, index])
     return ds, dc, dtotal
 
 
-def shift(log_bond: Float[Array, " T1"], found: Moments) -> Float[Array, " T"]:
+def shift(log_bond: Float[Array, " T1"], result: Moments) -> Float[Array, " T"]:
     """The part of K on top of its factors in each step, so that the initial curve is met."""
-    return -jnp.diff(log_bond) + jnp.diff(found.total) / 2
+    return -jnp.diff(log_bond) + jnp.diff(result.total) / 2
 
 
 def slope(factors: Factors, bond: BondLoads, years: np.ndarray) -> Float[Array, "n g"]:
@@ -141,7 +141,7 @@ def slope(factors: Factors, bond: BondLoads, years: np.ndarray) -> Float[Array, 
     return jnp.asarray(bond.loads) * reach(factors.mean_reversion, years[:, None])
 
 
-def shape(slopes: Float[Array, "n g"], found: Moments) -> Float[Array, "T1 n"]:
+def shape(slopes: Float[Array, "n g"], result: Moments) -> Float[Array, "T1 n"]:
     """ln P(t, t+u) at factors of zero, beyond the ratio of the initial prices."""
-    convexity = jnp.einsum("ni,tij,nj->tn", slopes, found.factors, slopes) / 2
-    return -found.cross @ slopes.T - convexity
+    convexity = jnp.einsum("ni,tij,nj->tn", slopes, result.factors, slopes) / 2
+    return -result.cross @ slopes.T - convexity

@@ -51,11 +51,11 @@ class Grown(NamedTuple):
     wage: Array
 
 
-def grow(price: Array, wage: Array, expected: Array, now, terms, place: Slots, shock) -> Grown:
+def grow(price: Array, wage: Array, expected: Array, now, terms, position: Slots, shock) -> Grown:
     """The next ln I and ln W; `expected` is the integral of the factor over the step, `shock` the
     Gaussian vector."""
-    move = now.price_shift + expected + now.index_volatility * shock[place.index]
-    extra = terms.wage_growth + terms.wage_volatility * shock[place.wage]
+    move = now.price_shift + expected + now.index_volatility * shock[position.index]
+    extra = terms.wage_growth + terms.wage_volatility * shock[position.wage]
     return Grown(price + move, wage + move + extra)
 
 
@@ -65,20 +65,20 @@ def generated_schedule(
     """Terms, steps and the nodes' `shape` [T+1, J]; see `dynamics.market_schedule`."""
     together, both = covariance(case, inputs), factors(case, inputs)
     kinds = nominal(case), real(case, inputs)
-    found = [moments(case, both, bond, together) for bond in kinds]
+    results = [moments(case, both, bond, together) for bond in kinds]
     steps, d = case.steps, case.step
     times = np.arange(steps + 1) * d
     price = log_bond(case.curve, inputs, times)
     real_price = price - log_bond(case.inflation.break_even, inputs, times)
-    nominal_shift, real_shift = shift(price, found[0]), shift(real_price, found[1])
+    nominal_shift, real_shift = shift(price, results[0]), shift(real_price, results[1])
     indices = growth(case, inputs, both, nominal_shift - real_shift)
     rates = slice(0, case.rates.count())
     risk = both.volatility * both.price_of_risk
-    terms, asset_steps = asset_schedule(case, inputs, both, together, found[0])
-    node_slope, node_shape = _nodes(case, both, kinds, found, nodes * d)
+    terms, asset_steps = asset_schedule(case, inputs, both, together, results[0])
+    node_slope, node_shape = _nodes(case, both, kinds, results, nodes * d)
     long_slope = slope(both, kinds[0], np.array([LONG]))
     onward = log_bond(case.curve, inputs, times[:-1] + LONG) - price[:-1]
-    long = -(onward + shape(long_slope, found[0])[:-1, 0]) / LONG
+    long = -(onward + shape(long_slope, results[0])[:-1, 0]) / LONG
     market = MarketTerms(
         start=at_start(jnp.zeros(len(both.decay)), spread_now(case, inputs), shown_now(case)),
         slope=node_slope,
@@ -92,7 +92,7 @@ def generated_schedule(
         spreads=spread_terms(case, inputs),
         assets=terms,
     )
-    each = MarketSteps(
+    item = MarketSteps(
         rate_level=jnp.stack([long, nominal_shift / d], axis=1),
         cash_shift=nominal_shift + risk[:, rates] @ both.reached[rates],
         price_shift=indices.price,
@@ -101,16 +101,16 @@ def generated_schedule(
         drift=risk * both.reach,
         assets=asset_steps,
     )
-    return market, each, node_shape
+    return market, item, node_shape
 
 
-def _nodes(case: PensionCase, both, kinds, found, years: np.ndarray):
+def _nodes(case: PensionCase, both, kinds, result, years: np.ndarray):
     """`slope` [J, g] and `shape` [T+1, J] of the basis on which liabilities are valued."""
     which = 1 if case.liability.future_indexation == "full" else 0
     if case.liability.basis == "fixed":
         return jnp.zeros((len(years), len(both.decay))), jnp.zeros((case.steps + 1, len(years)))
     slopes = slope(both, kinds[which], years)
-    return slopes, shape(slopes, found[which])
+    return slopes, shape(slopes, result[which])
 
 
 def _mortality_volatility(case: PensionCase, inputs: dict[str, Any]) -> Array:
@@ -122,23 +122,23 @@ def generated_move(
     case: PensionCase, terms: MarketTerms, now: MarketSteps, market: Market, noise: Array
 ) -> Move:
     """The market over one step; `noise` [Z] independent normals."""
-    place = slots(case)
+    position = slots(case)
     shock = terms.shock @ noise
     count = case.rates.count()
     # The factors' integrals over the step.
-    whole = terms.reach * market.factors + now.volatility * shock[place.iota]
-    cash = now.cash_shift + jnp.sum(whole[:count])
-    grown = grow(market.log_price, market.log_wage, whole[count], now, terms, place, shock)
+    complete = terms.reach * market.factors + now.volatility * shock[position.iota]
+    cash = now.cash_shift + jnp.sum(complete[:count])
+    grown = grow(market.log_price, market.log_wage, complete[count], now, terms, position, shock)
     moved = returns(case, terms.assets, now, market, shock, cash)
     mortality = market.mortality
     if case.lee_carter is not None:
-        mortality = mortality + terms.mortality_volatility * shock[place.mortality]
+        mortality = mortality + terms.mortality_volatility * shock[position.mortality]
     after = Market(
-        factors=terms.decay * market.factors + now.volatility * shock[place.zeta] + now.drift,
+        factors=terms.decay * market.factors + now.volatility * shock[position.zeta] + now.drift,
         log_price=grown.price,
         log_wage=grown.wage,
         mortality=mortality,
-        spread=next_spread(terms.spreads, market.spread, shock[place.spread]),
+        spread=next_spread(terms.spreads, market.spread, shock[position.spread]),
         shown=moved.shown,
         log_discount=market.log_discount - cash,
     )

@@ -49,37 +49,37 @@ class PriceGrowth(NamedTuple):
 def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
     """All moments, exact at every time of the grid; `today`: at time 0 alone, without the scan
     over the steps that the others need."""
-    each, d = round(1 / case.step), case.step
+    item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)
     first = np.ones_like(times)
-    if each > 1:
+    if item > 1:
         # A step s ends on a date where (start_month + s) % 12 + 1 is the month.
         last = case.plan.indexation.month - 1 - case.start_month
-        first = (last - times) % each + 1
-    count = round(PAYMENT_YEARS) + -(-case.steps // each) + 1
+        first = (last - times) % item + 1
+    count = round(PAYMENT_YEARS) + -(-case.steps // item) + 1
     phases = np.unique(first)
-    dates = phases[:, None] + each * np.arange(-1, count)  # date 0 is now
+    dates = phases[:, None] + item * np.arange(-1, count)  # date 0 is now
     dates[:, 0] = 0
     years = d * dates
-    own = _Model(case, inputs)
-    spread = own.among(years)
+    model = _Model(case, inputs)
+    spread = model.among(years)
     step = np.diff(np.eye(count + 1), axis=0)
     # Payments follow an increase all the year; the middle one stands for them.
-    after = ((each - 1) / 2 + (case.plan.timing == "arrears")) * d
-    due = own.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
-    at = jnp.concatenate([jnp.zeros((len(phases), 1)), own.with_rates_at(years[:, 1:])], axis=1)
+    after = ((item - 1) / 2 + (case.plan.timing == "arrears")) * d
+    due = model.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
+    at = jnp.concatenate([jnp.zeros((len(phases), 1)), model.with_rates_at(years[:, 1:])], axis=1)
     variance = jnp.diagonal(spread, axis1=1, axis2=2)
     falls = jnp.diff(due, axis=2)
     own_fall = jnp.diagonal(falls, axis1=1, axis2=2)
     phase = np.searchsorted(phases, first)
-    mean = own.forward(times, dates[phase])
+    mean = model.forward(times, dates[phase])
     steady = jnp.diff(at, axis=1) - jnp.diff(variance, axis=1) / 2 - own_fall
     together = jnp.einsum("ki,pij,lj->pkl", step, spread, step)
     return PriceGrowth(
         phase=phase,
         first=first,
         mean=jnp.diff(mean, axis=1) + steady[phase],
-        load=jnp.diff(reach(own.reversion, years), axis=1),
+        load=jnp.diff(reach(model.reversion, years), axis=1),
         variance=jnp.diagonal(together, axis1=1, axis2=2),
         together=together,
         later=falls - own_fall[:, None, :],
@@ -94,13 +94,13 @@ class _Model:
         prices, count = case.inflation, case.rates.count()
         self.reversion = use(inputs, prices.mean_reversion)
         self.rates = use(inputs, case.rates.mean_reversion)
-        known = matrix(case, inputs)
+        available = matrix(case, inputs)
         volatility = use(inputs, case.rates.volatility)[0]
         expected, index = use(inputs, prices.volatility)[0], use(inputs, prices.index_volatility)[0]
         self.expected, self.index = expected**2, index**2
-        self.both = expected * index * known[count, count + 1]
-        self.drift = expected * volatility * known[count, :count]
-        self.own = index * volatility * known[count + 1, :count]
+        self.both = expected * index * available[count, count + 1]
+        self.drift = expected * volatility * available[count, :count]
+        self.own = index * volatility * available[count + 1, :count]
 
     def among(self, years: np.ndarray) -> Float[Array, "phases n n"]:
         """K of all pairs of times."""
@@ -124,15 +124,15 @@ class _Model:
         return self._with(u, u)
 
     def _with(self, u: np.ndarray, paid: np.ndarray) -> Array:
-        k, found = self.reversion, jnp.zeros(np.broadcast_shapes(np.shape(u), np.shape(paid)))
+        k, result = self.reversion, jnp.zeros(np.broadcast_shapes(np.shape(u), np.shape(paid)))
         for i in range(self.case.rates.count()):
             a = self.rates[i]
             left = (jnp.exp(-a * (paid - u)) - jnp.exp(-a * paid)) / a
             single = (u - left) / a
             faded = (jnp.exp(-a * (paid - u)) - jnp.exp(-k * u - a * paid)) / (k + a)
             double = (u + jnp.expm1(-k * u) / k - left + faded) / (k * a)
-            found = found + self.drift[i] * double + self.own[i] * single
-        return found
+            result = result + self.drift[i] * double + self.own[i] * single
+        return result
 
     def forward(self, times: np.ndarray, dates: np.ndarray) -> Float[Array, "T1 n"]:
         """ln of the forward index of each date over the index now, at factors of zero."""

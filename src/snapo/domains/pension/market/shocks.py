@@ -62,17 +62,17 @@ def reach(mean_reversion, years):
 
 def covariance(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
     """Of the vector of one step, by Gauss-Legendre quadrature over the step."""
-    place, brownian = slots(case), _brownian(case)
+    position, brownian = slots(case), _brownian(case)
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
     left = case.step * (nodes + 1) / 2
     reversion = jnp.append(
         use(inputs, case.rates.mean_reversion), use(inputs, case.inflation.mean_reversion)
     )
-    loads = jnp.ones((place.size, len(left)))
-    loads = loads.at[place.zeta].set(jnp.exp(-reversion[:, None] * left))
-    loads = loads.at[place.iota].set(reach(reversion[:, None], left))
+    loads = jnp.ones((position.size, len(left)))
+    loads = loads.at[position.zeta].set(jnp.exp(-reversion[:, None] * left))
+    loads = loads.at[position.iota].set(reach(reversion[:, None], left))
     fading = jnp.exp(-use(inputs, case.credit.mean_reversion)[:, None] * left)
-    loads = loads.at[place.spread].set(fading)
+    loads = loads.at[position.spread].set(fading)
     together = (loads * (weights * case.step / 2)) @ loads.T
     return together * matrix(case, inputs)[brownian[:, None], brownian]
 

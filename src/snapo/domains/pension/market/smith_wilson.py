@@ -44,8 +44,8 @@ def log_bond(
     curve: Curve, rate: Array, ultimate: Array, years: np.ndarray
 ) -> Float[Array, " times"]:
     """ln P(0, t) at times `years` [times] >= 0; derivatives follow a speed that was found."""
-    found = fit(curve, rate, ultimate)
-    added = heart(years, found.dates, found.speed) @ found.weights
+    result = fit(curve, rate, ultimate)
+    added = heart(years, result.dates, result.speed) @ result.weights
     return jnp.log1p(added) - ultimate * years
 
 
@@ -58,12 +58,12 @@ def fit(curve: Curve, rate: Array, ultimate: Array) -> Fit:
 @partial(jax.jit, static_argnums=0)  # once for each curve: the search for a speed takes a second
 def _fitted(curve: Curve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     dates, flows = cash_flows(curve, rate)
-    own = jnp.exp(-ultimate * dates)[:, None] * flows.T
+    local = jnp.exp(-ultimate * dates)[:, None] * flows.T
     if curve.speed is not None:
         speed = jnp.asarray(curve.speed)
     else:
-        speed = _found_speed(dates, own, curve.convergence)
-    return _weights(dates, own, speed), speed
+        speed = _found_speed(dates, local, curve.convergence)
+    return _weights(dates, local, speed), speed
 
 
 def _dates(curve: Curve) -> np.ndarray:
@@ -88,28 +88,28 @@ def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "t
     return (speed * (total - apart) + jnp.exp(-speed * total) - jnp.exp(-speed * apart)) / 2
 
 
-def distance(dates: np.ndarray, own: Array, speed: Array, convergence: float) -> Array:
+def distance(dates: np.ndarray, local: Array, speed: Array, convergence: float) -> Array:
     """ln of |f(T) - w| over the one that is asked for; 0 or less where it is met."""
-    weights = _weights(dates, own, speed)
+    weights = _weights(dates, local, speed)
     k = (1 + speed * dates @ weights) / (jnp.sinh(speed * dates) @ weights)
     gap = speed / jnp.abs(1 - k * jnp.exp(speed * convergence))
     return jnp.log(gap / NEAR)
 
 
-def _weights(dates: np.ndarray, own: Array, speed: Array) -> Float[Array, " m"]:
-    matrix = own.T @ heart(dates, dates, speed) @ own
-    return own @ jnp.linalg.solve(matrix, 1 - own.sum(0))
+def _weights(dates: np.ndarray, local: Array, speed: Array) -> Float[Array, " m"]:
+    matrix = local.T @ heart(dates, dates, speed) @ local
+    return local @ jnp.linalg.solve(matrix, 1 - local.sum(0))
 
 
-def _found_speed(dates: np.ndarray, own: Array, convergence: float) -> Array:
+def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
     """The least speed that converges, with its derivative by the implicit function theorem."""
-    held = jax.lax.stop_gradient(own)
+    held = jax.lax.stop_gradient(local)
 
-    def missed(speed, own=held):
-        return distance(dates, own, speed, convergence)
+    def missed(speed, custom=held):
+        return distance(dates, custom, speed, convergence)
 
-    def closer(_, place):
-        low, width = place
+    def closer(_, position):
+        low, width = position
         grid = low + width * SHARES
         first = jnp.argmax(jax.vmap(missed)(grid) <= 0)
         return jnp.maximum(grid[first] - width * SHARES[1], LEAST), width * SHARES[1]
@@ -118,5 +118,5 @@ def _found_speed(dates: np.ndarray, own: Array, convergence: float) -> Array:
     low, width = jax.lax.fori_loop(0, ROUNDS, closer, start)
     speed = low + width / 2
     # One step of Newton's method leaves no error, and its derivative is that of the root.
-    moved = speed - missed(speed, own) / jax.lax.stop_gradient(jax.grad(missed)(speed))
+    moved = speed - missed(speed, local) / jax.lax.stop_gradient(jax.grad(missed)(speed))
     return jnp.where(missed(jnp.asarray(LEAST)) > 0, moved, LEAST)

@@ -69,10 +69,10 @@ class Move(NamedTuple):
     beneath: Any = ()
 
 
-def at_start(factors: Array, spread: Array | None = None, shown: Array | None = None) -> Market:
+def at_start(factors: Array, spread: Array | None = None, displayed: Array | None = None) -> Market:
     """The market at time 0."""
     zero = jnp.zeros(())
-    return Market(factors, zero, zero, zero, spread, shown, zero)
+    return Market(factors, zero, zero, zero, spread, displayed, zero)
 
 
 def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:

@@ -101,16 +101,16 @@ def _streams(
     drawn = drawing(case, lives, count)
     alive = lives.alive[:, shift : count + shift]
     growth = grown(case, inputs, lives, drawn)
-    own, paid = case.step * jnp.asarray(drawn) * alive, jnp.asarray(case.step)
+    local, paid = case.step * jnp.asarray(drawn) * alive, jnp.asarray(case.step)
     rights = _accrual(case, inputs, lives)
     if growth is not None:
-        own, paid = own * growth.member, paid * growth.payment
+        local, paid = local * growth.member, paid * growth.payment
         # A right of step t has not grown before it was there.
         rights = rights / growth.member[:, :steps]
     groups = np.arange(len(lives.age))
     one, none = np.ones(len(groups)), np.zeros(len(groups))
     if not (plan.spouse_share.values.size and plan.married_share.values.size):
-        return Streams(own, lives.pension, rights, lives, groups, one, none)
+        return Streams(local, lives.pension, rights, lives, groups, one, none)
     insured = np.ones(len(groups), bool)
     insured[: len(status)] = status != SPOUSE
     share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
@@ -118,7 +118,7 @@ def _streams(
     widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * paid
     if growth is None or plan.revaluation is None:
         return Streams(
-            unit=jnp.concatenate([own, widowed, -widowed * alive]),
+            unit=jnp.concatenate([local, widowed, -widowed * alive]),
             held=jnp.tile(lives.pension, 3),
             accrual=jnp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
             lives=lives,
@@ -130,7 +130,7 @@ def _streams(
     left, before = _left(lives.alive, ratio, shift), alive * ratio
     return Streams(
         unit=jnp.concatenate(
-            [own, widowed * (left[:, shift : count + shift] + before), -widowed * before, widowed]
+            [local, widowed * (left[:, shift : count + shift] + before), -widowed * before, widowed]
         ),
         held=jnp.concatenate([jnp.tile(lives.pension, 3), 0 * lives.pension]),
         accrual=jnp.concatenate([rights, rights, rights, -rights * left[:, :steps]]),
@@ -182,9 +182,9 @@ def _payroll(
 ) -> Float[Array, " T+1"]:
     """Salaries per step at wages of time 0: as actives leave, or constant in an open plan."""
     steps = case.steps + 1
-    each = use(inputs, members.number) * use(inputs, members.salary) * case.step
+    item = use(inputs, members.number) * use(inputs, members.salary) * case.step
     at_work = working(case, lives, steps) * lives.alive[:, :steps]
-    paid = each @ at_work
+    paid = item @ at_work
     return jnp.full(steps, paid[0]) if case.plan.open else paid
 
 

@@ -60,8 +60,8 @@ def grown(
     # The first step of payment; a pension that never begins waits to the end.
     waits = drawn.shape[1] - np.count_nonzero(np.maximum.accumulate(drawn > 0, axis=1), axis=1)
     first = np.minimum(waits, count - 1)
-    begun = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
-    return Grown(jnp.where(np.arange(count) < waits[:, None], before, begun * payment), payment)
+    started = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
+    return Grown(jnp.where(np.arange(count) < waits[:, None], before, started * payment), payment)
 
 
 def _dates(case: PensionCase, count: int) -> np.ndarray:

@@ -35,10 +35,10 @@ class Longevity(NamedTuple):
 
 
 def longevity(
-    case: PensionCase, inputs: dict[str, Any], found: Projection, log_bond: Float[Array, " H"]
+    case: PensionCase, inputs: dict[str, Any], projection: Projection, log_bond: Float[Array, " H"]
 ) -> Longevity | None:
     """The response at every time; None without a factor, or without members."""
-    streams = found.streams
+    streams = projection.streams
     if case.lee_carter is None or streams is None:
         return None
     steps, count = case.steps, horizon(case)
@@ -65,14 +65,14 @@ def _response(
     """Sum of b h over the lives of each stream from time 0 to each time."""
     lives, count = streams.lives, horizon(case)
     loading = use(inputs, factor.loading)
-    own = (lives.sex, lives.age, count, loading, lives.factor)
-    member = accumulate(step_hazards(case, inputs, *own))
-    found = jnp.asarray(streams.member[:, None]) * member[streams.group]
+    local = (lives.sex, lives.age, count, loading, lives.factor)
+    member = accumulate(step_hazards(case, inputs, *local))
+    response = jnp.asarray(streams.member[:, None]) * member[streams.group]
     if not np.any(streams.spouse):
-        return found
+        return response
     sex, age = partner(case.plan, lives.sex, lives.age)
     other = accumulate(step_hazards(case, inputs, sex, age, count, loading))
-    return found + jnp.asarray(streams.spouse[:, None]) * other[streams.group]
+    return response + jnp.asarray(streams.spouse[:, None]) * other[streams.group]
 
 
 class People(NamedTuple):
@@ -109,11 +109,11 @@ def nodes(step: float) -> np.ndarray:
 
     Months 0, 1, 3, 6, then 1, 1.5, 2 and every year to 30, every other to 50, every fifth after.
     """
-    each = round(1 / step)
+    item = round(1 / step)
     years = np.concatenate([np.arange(31), np.arange(32, 51, 2), np.arange(55, 101, 5)])
-    if each == 1:
+    if item == 1:
         return years
-    return np.union1d([1, 3, 6, 18], years * each)
+    return np.union1d([1, 3, 6, 18], years * item)
 
 
 def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
@@ -124,30 +124,30 @@ def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H
     - `log_bond`: ln of the discount factor at time 0 of a payment at time s * step, basis
       included, s = 0 ... T + `PAYMENT_YEARS` / step.
     """
-    steps, found = case.steps, project(case, inputs, log_bond)
+    steps, result = case.steps, project(case, inputs, log_bond)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step
     baseline = jnp.exp(growth * jnp.arange(steps + 1))
     # Row t: rights accrued in steps before t; payments already made are left out.
-    by_step = baseline[:steps, None] * found.fresh
+    by_step = baseline[:steps, None] * result.fresh
     fresh = jnp.concatenate([jnp.zeros((1, by_step.shape[1])), jnp.cumsum(by_step, axis=0)])
     discount = forward_discount(case, log_bond)
-    whole = reserved(case, inputs)
-    accrued_value = whole * on_nodes(case, found.accrued, discount)
-    fresh_value = whole * on_nodes(case, fresh, discount)
-    deaths = longevity(case, inputs, found, log_bond)
+    complete = reserved(case, inputs)
+    accrued_value = complete * on_nodes(case, result.accrued, discount)
+    fresh_value = complete * on_nodes(case, fresh, discount)
+    deaths = longevity(case, inputs, result, log_bond)
     here = np.arange(steps + 1)
     return People(
         accrued=accrued_value,
         fresh=fresh_value,
-        accrual=_with_row(whole * on_nodes(case, found.fresh, discount[:steps])),
-        benefit=found.accrued[: steps + 1],
+        accrual=_with_row(complete * on_nodes(case, result.fresh, discount[:steps])),
+        benefit=result.accrued[: steps + 1],
         fresh_benefit=fresh[here, here],
-        payroll=found.payroll,
+        payroll=result.payroll,
         expenses=jnp.full(steps + 1, use(inputs, case.plan.expenses) * case.step),
         baseline=baseline,
-        mix=_with_row(_mix(case, whole * by_step, fresh_value, discount)),
+        mix=_with_row(_mix(case, complete * by_step, fresh_value, discount)),
         decline=jnp.zeros(steps + 1) if deaths is None else deaths.decline,
-        outlook=_outlook(case, deaths, found, fresh, discount),
+        outlook=_outlook(case, deaths, result, fresh, discount),
     )
 
 
@@ -198,17 +198,21 @@ def _mix(case: PensionCase, by_step: Array, fresh: Array, discount: Array) -> Fl
     """Value after step t of its accrual, over that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
-    own = jnp.sum(due * discount[1:], axis=1)
-    return jnp.where(value > 0, own / jnp.where(value > 0, value, 1.0), 0.0)
+    local = jnp.sum(due * discount[1:], axis=1)
+    return jnp.where(value > 0, local / jnp.where(value > 0, value, 1.0), 0.0)
 
 
 def _outlook(
-    case: PensionCase, deaths: Longevity | None, found: Projection, fresh: Array, discount: Array
+    case: PensionCase,
+    deaths: Longevity | None,
+    projection: Projection,
+    fresh: Array,
+    discount: Array,
 ) -> Float[Array, "times J"]:
     """Mean response of each node's payments, weighted with their value; 0 where none is due."""
     if deaths is None:
         return jnp.zeros((case.steps + 1, len(nodes(case.step))))
-    flow = found.accrued + fresh
+    flow = projection.accrued + fresh
     value = on_nodes(case, flow, discount)
     weighted = on_nodes(case, deaths.flow, discount)
     return jnp.where(value > 0, weighted / jnp.where(value > 0, value, 1.0), 0.0)

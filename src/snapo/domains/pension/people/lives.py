@@ -90,8 +90,8 @@ def entrants(case: PensionCase, inputs: dict[str, Any], lives: Lives, steps: int
     At the start of each year the entrants take over the pensionable salary that was given up
     since the last one, so that it stands at its level of time 0 at the start of every year.
     """
-    each = round(1 / case.step)
-    entry = np.arange(each, case.steps, each)
+    item = round(1 / case.step)
+    entry = np.arange(item, case.steps, item)
     count = len(entry)
     groups = []
     for sex in (MALE, FEMALE):
@@ -113,19 +113,19 @@ def entrants(case: PensionCase, inputs: dict[str, Any], lives: Lives, steps: int
         alive=jnp.concatenate([group[2] for group in groups]),
     )
     in_force = lives.alive[:, entry] * working(case, lives, steps)[:, entry]
-    kept = new.alive[:, entry] * working(case, new, steps)[:, entry]
+    selected = new.alive[:, entry] * working(case, new, steps)[:, entry]
     needed = []
     for sex in (MALE, FEMALE):
         base = jnp.where(lives.sex == sex, lives.base, 0.0)
         missing = base.sum() - base @ in_force
         rows = np.flatnonzero(new.sex == sex)
-        needed.append(_renewal(kept[rows], missing))
+        needed.append(_renewal(selected[rows], missing))
     return new._replace(base=jnp.concatenate(needed))
 
 
-def _renewal(kept: Float[Array, "E E"], missing: Float[Array, " E"]) -> Array:
+def _renewal(selected: Float[Array, "E E"], missing: Float[Array, " E"]) -> Array:
     """Entrants that fill the gap: sum over e' of kept[e', e] entered[e'] = missing[e]."""
-    return jax.scipy.linalg.solve_triangular(kept.T, missing, lower=True)
+    return jax.scipy.linalg.solve_triangular(selected.T, missing, lower=True)
 
 
 def joined(first: Lives, second: Lives) -> Lives:

@@ -83,7 +83,7 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
     if mortality is None:
         return None
     names = (mortality.multiplier.name, mortality.table.name, mortality.gompertz.name)
-    name = next((each for each in names if each in inputs), None)
+    name = next((item for item in names if item in inputs), None)
     if name is None:
         return None
     try:
@@ -96,11 +96,11 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
         alpha_beta_makeham = np.stack([np.ones(2), np.zeros(2), values.reshape(2, 3)[:, 2]], 1)
         return LongerLife(name, (scale[:, None] * alpha_beta_makeham).ravel())
     if name == mortality.multiplier.name:
-        place = mortality.multiplier.index
+        position = mortality.multiplier.index
         size = values
     else:
-        place = mortality.table.index
+        position = mortality.table.index
         size = np.where(values < 1, values, 0.0)
-    times = np.bincount(place.ravel(), minlength=values.size)
-    total = np.bincount(place.ravel(), np.repeat(scale, place.shape[1]), values.size)
+    times = np.bincount(position.ravel(), minlength=values.size)
+    total = np.bincount(position.ravel(), np.repeat(scale, position.shape[1]), values.size)
     return LongerLife(name, size * total / np.maximum(times, 1))

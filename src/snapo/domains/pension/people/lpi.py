@@ -75,31 +75,31 @@ def expected(mean, deviation, floor, cap) -> tuple[Array, Array]:
 def dates_before(case: PensionCase, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
     """How many increases rights have had before a payment of `wait` steps later, `first` being the
     steps to the first date."""
-    each = round(1 / case.step)
-    return np.where(wait >= first, 1 + (wait - first) // each, 0)
+    item = round(1 / case.step)
+    return np.where(wait >= first, 1 + (wait - first) // item, 0)
 
 
 def log_growth(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the expected growth of rights until each payment at time s * step, seen today, under
     the payment's own measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
-    found, none = price_growth(case, inputs, today=True), jnp.zeros(1)
-    first, d_first, later, joint = _parts(case, inputs, found, none)
-    whole = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]
-    whole = jnp.concatenate([none, whole])
-    return whole[dates_before(case, found.first[:1], _waits(case, _times(case)))]
+    result, none = price_growth(case, inputs, today=True), jnp.zeros(1)
+    first, d_first, later, joint = _parts(case, inputs, result, none)
+    complete = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]
+    complete = jnp.concatenate([none, complete])
+    return complete[dates_before(case, result.first[:1], _waits(case, _times(case)))]
 
 
 def lpi(case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
     """The numbers that all paths share; `nodes` [J] whole steps to a payment."""
-    found, seen = price_growth(case, inputs), log_growth(case, inputs)
+    result, observed = price_growth(case, inputs), log_growth(case, inputs)
     points = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     to_chebyshev = np.cos(np.arange(DEGREE + 1)[:, None] * np.arccos(points)) * 2 / len(points)
     to_chebyshev[0] /= 2
     width = _width(case)
-    _, _, later, joint = _parts(case, inputs, found, jnp.asarray(width * points))
+    _, _, later, joint = _parts(case, inputs, result, jnp.asarray(width * points))
     times = np.arange(case.steps + 1)
-    dates = dates_before(case, found.first[:, None], _waits(case, nodes))
-    ahead = seen[times[:, None] + nodes] - seen[times[:, None]]
+    dates = dates_before(case, result.first[:, None], _waits(case, nodes))
+    ahead = observed[times[:, None] + nodes] - observed[times[:, None]]
 
     def on_nodes(values: Array) -> Array:
         """[T+1, J, points] from [T+1, points, N], by the dates before each node."""
@@ -108,9 +108,9 @@ def lpi(case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
 
     after = on_nodes(later) - ahead[..., None]
     return Lpi(
-        mean=found.mean[:, 0],
-        load=found.load[found.phase, 0],
-        deviation=jnp.sqrt(found.variance[found.phase, 0] + LEAST),
+        mean=result.mean[:, 0],
+        load=result.load[result.phase, 0],
+        deviation=jnp.sqrt(result.variance[result.phase, 0] + LEAST),
         begun=jnp.asarray(dates > 0, float),
         later=after @ to_chebyshev.T,
         joint=on_nodes(joint) @ to_chebyshev.T,
@@ -136,16 +136,16 @@ def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " 
     return now.later @ basis + now.begun * (first + slope * (now.joint @ basis))
 
 
-def _parts(case: PensionCase, inputs: dict[str, Any], found: PriceGrowth, factor: Array):
+def _parts(case: PensionCase, inputs: dict[str, Any], result: PriceGrowth, factor: Array):
     """[T+1, points, N] or [.., 1]: ln E X_1, d_1, and by the number of dates the later dates' part
     and the part that goes with d_1, at values of the factor [points]."""
     rule = case.plan.indexation
     cap, floor = use(inputs, rule.cap), use(inputs, rule.floor)
-    load, deviation = found.load[found.phase], jnp.sqrt(found.variance[found.phase] + LEAST)
-    mean = found.mean[:, None, :] + load[:, None, :] * factor[:, None]
+    load, deviation = result.load[result.phase], jnp.sqrt(result.variance[result.phase] + LEAST)
+    mean = result.mean[:, None, :] + load[:, None, :] * factor[:, None]
     log, slope = expected(mean, deviation[:, None, :], floor, cap)
     rest = slope.at[..., 0].set(0.0)
-    together, shift = found.together[found.phase], found.later[found.phase]
+    together, shift = result.together[result.phase], result.later[result.phase]
     pairs = rest * jnp.einsum("tqj,tkj->tqk", rest, jnp.tril(together, -1))
     # Means under the measure of a payment after date n, for all dates before it.
     moved = jnp.einsum("tqk,tnk->tqn", rest, jnp.tril(shift))

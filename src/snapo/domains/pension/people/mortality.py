@@ -23,9 +23,9 @@ def hazard(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
     """
     mortality = _mortality(case)
     if mortality.kind == "table":
-        found = _hazard(use(inputs, mortality.table))
-        later = mortality.ages - found.shape[1]
-        return found if later == 0 else jnp.concatenate([found, closed(found, later)], axis=1)
+        result = _hazard(use(inputs, mortality.table))
+        later = mortality.ages - result.shape[1]
+        return result if later == 0 else jnp.concatenate([result, closed(result, later)], axis=1)
     alpha, beta, makeham = (part[:, None] for part in use(inputs, mortality.gompertz).T)
     age = mortality.first_age + np.arange(mortality.ages)
     return makeham + jnp.exp(alpha + beta * age) * jnp.expm1(beta) / beta
@@ -35,8 +35,8 @@ def closed(hazard: Float[Array, "2 n"], later: int) -> Float[Array, "2 later"]:
     """The hazards of `later` ages beyond a table: see `Mortality`."""
     last = hazard[:, -SLOPE_AGES:]
     logit = jnp.log(last / (1 - last))
-    place = np.arange(last.shape[1]) - (last.shape[1] - 1) / 2
-    slope = logit @ (place / (place @ place))
+    position = np.arange(last.shape[1]) - (last.shape[1] - 1) / 2
+    slope = logit @ (position / (position @ position))
     ahead = logit[:, -1:] + slope[:, None] * np.arange(1, later + 1)
     return 1 / (1 + jnp.exp(-ahead))
 
@@ -81,12 +81,12 @@ def yearly(
     """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside the table take
     its ends."""
     mortality = _mortality(case)
-    place = _place(mortality, sex, age)
+    position = _place(mortality, sex, age)
     trend = use(inputs, mortality.improvement).ravel()
     return Yearly(
-        base=use(inputs, mortality.multiplier).ravel()[place],
-        level=hazard(case, inputs).ravel()[place],
-        trend=jnp.exp(-trend[place] * (mortality.since + year)),
+        base=use(inputs, mortality.multiplier).ravel()[position],
+        level=hazard(case, inputs).ravel()[position],
+        trend=jnp.exp(-trend[position] * (mortality.since + year)),
     )
 
 
@@ -111,18 +111,21 @@ def step_hazards(
     """
     time = np.arange(steps) * case.step
     since_birth = np.asarray(age, float)[:, None] + time
-    whole = np.floor(since_birth + TINY)
-    start = np.maximum(since_birth - whole, 0.0)
+    complete = np.floor(since_birth + TINY)
+    start = np.maximum(since_birth - complete, 0.0)
     start = np.where(start < TINY, 0.0, start)
     end = start + case.step
     end = np.where(np.abs(end - 1) < TINY, 1.0, end)
     year = np.floor(time + TINY)
-    total, own = jnp.zeros(whole.shape), 1.0 if factor is None else factor[:, None]
-    parts = ((whole, start, np.minimum(end, 1.0)), (whole + 1, 0 * start, np.maximum(end - 1, 0.0)))
+    total, local = jnp.zeros(complete.shape), 1.0 if factor is None else factor[:, None]
+    parts = (
+        (complete, start, np.minimum(end, 1.0)),
+        (complete + 1, 0 * start, np.maximum(end - 1, 0.0)),
+    )
     for birthday, first, last in parts:
         if np.all(last <= first):
             continue
-        rate = yearly(case, inputs, sex[:, None], birthday, year).hazard(own)
+        rate = yearly(case, inputs, sex[:, None], birthday, year).hazard(local)
         part = _within(case.plan, rate, last) - _within(case.plan, rate, first)
         if loading is not None:
             part = part * loading.ravel()[_place(_mortality(case), sex[:, None], birthday)]

@@ -67,7 +67,7 @@ class GlidePath(Policy):
         ratio = jnp.exp(RATIO * observation[self.place])
         share = smooth.clip((ratio - low) / width, 0.0, 1.0, WIDTH / width)
         logits = self.logits.astype(observation.dtype)
-        below, above = (self.limits(each, smooth) for each in (logits[0], logits[1]))
+        below, above = (self.limits(item, smooth) for item in (logits[0], logits[1]))
         return below + share * (above - below)
 
 
@@ -99,42 +99,44 @@ class LiabilityDriven(Policy):
         floor, self.reach = np.zeros(count), (0.0, 1.0)
         if case.assets.short:
             floor, self.reach = _floor(case, np.array(self.own), float(grown))
-        whole = _whole(np.array(self.own), float(grown))
+        complete = _whole(np.array(self.own), float(grown))
         self.floor = Frozen(floor)
         self.growth = jnp.asarray([grown / UNIT, 0.0], jnp.float32)
-        self.mix = jnp.asarray(np.log(np.maximum(np.abs(held - floor * whole), LEAST)), jnp.float32)
+        self.mix = jnp.asarray(
+            np.log(np.maximum(np.abs(held - floor * complete), LEAST)), jnp.float32
+        )
         self.hedge = mix.logits[count:] if case.buckets else None
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         kind = observation.dtype
-        own = np.array(self.own)
+        local = np.array(self.own)
         growth = UNIT * self.growth.astype(kind)
         ratio = jnp.exp(RATIO * observation[self.place])
         share = smooth.clip(growth[0] + growth[1] * (ratio - 1), *self.reach, WIDTH)
         size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
-        grown = jnp.where(own, size, 0.0)
-        safe = jnp.where(own, 0.0, size)
+        grown = jnp.where(local, size, 0.0)
+        safe = jnp.where(local, 0.0, size)
         floor = jnp.asarray(self.floor.array, kind)
-        above = 1 - jnp.sum(jnp.where(own, floor, 0.0)), 1 - jnp.sum(jnp.where(own, 0.0, floor))
+        above = 1 - jnp.sum(jnp.where(local, floor, 0.0)), 1 - jnp.sum(jnp.where(local, 0.0, floor))
         weights = share * above[0] * grown / jnp.maximum(jnp.sum(grown), 1e-9)
         weights = weights + (1 - share) * above[1] * safe / jnp.sum(safe)
-        weights = weights + jnp.where(own, share, 1 - share) * floor
+        weights = weights + jnp.where(local, share, 1 - share) * floor
         return self.limits.action(self.limits.nearest(weights, smooth), self.hedge, smooth)
 
 
-def _whole(own: np.ndarray, grown: float) -> np.ndarray:
+def _whole(local: np.ndarray, grown: float) -> np.ndarray:
     """[n] what the portfolio of each class weighs together, off zero."""
-    whole = np.where(own, grown, 1 - grown)
-    return np.where(np.abs(whole) < LEAST, LEAST, whole)
+    complete = np.where(local, grown, 1 - grown)
+    return np.where(np.abs(complete) < LEAST, LEAST, complete)
 
 
-def _floor(case: PensionCase, own: np.ndarray, grown: float):
+def _floor(case: PensionCase, local: np.ndarray, grown: float):
     """[n] the least that each class weighs in its portfolio, and the range of the growth share."""
-    low, high, whole = case.assets.low, case.assets.high, _whole(own, grown)
+    low, high, complete = case.assets.low, case.assets.high, _whole(local, grown)
     # A portfolio that is borrowed as a whole turns bounds round.
-    floor = np.minimum(np.minimum(low / whole, high / whole), 0.0)
-    return floor, (min(0.0, float(low[own].sum())), max(1.0, float(high[own].sum())))
+    floor = np.minimum(np.minimum(low / complete, high / complete), 0.0)
+    return floor, (min(0.0, float(low[local].sum())), max(1.0, float(high[local].sum())))
 
 
 @compiled_sooner
@@ -161,7 +163,7 @@ class StockBond(Policy):
         self.cash = case.assets.cash
         self.place, self.years = slots(case)["time"].start, case.steps * case.step
         left = np.arange(math.ceil(self.years) + 1)
-        self.weights = jnp.asarray([rule(float(each)) for each in left], jnp.float32)
+        self.weights = jnp.asarray([rule(float(item)) for item in left], jnp.float32)
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
@@ -169,10 +171,10 @@ class StockBond(Policy):
         table = self.weights.astype(observation.dtype)
         nodes = np.arange(table.shape[0])
         near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
-        places = np.arange(self.limits.low.array.shape[0])
-        wanted = near[0] * (places == self.stock) + near[1] * (places == self.bond)
-        wanted = wanted + (1 - near[0] - near[1]) * (places == self.cash)
-        return self.limits.nearest(wanted, smooth)
+        positions = np.arange(self.limits.low.array.shape[0])
+        requested = near[0] * (positions == self.stock) + near[1] * (positions == self.bond)
+        requested = requested + (1 - near[0] - near[1]) * (positions == self.cash)
+        return self.limits.nearest(requested, smooth)
 
 
 def followers(
@@ -193,9 +195,9 @@ def followers(
 
 def _ratio_slot(case: PensionCase) -> int:
     """Where ln of the funding ratio stands, over that now where nothing else is seen."""
-    seen: dict[str, slice] = slots(case)
-    name = "funding_ratio" if "funding_ratio" in seen else "relative_funding"
-    return seen[name].start
+    observed: dict[str, slice] = slots(case)
+    name = "funding_ratio" if "funding_ratio" in observed else "relative_funding"
+    return observed[name].start
 
 
 class PresentMix(Policy):
@@ -213,17 +215,19 @@ class PresentMix(Policy):
 
     def __init__(self, case: PensionCase, every: int):
         assets, overlay = case.assets, case.overlay
-        seen = slots(case)
+        observed = slots(case)
         parts = [assets.weight.used()]
         if overlay is not None:
             unit, width = limit_unit(case), overlay.high - overlay.low
             share = overlay.notional.used() / np.where(unit > 0, unit, 1.0)
-            place = np.where(width > 0, (share - overlay.low) / np.where(width > 0, width, 1), 0.5)
-            parts.append(np.clip(place, 0.0, 1.0))
+            position = np.where(
+                width > 0, (share - overlay.low) / np.where(width > 0, width, 1), 0.5
+            )
+            parts.append(np.clip(position, 0.0, 1.0))
         self.mix = Frozen(np.concatenate(parts))
         self.every = Frozen(np.array(float(every)))
-        self.time = seen["time"].start if "time" in seen else -1
-        self.held = seen.get("weights", slice(0, 0))
+        self.time = observed["time"].start if "time" in observed else -1
+        self.held = observed.get("weights", slice(0, 0))
         self.steps = case.steps
 
     def __call__(self, observation, smooth=EXACT):
@@ -243,13 +247,13 @@ class PresentMix(Policy):
 def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
     """{key: (name, policy)}: rebalanced at every step, and yearly where steps are shorter and the
     policy sees time and weights."""
-    each = round(1 / case.step)
-    found: dict[str, tuple[str, Policy]] = {
+    item = round(1 / case.step)
+    table: dict[str, tuple[str, Policy]] = {
         "present_mix": ("Present mix", PresentMix(case, 1)),
     }
-    if each > 1 and set(NEEDED) <= set(case.observation):
-        found["present_mix_yearly"] = ("Present mix, rebalanced yearly", PresentMix(case, each))
-    return found
+    if item > 1 and set(NEEDED) <= set(case.observation):
+        table["present_mix_yearly"] = ("Present mix, rebalanced yearly", PresentMix(case, item))
+    return table
 
 
 class OneOf(Policy):
@@ -262,8 +266,8 @@ class OneOf(Policy):
     rules: tuple[Policy, ...]
     place: Frozen
 
-    def __init__(self, rules: Sequence[Policy], place: int):
-        self.rules, self.place = tuple(rules), Frozen(np.array(float(place)))
+    def __init__(self, rules: Sequence[Policy], position: int):
+        self.rules, self.place = tuple(rules), Frozen(np.array(float(position)))
 
     @property
     def rule(self) -> Policy:
@@ -272,9 +276,9 @@ class OneOf(Policy):
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
-        place = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
+        position = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
         actions = [rule(observation, smooth) for rule in self.rules]
         action = actions[0]
-        for i, each in enumerate(actions[1:], 1):
-            action = jnp.where(jnp.abs(place - i) < 0.5, each, action)
+        for i, item in enumerate(actions[1:], 1):
+            action = jnp.where(jnp.abs(position - i) < 0.5, item, action)
         return action

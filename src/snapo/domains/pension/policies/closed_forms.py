@@ -45,7 +45,7 @@ def vasicek_stock_bond(
     alone = math.sqrt(1 - correlation**2)
     own_price = (excess / volatility - correlation * rate_price) / alone
     stock = own_price / (risk_aversion * volatility * alone)
-    wanted = rate_price / risk_aversion
-    wanted -= (1 - 1 / risk_aversion) * rate_volatility * reach(horizon)
-    left = wanted - stock * volatility * correlation
+    requested = rate_price / risk_aversion
+    requested -= (1 - 1 / risk_aversion) * rate_volatility * reach(horizon)
+    left = requested - stock * volatility * correlation
     return StockAndBond(stock, -left / (rate_volatility * reach(maturity)))

@@ -36,7 +36,7 @@ class Limits(Policy):
     def __init__(self, case: PensionCase):
         assets, overlay = case.assets, case.overlay
         self.low, self.high = Frozen(assets.low), Frozen(assets.high)
-        self.groups = tuple((each.members, each.low, each.high) for each in assets.groups)
+        self.groups = tuple((group.members, group.low, group.high) for group in assets.groups)
         self.cover = None
         if overlay is not None and overlay.unit == "assets":
             after = stressed(case, float(overlay.collateral_stress.used()))
@@ -50,30 +50,30 @@ class Limits(Policy):
 
     def weights(self, logits: Array, smooth) -> Float[Array, " n"]:
         """Weights within bounds and groups."""
-        low, high = (jnp.asarray(each.array, logits.dtype) for each in (self.low, self.high))
+        low, high = (jnp.asarray(item.array, logits.dtype) for item in (self.low, self.high))
         return smooth.simplex(logits, low, high, self.groups)
 
     def nearest(self, weights: Array, smooth) -> Float[Array, " n"]:
         """Weights within the limits from weights that may leave them: these, where they do not."""
-        low, high = (jnp.asarray(each.array, weights.dtype) for each in (self.low, self.high))
+        low, high = (jnp.asarray(item.array, weights.dtype) for item in (self.low, self.high))
         logits = _logit(_inside(weights, low, high))
-        for members, least, most in self.groups:
+        for members, minimum, maximum in self.groups:
             of = np.array(members)
-            floor = jnp.maximum(jnp.sum(low[of]), least)
-            cap = jnp.minimum(jnp.sum(high[of]), most)
+            floor = jnp.maximum(jnp.sum(low[of]), minimum)
+            cap = jnp.minimum(jnp.sum(high[of]), maximum)
             # A group's sum follows from the mean of its logits, the shares in it from the rest.
-            whole = _logit(_inside(jnp.sum(weights[of]), floor, cap))
-            logits = logits.at[of].set(logits[of] + whole - jnp.mean(logits[of]))
+            complete = _logit(_inside(jnp.sum(weights[of]), floor, cap))
+            logits = logits.at[of].set(logits[of] + complete - jnp.mean(logits[of]))
         return self.weights(logits, smooth)
 
     def action(self, weights: Array, logits: Array | None, smooth) -> Array:
         """The action of these weights and of the swaps' logits [b], if there are any."""
         if logits is None or not logits.size:
             return weights
-        places = jax.nn.sigmoid(logits.astype(weights.dtype))
+        positions = jax.nn.sigmoid(logits.astype(weights.dtype))
         if self.cover is not None:
-            places = self.cover(places, weights, smooth)
-        return jnp.concatenate([weights, places])
+            positions = self.cover(positions, weights, smooth)
+        return jnp.concatenate([weights, positions])
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
@@ -91,11 +91,11 @@ class Cover(eqx.Module):
     need: Frozen
     cover: Frozen
 
-    def __call__(self, places: Array, weights: Array, smooth) -> Float[Array, " b"]:
+    def __call__(self, positions: Array, weights: Array, smooth) -> Float[Array, " b"]:
         """Places at which the collateral needed is there; these, where they need no more."""
-        given = (self.low, self.width, self.need, self.cover)
-        low, width, need, cover = (jnp.asarray(x.array, places.dtype) for x in given)
-        share = low + places * width
+        values = (self.low, self.width, self.need, self.cover)
+        low, width, need, cover = (jnp.asarray(x.array, positions.dtype) for x in values)
+        share = low + positions * width
         # Borrowed cash can outweigh what counts; there is no collateral then.
         there = jnp.maximum(jnp.sum(cover * weights), 0.0)
         needed = smooth.maximum(jnp.sum(need * share), there, SHARE)
@@ -107,12 +107,12 @@ class Cover(eqx.Module):
 def present(case: PensionCase) -> np.ndarray:
     """[n + b] the numbers from which `Limits` makes about the present weights and notionals."""
     assets, overlay = case.assets, case.overlay
-    place = [_place(assets.weight.used(), assets.low, assets.high)]
+    position = [_place(assets.weight.used(), assets.low, assets.high)]
     if overlay is not None:
         unit = limit_unit(case)
         share = overlay.notional.used() / np.where(unit > 0, unit, 1.0)
-        place.append(_place(share, overlay.low, overlay.high))
-    inside = np.clip(np.concatenate(place), MARGIN, 1 - MARGIN)
+        position.append(_place(share, overlay.low, overlay.high))
+    inside = np.clip(np.concatenate(position), MARGIN, 1 - MARGIN)
     return np.log(inside / (1 - inside)).astype(np.float32)
 
 

@@ -43,10 +43,10 @@ def read_pots(
     rules = in_force(section, table.rules, OWN, day, _rules)
     largest = rules.largest if table.largest is None else table.largest
     for key, law in LIMITS.items():
-        most = getattr(rules, law)
-        if (found := getattr(table, key)) is not None and found > most:
-            what = f"the law in force since {rules.since} allows at most {most:g}"
-            raise section.error(key, found, what)
+        maximum = getattr(rules, law)
+        if (result := getattr(table, key)) is not None and result > maximum:
+            message = f"the law in force since {rules.since} allows at most {maximum:g}"
+            raise section.error(key, result, message)
     if table.reserve > largest:
         raise section.error("reserve", table.reserve, f"the reserve is at most {largest:g}")
 
@@ -59,12 +59,12 @@ def read_pots(
     ages = rising(rows, "age", -1.0)
     labels = [f"from {age:g}" for age in ages]
     age = members.age + grid.step * np.arange(grid.steps)[:, None]
-    place = np.maximum(np.searchsorted(ages, age + 1e-9, side="right") - 1, 0)
+    position = np.maximum(np.searchsorted(ages, age + 1e-9, side="right") - 1, 0)
 
-    def by_age(column: str, said: Said):
+    def by_age(column: str, metadata: Said):
         values = [row.number(column, 0.0, 2.0) for row in rows]
-        given = listed(f"pot_{column}", values, labels, said)
-        return said.given(given.name, given.values, labels, place)
+        inputs = listed(f"pot_{column}", values, labels, metadata)
+        return metadata.given(inputs.name, inputs.values, labels, position)
 
     return Pots(
         rules=rules,
@@ -82,7 +82,7 @@ def check_pots(file: str, pots: Pots | None, plan: Plan, liability: Liability) -
     """Rules that do not go with pots are refused."""
     if pots is None:
         return
-    asked = (
+    request = (
         ("plan.indexation.kind", plan.indexation.kind, ("none",)),
         ("plan.contribution.kind", plan.contribution.kind, ("none", "fixed")),
         ("liability.future_indexation", liability.future_indexation, ("none",)),
@@ -90,10 +90,10 @@ def check_pots(file: str, pots: Pots | None, plan: Plan, liability: Liability) -
         ("liability.basis", liability.basis, ("risk-free", "spread")),
         ("plan.open", plan.open, (False,)),
     )
-    for key, value, allowed in asked:
+    for key, value, allowed in request:
         if value not in allowed:
-            words = " or ".join(str(each).lower() for each in allowed)
-            raise CaseError(file, key, value, f"a fund of personal pots needs {words}")
+            text = " or ".join(str(item).lower() for item in allowed)
+            raise CaseError(file, key, value, f"a fund of personal pots needs {text}")
 
 
 def _rules(data: dict[str, Any]) -> PotRules:

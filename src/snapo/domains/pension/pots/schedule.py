@@ -45,7 +45,7 @@ def cohorts(case: PensionCase, inputs: dict[str, Any], log_bond: Array) -> Cohor
     flow = jnp.zeros((len(lives.age), count)).at[streams.group].add(paid)
     flow = jnp.where(np.arange(count) < count - steps, flow, 0.0)
     discount = forward_discount(case, log_bond)
-    value = jax.vmap(lambda each: on_nodes(case, each, discount))(flow)
+    value = jax.vmap(lambda item: on_nodes(case, item, discount))(flow)
     return Cohorts(
         value=jnp.swapaxes(value, 0, 1),
         benefit=flow[:, : steps + 1].T,
@@ -57,8 +57,8 @@ def cohorts(case: PensionCase, inputs: dict[str, Any], log_bond: Array) -> Cohor
 def _payroll(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
     members, steps = case.members, case.steps + 1
     assert members is not None
-    each = use(inputs, members.number) * use(inputs, members.salary)
-    earned = each[:, None] * working(case, lives, steps) * lives.alive[:, :steps]
+    item = use(inputs, members.number) * use(inputs, members.salary)
+    earned = item[:, None] * working(case, lives, steps) * lives.alive[:, :steps]
     total = earned.sum(0)
     return (earned / jnp.where(total > 0, total, 1.0)).T
 
@@ -111,13 +111,13 @@ def known(case: PensionCase) -> Pots:
 
 def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
-    fund, given = make_schedule(case, inputs), known(case)
+    fund, values = make_schedule(case, inputs), known(case)
     terms, steps = fund.constants, fund.steps
     people = cohorts(case, inputs, basis_log_bond(case, inputs))
     shape = jnp.concatenate([steps.shape, terms.last_shape[None]])
     annuity = worth(terms, people.value[0], shape[0], terms.market.start)
-    kept = use(inputs, given.reserve) * terms.assets
-    level = (terms.assets - kept) / jnp.sum(annuity)
+    selected = use(inputs, values.reserve) * terms.assets
+    level = (terms.assets - selected) / jnp.sum(annuity)
     unwound = jnp.zeros(case.steps)
     if case.liability.basis != "risk-free":
         years = np.arange(case.steps + 1) * case.step
@@ -125,11 +125,11 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     constants = PotTerms(
         fund=terms,
         reserve=Reserve(
-            *(use(inputs, each) for each in (given.fill_return, given.release, given.largest))
+            *(use(inputs, item) for item in (values.fill_return, values.release, values.largest))
         ),
-        fill=use(inputs, given.fill_contribution),
+        fill=use(inputs, values.fill_contribution),
         pots=level * annuity,
-        kept=kept,
+        kept=selected,
         level=level,
         last=people.value[-1],
     )
@@ -141,8 +141,8 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         benefit=people.benefit[:-1],
         payroll=people.payroll[:-1],
         drawing=people.drawing[1:],
-        protection=use(inputs, given.protection),
-        exposure=use(inputs, given.exposure),
+        protection=use(inputs, values.protection),
+        exposure=use(inputs, values.exposure),
         unwound=unwound,
     )
     return Schedule(constants, periods)

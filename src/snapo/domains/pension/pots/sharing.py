@@ -79,14 +79,14 @@ def shared(
       the step, both as a share.
     """
     protected = pots * (protection * returned + (1 - protection) * cash)
-    kept = reserve * cash
-    excess = earned - jnp.sum(protected) - kept
+    selected = reserve * cash
+    excess = earned - jnp.sum(protected) - selected
     weights = exposure * pots
-    whole = jnp.sum(weights) + reserve
-    none = whole <= 0
-    own = excess * reserve / jnp.where(none, 1.0, whole)
-    own = smooth.maximum(own, -reserve - kept, ROUND * (jnp.sum(pots) + reserve))
-    return Shared(protected + (excess - own) * _parts(weights, pots), kept + own, excess)
+    complete = jnp.sum(weights) + reserve
+    none = complete <= 0
+    local = excess * reserve / jnp.where(none, 1.0, complete)
+    local = smooth.maximum(local, -reserve - selected, ROUND * (jnp.sum(pots) + reserve))
+    return Shared(protected + (excess - local) * _parts(weights, pots), selected + local, excess)
 
 
 def closed(
@@ -107,10 +107,10 @@ def closed(
     """
     total = jnp.sum(pots) + reserve
     scale = ROUND * total
-    most = rules.largest * total
-    wanted = rules.fill_return * smooth.positive_part(gained, scale)
+    maximum = rules.largest * total
+    requested = rules.fill_return * smooth.positive_part(gained, scale)
     # Positive: there is room. Negative: the reserve is too large, and gives back.
-    filled = smooth.minimum(wanted, most - reserve, scale)
+    filled = smooth.minimum(requested, maximum - reserve, scale)
     pots = pots - filled * _parts(exposure * pots, pots)
     reserve = reserve + filled
     lack = missing(pots)
@@ -123,7 +123,7 @@ def closed(
 
 def _parts(weights: Array, pots: Array) -> Float[Array, " C"]:
     """Shares by weight; by pot where all weights are zero."""
-    whole = jnp.sum(weights)
-    weights = jnp.where(whole > 0, weights, pots)
-    whole = jnp.sum(weights)
-    return weights / jnp.where(whole > 0, whole, 1.0)
+    complete = jnp.sum(weights)
+    weights = jnp.where(complete > 0, weights, pots)
+    complete = jnp.sum(weights)
+    return weights / jnp.where(complete > 0, complete, 1.0)

@@ -68,13 +68,13 @@ class PotSimulator(PensionSimulator):
         """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""
         terms, fund = constants.fund, state.fund
         books = balance(self.case, terms, now.fund.people, now.fund.shape, fund)
-        seen = observe(self.case, terms, now.fund, fund, books.ratio)
+        observed = observe(self.case, terms, now.fund, fund, books.ratio)
         level = self._level(
             constants, state.pots, worth(terms, now.value, now.fund.shape, fund.market)
         )
         level = jnp.log(jnp.where(level > 1e-3, level, 1e-3) / constants.level) / RATIO
         held = state.reserve / (RESERVE * jnp.where(fund.assets > 0, fund.assets, constants.assets))
-        return jnp.concatenate([seen, level, held[None]])
+        return jnp.concatenate([observed, level, held[None]])
 
     def step(self, constants: PotTerms, now: PotPeriod, state: PotState, action, noise, smooth):  # pyright: ignore
         case, terms, fund = self.case, constants.fund, state.fund
@@ -94,10 +94,10 @@ class PotSimulator(PensionSimulator):
         cash = jnp.expm1(moved.cash)
         parts = self._shared(constants, now, state, paid, earned, cash, annuities, smooth)
         state = state._replace(fund=after, gained=state.gained + parts.excess)
-        state, told = self._year(constants, now, state, parts, annuities[1], smooth)
-        granted, cut = told.pop("granted"), told.pop("cut")
+        state, summary = self._year(constants, now, state, parts, annuities[1], smooth)
+        granted, cut = summary.pop("granted"), summary.pop("cut")
         done = Happened(books, paid.flows, invested, held, moved, after, granted, cut)
-        return state, self._outputs(terms, fund, done, smooth) | told
+        return state, self._outputs(terms, fund, done, smooth) | summary
 
     def _paid(self, constants: PotTerms, now: PotPeriod, state: PotState, books, smooth) -> Paid:
         """Contributions by salary, less the reserve's part; pensions and expenses out of pots."""
@@ -119,17 +119,17 @@ class PotSimulator(PensionSimulator):
         expenses = people.expenses * jnp.exp(market.log_price)
         borne = state.pots / jnp.where(jnp.sum(state.pots) > 0, jnp.sum(state.pots), 1.0)
         flows = Flows(received, jnp.sum(benefit), expenses)
-        own = (1 - constants.fill) * received * now.payroll - benefit - expenses * borne
-        return Paid(flows, own, flows.net - jnp.sum(own))
+        local = (1 - constants.fill) * received * now.payroll - benefit - expenses * borne
+        return Paid(flows, local, flows.net - jnp.sum(local))
 
     def _shared(
-        self, constants: PotTerms, now: PotPeriod, state: PotState, paid: Paid, *given
+        self, constants: PotTerms, now: PotPeriod, state: PotState, paid: Paid, *values
     ) -> Shared:
         """Pots and reserve after the return of the step, and the excess return in it.
 
         `given`: money earned, cash's return, the annuities before and after the step, `smooth`.
         """
-        earned, cash, (before, after), smooth = given
+        earned, cash, (before, after), smooth = values
         pots, reserve = state.pots + paid.pots, state.reserve + paid.reserve
         rest, grown = before, after + now.benefit
         holding = state.pots, state.reserve
@@ -158,9 +158,9 @@ class PotSimulator(PensionSimulator):
         level = self._level(constants, end.pots, annuity)
         change = level / jnp.where(state.level > 0, state.level, 1.0) - 1
         paid = now.drawing * state.level * annuity
-        whole = jnp.sum(paid)
-        paid = paid / jnp.where(whole > 0, whole, 1.0)
-        told = {
+        complete = jnp.sum(paid)
+        paid = paid / jnp.where(complete > 0, complete, 1.0)
+        summary = {
             "granted": due * jnp.sum(paid * smooth.positive_part(change, 0.01)),
             "cut": due * jnp.sum(paid * smooth.positive_part(-change, 0.01)),
             "filled": due * end.filled,
@@ -172,7 +172,7 @@ class PotSimulator(PensionSimulator):
             level=state.level + due * (level - state.level),
             gained=state.gained * (1 - due),
         )
-        return state, told
+        return state, summary
 
     @staticmethod
     def _level(constants: PotTerms, pots: Array, annuity: Array) -> Float[Array, " C"]:
@@ -181,12 +181,12 @@ class PotSimulator(PensionSimulator):
         return jnp.where(there, pots / jnp.where(there, annuity, 1.0), constants.level)
 
     def terminal(self, constants: PotTerms, state: PotState, smooth):  # pyright: ignore
-        found = super().terminal(constants.fund, state.fund, smooth)
+        terminal = super().terminal(constants.fund, state.fund, smooth)
         level = state.level / constants.level
         mean = jnp.sum(level * constants.pots) / jnp.sum(constants.pots)
         assets = jnp.where(state.fund.assets > 0, state.fund.assets, constants.assets)
         by_cohort = {name: level[i] for i, name in enumerate(pensions(self.case.members))}
-        return found | {"pension": mean, "reserve": state.reserve / assets} | by_cohort
+        return terminal | {"pension": mean, "reserve": state.reserve / assets} | by_cohort
 
     def slack(self, constants: PotTerms, now: PotPeriod, state: PotState, outputs):  # pyright: ignore
         return super().slack(constants.fund, now.fund, state.fund, outputs)

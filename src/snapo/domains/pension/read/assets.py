@@ -54,11 +54,11 @@ def read_assets(
     rows = read_rows(Mention(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL)
     labels = unique(rows, "name")
     classes = tuple(_class(row, names) for row in rows)
-    cash = [each.name for each in classes if each.is_cash]
+    cash = [class_.name for class_ in classes if class_.is_cash]
     if len(cash) != 1:
         got = Unquoted(f"{len(cash)} classes of kind cash")
         raise section.error("file", got, f"exactly one row of {table.file} must be cash")
-    own = [i for i, each in enumerate(classes) if each.own_shock]
+    local = [i for i, item in enumerate(classes) if item.own_shock]
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
@@ -66,26 +66,30 @@ def read_assets(
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
-    ends = [(min(least, 0.0), max(most, 1.0)) for least, most in zip(low, high)]
+    endpoints = [(min(minimum, 0.0), max(maximum, 1.0)) for minimum, maximum in zip(low, high)]
     smoothing = [rows[i].number("smoothing", 0.0, 1.0) for i in smoothed]
     return Assets(
         classes=classes,
         return_kind=table.return_kind,
         mean_kind=table.mean_kind,
-        mean=listed("asset_mean", [_mean(rows[i]) for i in own], [labels[i] for i in own], MEAN),
-        volatility=_volatilities(section, rows, own, grid),
+        mean=listed(
+            "asset_mean", [_mean(rows[i]) for i in local], [labels[i] for i in local], MEAN
+        ),
+        volatility=_volatilities(section, rows, local, grid),
         smoothing=listed("asset_smoothing", smoothing, [labels[i] for i in smoothed], SMOOTHING),
         smoothed=np.array(smoothed, np.int64),
         cost=column("asset_cost", rows, "cost", labels, COST),
         fee=column("asset_fee", rows, "fee", labels, FEE),
-        weight=listed("asset_weight", _weights(section, table.file, rows, ends), labels, WEIGHT),
+        weight=listed(
+            "asset_weight", _weights(section, table.file, rows, endpoints), labels, WEIGHT
+        ),
         low=low,
         high=high,
         groups=groups,
         max_sale=_limit(rows, "max_sale", math.inf),
         band=_limit(rows, "band", 0.0),
         turnover=table.turnover,
-        risk=tuple(_risk(row, each) for row, each in zip(rows, classes)),
+        risk=tuple(_risk(row, entry) for row, entry in zip(rows, classes)),
         amount=single("assets", amount_now, amount(AMOUNT, "assets", grid.currency)),
     )
 
@@ -102,7 +106,7 @@ def _limit(rows: Sequence[Row], column_name: str, default: float) -> np.ndarray 
 
 
 def _cash(classes: Sequence[AssetClass]) -> int:
-    return next(i for i, each in enumerate(classes) if each.is_cash)
+    return next(i for i, class_ in enumerate(classes) if class_.is_cash)
 
 
 def _class(row: Row, names: Names) -> AssetClass:
@@ -110,9 +114,11 @@ def _class(row: Row, names: Names) -> AssetClass:
     kind = KINDS[word(row, "kind", tuple(KINDS))]
     for special in SPECIAL:
         if row.cells.get(special) and special not in kind.columns:
-            owners = ", ".join(name for name, each in KINDS.items() if special in each.columns)
-            what = f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
-            raise row.error(special, what)
+            owners = ", ".join(name for name, item in KINDS.items() if special in item.columns)
+            message = (
+                f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
+            )
+            raise row.error(special, message)
     return kind(
         name=row.cells["name"],
         currency=names.currency(row),
@@ -127,12 +133,12 @@ def _mean(row: Row) -> float:
     return row.number("mean", -0.999, 1.0)
 
 
-def _volatilities(section: Section, rows: Sequence[Row], own: Sequence[int], grid: Grid) -> Given:
+def _volatilities(section: Section, rows: Sequence[Row], local: Sequence[int], grid: Grid) -> Given:
     """Of the classes `own` with a shock of their own, side by side."""
-    if not own:
+    if not local:
         return empty("asset_volatility", (grid.steps, 0))
-    parts = [_volatility(section, rows[i], grid) for i in own]
-    names = [rows[i].cells["name"] for i in own]
+    parts = [_volatility(section, rows[i], grid) for i in local]
+    names = [rows[i].cells["name"] for i in local]
     return side_by_side("asset_volatility", parts, names, VOLATILITY)
 
 
@@ -149,30 +155,32 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
     """[n] low and [n] high, 0 and 1 where they are left out."""
     low = np.array([number(row, "low", 0.0, -FARTHEST, FARTHEST) for row in rows])
     high = np.array([number(row, "high", 1.0, -FARTHEST, FARTHEST) for row in rows])
-    for row, least, most in zip(rows, low, high):
-        if least > most:
+    for row, minimum, maximum in zip(rows, low, high):
+        if minimum > maximum:
             row.cells.setdefault("low", "")
-            raise row.error("low", f"the lower bound must not exceed the upper one, {most:g}")
-        for name, bound in (("low", least), ("high", most)):
+            raise row.error("low", f"the lower bound must not exceed the upper one, {maximum:g}")
+        for name, bound in (("low", minimum), ("high", maximum)):
             if bound > 1 and not (low < 0).any():
-                what = "allowed is at most 1, unless a low below 0 lets some class be sold short"
-                raise row.error(name, what)
-        if least < 0 and row.cells.get("max_sale"):
-            what = "a class with a low below 0 is sold beyond its holding: it has no largest sale"
-            raise row.error("max_sale", what)
+                message = "allowed is at most 1, unless a low below 0 lets some class be sold short"
+                raise row.error(name, message)
+        if minimum < 0 and row.cells.get("max_sale"):
+            message = (
+                "a class with a low below 0 is sold beyond its holding: it has no largest sale"
+            )
+            raise row.error("max_sale", message)
     return low, high
 
 
 def _weights(
-    section: Section, file: str, rows: Sequence[Row], ends: Sequence[tuple[float, float]]
+    section: Section, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
 ) -> list[float]:
     """Of today, between their `ends`: 0 and 1, or beyond as far as the bounds of the class go."""
-    found = [row.number("weight", *each) for row, each in zip(rows, ends)]
-    total = math.fsum(found)
+    numbers = [row.number("weight", *item) for row, item in zip(rows, endpoints)]
+    total = math.fsum(numbers)
     if abs(total - 1) > WHOLE:
         got = Unquoted(f"weights that add up to {total:.6g}")
         raise section.error("file", got, f"the weights in {file} must add up to 1")
-    return found
+    return numbers
 
 
 def _groups(
@@ -183,40 +191,42 @@ def _groups(
     Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
     may weigh.
     """
-    short, found = bool((low < 0).any()), []
-    least, most = (-FARTHEST, FARTHEST) if short else (0.0, 1.0)
-    for name in dict.fromkeys(each.group for each in classes if each.group):
-        members = tuple(i for i, each in enumerate(classes) if each.group == name)
+    short, groups = bool((low < 0).any()), []
+    minimum, maximum = (-FARTHEST, FARTHEST) if short else (0.0, 1.0)
+    for name in dict.fromkeys(class_.group for class_ in classes if class_.group):
+        members = tuple(i for i, item in enumerate(classes) if item.group == name)
         of = list(members)
-        silent = (float(low[of].sum()), float(high[of].sum())) if short else (0.0, 1.0)
+        defaulted = (float(low[of].sum()), float(high[of].sum())) if short else (0.0, 1.0)
         limits = []
-        for limit, default in zip(("group_low", "group_high"), silent):
-            given = [rows[i] for i in members if rows[i].cells.get(limit)]
-            values = [row.number(limit, least, most) for row in given]
-            for row, value in zip(given, values):
+        for limit, default in zip(("group_low", "group_high"), defaulted):
+            inputs = [rows[i] for i in members if rows[i].cells.get(limit)]
+            values = [row.number(limit, minimum, maximum) for row in inputs]
+            for row, value in zip(inputs, values):
                 if value != values[0]:
                     raise row.error(limit, f"the group {name} has {values[0]:g} further up")
             limits.append(values[0] if values else default)
-        found.append(Group(name, members, limits[0], limits[1]))
-    return tuple(found)
+        groups.append(Group(name, members, limits[0], limits[1]))
+    return tuple(groups)
 
 
 def _check_bounds(
     section: Section, low: np.ndarray, high: np.ndarray, groups: Sequence[Group]
 ) -> None:
     """There must be weights within all bounds that add up to one."""
-    least, most = float(low.sum()), float(high.sum())
+    minimum, maximum = float(low.sum()), float(high.sum())
     for group in groups:
         members = list(group.members)
         inside = float(low[members].sum()), float(high[members].sum())
         lower, upper = max(group.low, inside[0]), min(group.high, inside[1])
         if lower > upper + WHOLE:
             got = Unquoted(f"limits {group.low:g} to {group.high:g} of the group {group.name}")
-            what = f"its classes together can weigh {inside[0]:g} to {inside[1]:g}"
-            raise section.error("file", got, what)
-        least += lower - inside[0]
-        most += upper - inside[1]
-    if least > 1 + WHOLE or most < 1 - WHOLE:
-        got = Unquoted(f"bounds between which the weights add up to {least:g} to {most:g}")
-        what = "the weights must be able to add up to 1: lower bounds to no more, upper to no less"
-        raise section.error("file", got, what)
+            message = f"its classes together can weigh {inside[0]:g} to {inside[1]:g}"
+            raise section.error("file", got, message)
+        minimum += lower - inside[0]
+        maximum += upper - inside[1]
+    if minimum > 1 + WHOLE or maximum < 1 - WHOLE:
+        got = Unquoted(f"bounds between which the weights add up to {minimum:g} to {maximum:g}")
+        message = (
+            "the weights must be able to add up to 1: lower bounds to no more, upper to no less"
+        )
+        raise section.error("file", got, message)

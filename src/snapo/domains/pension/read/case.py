@@ -103,9 +103,9 @@ class _Reader:
 
     def table(self, kind: type[AnyTable], name: str) -> AnyTable:
         """The table `name`, which the case has or which has a default for every key."""
-        found = self.read[name]
-        assert isinstance(found, kind)
-        return found
+        result = self.read[name]
+        assert isinstance(result, kind)
+        return result
 
     def maybe(self, kind: type[AnyTable], name: str) -> AnyTable | None:
         """The table `name`, or None where the case has none."""
@@ -118,16 +118,16 @@ def parsed(file: Path, top: PensionTable) -> dict[str, Table]:
     **Raises:** `CaseError` where a key is wrong, or has no meaning in this case.
     """
     if top.rates is None and top.scenarios is None:
-        what = "this table is missing; only ready-made [scenarios] go without it"
-        raise CaseError(str(file), "rates", None, what)
-    found: dict[str, Table] = {"": top}
+        message = "this table is missing; only ready-made [scenarios] go without it"
+        raise CaseError(str(file), "rates", None, message)
+    table: dict[str, Table] = {"": top}
     for name, kind in FORMATS.items():
         above, _, key = name.rpartition(".")
-        data = getattr(found[above], key)
+        data = getattr(table[above], key)
         if data is not None:
-            found[name] = parse(kind, data, str(file), name)
-    check_meanings(str(file), found)
-    return found
+            table[name] = parse(kind, data, str(file), name)
+    check_meanings(str(file), table)
+    return table
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
@@ -137,7 +137,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     fund = reader.table(tables.FundTable, "fund")
     grid = Grid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
     market = _market(reader, grid, fund.assets)
-    classes = [each.name for each in market["assets"].classes]
+    classes = [class_.name for class_ in market["assets"].classes]
     annual = reader.table(tables.CurveTable, "curve").compounding == "annual"
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
@@ -149,8 +149,8 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     if pots is not None:  # rights are earned no more: contributions go into pots
         rules = replace(rules, accruing=False)
     if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
-        what = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
-        raise CaseError(str(file), "overlay.file", None, what)
+        message = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
+        raise CaseError(str(file), "overlay.file", None, message)
     case = PensionCase(
         file=file,
         title=top.title,
@@ -190,10 +190,10 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     )
     plan.check_limited(case)
     check_pots(str(file), pots, case.plan, case.liability)
-    seen = settings.observation
+    observed = settings.observation
     case = replace(
         case,
-        observation=usual_observation(case) if seen is None else tuple(seen),
+        observation=usual_observation(case) if observed is None else tuple(observed),
         held=_held(reader, case),
         notes=tuple(reader.notes),
         parts=known_parts(
@@ -212,36 +212,40 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
 
 def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
-    place, maybe = reader.place, reader.maybe
+    position, optional = reader.place, reader.maybe
     curve = reader.table(tables.CurveTable, "curve")
-    rates = read_rates(place("rates"), maybe(tables.RatesTable, "rates"), grid)
+    rates = read_rates(position("rates"), optional(tables.RatesTable, "rates"), grid)
     inflation = reader.table(tables.InflationTable, "inflation")
-    credit = read_credit(place("credit"), maybe(tables.CreditTable, "credit"))
-    currencies = read_currencies(place("currencies"), maybe(tables.CurrenciesTable, "currencies"))
+    credit = read_credit(position("credit"), optional(tables.CreditTable, "credit"))
+    currencies = read_currencies(
+        position("currencies"), optional(tables.CurrenciesTable, "currencies")
+    )
     names = Names(grid.step, credit.names, currencies.names)
     table = reader.table(tables.AssetsTable, "assets")
-    assets = read_assets(place("assets"), table, amount, grid, names)
+    assets = read_assets(position("assets"), table, amount, grid, names)
     motions = all_names(rates.factors, credit.names, currencies.names, assets)
-    correlations = maybe(tables.CorrelationsTable, "correlations")
+    correlations = optional(tables.CorrelationsTable, "correlations")
     return {
         "measure": curve.measure,
-        "curve": read_curve(place("curve"), curve),
+        "curve": read_curve(position("curve"), curve),
         "rates": rates,
-        "inflation": read_inflation(place("inflation"), inflation, grid, curve.compounding),
+        "inflation": read_inflation(position("inflation"), inflation, grid, curve.compounding),
         "assets": assets,
         "credit": credit,
         "currencies": currencies,
         "correlation": read_correlations(
-            place("correlations"), correlations, [name for name in motions if name]
+            position("correlations"), correlations, [name for name in motions if name]
         ),
-        "overlay": read_overlay(place("overlay"), maybe(tables.OverlayTable, "overlay"), grid),
+        "overlay": read_overlay(
+            position("overlay"), optional(tables.OverlayTable, "overlay"), grid
+        ),
     }
 
 
 def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
     """`[plan]` with the two tables below it."""
     table, money = reader.table(tables_people.PlanTable, "plan"), grid.currency
-    clock = Clock(grid, start, table.timing == "arrears")
+    timer = Clock(grid, start, table.timing == "arrears")
     names = ("plan.indexation", "plan.revaluation", "plan.contribution")
     indexation = reader.table(tables_people.IndexationTable, names[0])
     revaluation = reader.maybe(tables_people.RevaluationTable, names[1])
@@ -251,7 +255,7 @@ def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
         table,
         plan.read_indexation(reader.place(names[0]), indexation),
         plan.read_revaluation(reader.place(names[1]), revaluation),
-        plan.read_contribution(reader.place(names[2]), contribution, clock),
+        plan.read_contribution(reader.place(names[2]), contribution, timer),
         money,
     )
 
@@ -260,14 +264,14 @@ def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> d
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
     table, section = reader.table(tables_people.MembersTable, "members"), reader.place("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
-    found: dict[str, Any] = dict.fromkeys(names)
+    lee_carters: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
         got = None if table.file is None else table.cash_flows
         raise section.error("file", got, "either file or cash_flows is needed, and not both")
     if table.cash_flows is not None:
         arrears = rules.timing == "arrears"
-        found["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
-        return found
+        lee_carters["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
+        return lee_carters
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
     mortality = read_mortality(
@@ -275,31 +279,31 @@ def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> d
         reader.table(tables_people.MortalityTable, "mortality"),
         start,
     )
-    given = (section, table, mortality, rules.retirement_age, grid)
-    found["members"], found["mortality"] = people.read_members(*given), mortality
+    values = (section, table, mortality, rules.retirement_age, grid)
+    lee_carters["members"], lee_carters["mortality"] = people.read_members(*values), mortality
     lee_carter = reader.maybe(tables_people.LeeCarterTable, "lee_carter")
-    found["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
-    return found
+    lee_carters["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
+    return lee_carters
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:
     """The default observation: every part that means something in this case."""
-    return tuple(name for name, seen in FEATURES.items() if seen.usual(case))
+    return tuple(name for name, observed in FEATURES.items() if observed.usual(case))
 
 
 def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
     """Names of inputs without a gradient: asked for, left at a default, or without effect."""
-    asked = reader.table(tables.SensitivityTable, "sensitivity").held
+    request = reader.table(tables.SensitivityTable, "sensitivity").held
     every = list(every_given(case))
     names, missing = (
-        [each.name for each in every],
+        [item.name for item in every],
         "the rules and models of this case have no such number",
     )
-    known_words(str(reader.file), "sensitivity.held", asked, names, missing)
-    idle = reader.silent | {each.name for each in _replaced(case)}
+    known_words(str(reader.file), "sensitivity.held", request, names, missing)
+    idle = reader.silent | {entry.name for entry in _replaced(case)}
     if case.risk_neutral or case.scenarios is not None:
-        idle |= {each.name for each in every if each.group == "premium"}
-    return tuple(each.name for each in every if each.name in asked or each.name in idle)
+        idle |= {value.name for value in every if value.group == "premium"}
+    return tuple(each.name for each in every if each.name in request or each.name in idle)
 
 
 def _replaced(case: PensionCase) -> list[Given]:
@@ -307,5 +311,5 @@ def _replaced(case: PensionCase) -> list[Given]:
     if case.scenarios is None:
         return []
     models = (case.rates, case.inflation, case.credit, case.currencies, case.correlation)
-    numbers = [given for model in models for given in every_given(model)]
+    numbers = [values for model in models for values in every_given(model)]
     return [*numbers, case.assets.volatility, case.assets.smoothing]

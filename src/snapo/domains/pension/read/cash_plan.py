@@ -30,57 +30,57 @@ class Clock(NamedTuple):
     arrears: bool
 
 
-def read_cash_plan(mention: Mention, clock: Clock) -> CashPlan:
+def read_cash_plan(reference: Mention, timer: Clock) -> CashPlan:
     """The payments within the horizon; a note tells of later ones, which are left out."""
-    rows = read_rows(mention, ("amount",), ("date", "year"))
+    rows = read_rows(reference, ("amount",), ("date", "year"))
     column = _column(rows)
-    found, last = [], -math.inf
+    results, last = [], -math.inf
     for row in rows:
-        label, due = _due(row, column, clock)
+        label, due = _due(row, column, timer)
         if due <= last:
             raise row.error(column, "times must rise from row to row, by a month at least")
-        found.append((label, _step(row, column, due, clock), row.number("amount", 0.0)))
+        results.append((label, _step(row, column, due, timer), row.number("amount", 0.0)))
         last = due
-    inside = [each for each in found if each[1] < clock.grid.steps]
-    if len(inside) < len(found):
-        mention.section.notes.append(
-            f"{mention.name}: {len(found) - len(inside)} of {len(found)} payments fall after the "
-            "horizon and are left out."
+    inside = [item for item in results if item[1] < timer.grid.steps]
+    if len(inside) < len(results):
+        reference.section.notes.append(
+            f"{reference.name}: {len(results) - len(inside)} of {len(results)} payments fall "
+            "after the horizon and are left out."
         )
     if not inside:
-        raise CaseError(mention.name, "", None, "no payment falls within the horizon")
+        raise CaseError(reference.name, "", None, "no payment falls within the horizon")
     labels, steps, amounts = zip(*inside)
-    said = amount(AMOUNT, "plan", clock.grid.currency)
+    metadata = amount(AMOUNT, "plan", timer.grid.currency)
     return CashPlan(
-        listed("contribution_schedule", amounts, labels, said), np.array(steps, np.int64)
+        listed("contribution_schedule", amounts, labels, metadata), np.array(steps, np.int64)
     )
 
 
 def _column(rows: list[Row]) -> str:
-    present = [each for each in ("date", "year") if each in rows[0].cells]
+    present = [name for name in ("date", "year") if name in rows[0].cells]
     if len(present) != 1:
         row = Row(rows[0].file, 1, {"header": f"the columns {', '.join(rows[0].cells)}"})
         raise row.error("header", "exactly one of the columns date and year is needed")
     return present[0]
 
 
-def _due(row: Row, column: str, clock: Clock) -> tuple[str, float]:
+def _due(row: Row, column: str, timer: Clock) -> tuple[str, float]:
     """The label of a payment, and its time in years from now: whole months."""
     if column == "year":
         value = row.number("year", 0.0, 100.0)
         return f"at {years(value)}", round(12 * value) / 12
-    day, start = row.day("date") + HALF, clock.start + HALF
+    day, start = row.day("date") + HALF, timer.start + HALF
     return row.label("date"), (12 * (day.year - start.year) + day.month - start.month) / 12
 
 
-def _step(row: Row, column: str, due: float, clock: Clock) -> int:
+def _step(row: Row, column: str, due: float, timer: Clock) -> int:
     """The step in which a payment is made."""
-    steps = due / clock.grid.step
-    if clock.arrears:
+    steps = due / timer.grid.step
+    if timer.arrears:
         steps = math.ceil(steps - NEVER) - 1
     step = math.floor(steps + NEVER)
     if step < 0:
-        now = Unquoted(f"{clock.start:%Y-%m-%d}")
-        what = f"payments come after the valuation date, {now}"
-        raise row.error(column, f"{what}; in arrears the first one is after one step")
+        now = Unquoted(f"{timer.start:%Y-%m-%d}")
+        message = f"payments come after the valuation date, {now}"
+        raise row.error(column, f"{message}; in arrears the first one is after one step")
     return step

@@ -34,16 +34,16 @@ class Place(Section):
 
     silent: set[str]
 
-    def told(self, table: Table, key: str, given: Given) -> Given:
+    def told(self, table: Table, key: str, values: Given) -> Given:
         """A number from `key`; where the case does not have the key, it is no input."""
         if key not in table.model_fields_set:
-            self.silent.add(given.name)
-        return given
+            self.silent.add(values.name)
+        return values
 
 
-def single(name: str, value: float, said: Said) -> Given:
+def single(name: str, value: float, metadata: Said) -> Given:
     """One plain number, used once (index [])."""
-    return said.given(name, [value], ("",), np.array(0))
+    return metadata.given(name, [value], ("",), np.array(0))
 
 
 def empty(name: str, shape: tuple[int, ...] = (0,)) -> Given:
@@ -51,20 +51,20 @@ def empty(name: str, shape: tuple[int, ...] = (0,)) -> Given:
     return Given(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
 
 
-def listed(name: str, values: Sequence[float], labels: Sequence[str], said: Said) -> Given:
+def listed(name: str, values: Sequence[float], labels: Sequence[str], metadata: Said) -> Given:
     """One number per label, each used once (index [n])."""
-    return said.given(name, values, labels, np.arange(len(values)))
+    return metadata.given(name, values, labels, np.arange(len(values)))
 
 
 def per_factor(section: Section, table: Table, key: str, count: int) -> list[Any]:
     """The entries of a key that has one for each of `count` factors; one 0 stands for all."""
     value = getattr(table, key)
-    found = value if isinstance(value, list) else [value]
-    found = found * count if found == [0.0] else found
-    if len(found) != count:
+    result = value if isinstance(value, list) else [value]
+    result = result * count if result == [0.0] else result
+    if len(result) != count:
         kind = getattr(table, "kind", "")
         raise section.error(key, value, f'kind "{kind}" needs {count} of them, one per factor')
-    return found
+    return result
 
 
 def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
@@ -80,21 +80,23 @@ def above_zero(row: Row, column: str) -> float:
     return value
 
 
-def word(row: Row, column: str, known: Sequence[str]) -> str:
+def word(row: Row, column: str, available: Sequence[str]) -> str:
     """One of a few words; in any case of letters."""
     text = row.cells[column].lower()
-    if text not in known:
-        raise row.error(column, f"allowed is one of {', '.join(known)}")
+    if text not in available:
+        raise row.error(column, f"allowed is one of {', '.join(available)}")
     return text
 
 
-def position(row: Row, column: str, names: Sequence[str], what: str) -> int:
+def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
     """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
     text = row.cells.get(column, "")
     if not text:
         return -1
     if text not in names:
-        raise row.error(column, f"there is no such {what}; known are {', '.join(names) or 'none'}")
+        raise row.error(
+            column, f"there is no such {subject}; known are {', '.join(names) or 'none'}"
+        )
     return list(names).index(text)
 
 
@@ -110,17 +112,17 @@ def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def rising(rows: Sequence[Row], column: str, least: float = 0.0) -> np.ndarray:
+def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray:
     """The numbers of a column, each above the one before and all above `least`."""
-    found: list[float] = []
+    values: list[float] = []
     for row in rows:
         value = row.number(column)
-        if value <= least and not found:
-            raise row.error(column, f"allowed is a number above {least:g}")
-        if found and value <= found[-1]:
-            raise row.error(column, f"{column}s must rise, and the row before has {found[-1]:g}")
-        found.append(value)
-    return np.array(found)
+        if value <= minimum and not values:
+            raise row.error(column, f"allowed is a number above {minimum:g}")
+        if values and value <= values[-1]:
+            raise row.error(column, f"{column}s must rise, and the row before has {values[-1]:g}")
+        values.append(value)
+    return np.array(values)
 
 
 def years(value: float) -> str:
@@ -139,10 +141,10 @@ class Pieces(NamedTuple):
     index: np.ndarray
 
 
-def pieces(given: float | str, read: Callable[[], list[Row]], grid: Grid, low: float) -> Pieces:
+def pieces(inputs: float | str, read: Callable[[], list[Row]], grid: Grid, low: float) -> Pieces:
     """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
-    if not isinstance(given, str):
-        return Pieces([float(given)], [""], np.zeros(grid.steps, np.int64))
+    if not isinstance(inputs, str):
+        return Pieces([float(inputs)], [""], np.zeros(grid.steps, np.int64))
     rows = read()
     begins = rising(rows, "from_year", -NEVER)
     if begins[0] > NEVER:
@@ -156,26 +158,26 @@ def pieces(given: float | str, read: Callable[[], list[Row]], grid: Grid, low: f
 
 
 def stepwise(
-    section: Section, key: str, given: float | str, grid: Grid, low: float = 0.0
+    section: Section, key: str, values: float | str, grid: Grid, low: float = 0.0
 ) -> Pieces:
     """The same for a key of the TOML file."""
-    mention = Mention(section, key, str(given))
-    return pieces(given, lambda: read_rows(mention, ("from_year", "value")), grid, low)
+    reference = Mention(section, key, str(values))
+    return pieces(values, lambda: read_rows(reference, ("from_year", "value")), grid, low)
 
 
-def side_by_side(name: str, parts: Sequence[Pieces], names: Sequence[str], said: Said) -> Given:
+def side_by_side(name: str, parts: Sequence[Pieces], names: Sequence[str], metadata: Said) -> Given:
     """Several numbers that change in time as one input, index [T, len(parts)]."""
     values, labels, columns = [], [], []
-    for part, own in zip(parts, names):
+    for part, local in zip(parts, names):
         columns.append(part.index + len(values))
         values += part.values
-        labels += [f"{own} {label}".strip() for label in part.labels]
-    return said.given(name, values, labels, np.stack(columns, 1))
+        labels += [f"{local} {label}".strip() for label in part.labels]
+    return metadata.given(name, values, labels, np.stack(columns, 1))
 
 
-def alone(name: str, part: Pieces, said: Said) -> Given:
+def alone(name: str, part: Pieces, metadata: Said) -> Given:
     """One number that changes in time, index [T]."""
-    return said.given(name, part.values, part.labels, part.index)
+    return metadata.given(name, part.values, part.labels, part.index)
 
 
 def whole_steps(row: Row, column: str, step: float) -> int:
@@ -189,13 +191,13 @@ def whole_steps(row: Row, column: str, step: float) -> int:
 def known_words(
     file: str,
     where: str,
-    given: Sequence[str],
-    known: Sequence[str],
+    values: Sequence[str],
+    available: Sequence[str],
     missing: str = "there is no such name",
 ) -> None:
     """Every word of a list must be known, and stand there once."""
-    for i, each in enumerate(given):
-        if each not in known:
-            raise CaseError(file, where, each, f"{missing}; {nearest(each, known)}")
-        if each in given[:i]:
-            raise CaseError(file, where, each, "this name stands there twice")
+    for i, item in enumerate(values):
+        if item not in available:
+            raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")
+        if item in values[:i]:
+            raise CaseError(file, where, item, "this name stands there twice")

@@ -20,25 +20,29 @@ EQUAL = 1e-9
 
 
 def read_correlations(
-    section: Section, table: CorrelationsTable | None, known: Sequence[str]
+    section: Section, table: CorrelationsTable | None, available: Sequence[str]
 ) -> Correlation:
     """The matrix in `table`; without it, everything is independent."""
-    folded = [name.lower() for name in known]
+    folded = [name.lower() for name in available]
     for i, name in enumerate(folded):
         if name in folded[:i]:
-            what = "ratings, currencies and classes with a shock of their own need different names"
-            raise section.error("file", known[i], what)
+            message = (
+                "ratings, currencies and classes with a shock of their own need different names"
+            )
+            raise section.error("file", available[i], message)
     if table is None:
         return Correlation((), empty("correlation"))
     rows = read_rows(Mention(section, "file", table.file), ("name",))
-    names = _names(rows, known, folded)
+    names = _names(rows, available, folded)
     matrix = _matrix(rows)
     smallest, change = check_correlation(matrix), 0.0
     if smallest < SMALLEST:
         if not table.repair:
             got = Unquoted(f"a matrix whose smallest eigenvalue is {smallest:.3g}")
-            what = "a correlation matrix is positive definite; repair = true takes the nearest one"
-            raise section.error("file", got, what)
+            message = (
+                "a correlation matrix is positive definite; repair = true takes the nearest one"
+            )
+            raise section.error("file", got, message)
         matrix, change = nearest(matrix)
         section.notes.append(
             f"{table.file} was not positive definite (smallest eigenvalue {smallest:.3g}); in the "
@@ -51,20 +55,20 @@ def read_correlations(
     )
 
 
-def _names(rows: Sequence[Row], known: Sequence[str], folded: Sequence[str]) -> tuple[str, ...]:
+def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str]) -> tuple[str, ...]:
     """The names of the rows, which must be those of the columns in the same order."""
     unique(rows, "name")
     names = []
     for row in rows:
         name = row.cells["name"].lower()
         if name not in folded:
-            raise row.error("name", f"nothing of this name moves; known are {', '.join(known)}")
-        names.append(known[folded.index(name)])
+            raise row.error("name", f"nothing of this name moves; known are {', '.join(available)}")
+        names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]
     if columns != [name.lower() for name in names]:
         head = Row(rows[0].file, 1, {"header": f"the columns {', '.join(columns)}"})
-        what = f"the columns must be those of the rows, in their order: {', '.join(names)}"
-        raise head.error("header", what)
+        message = f"the columns must be those of the rows, in their order: {', '.join(names)}"
+        raise head.error("header", message)
     return tuple(names)
 
 
@@ -85,6 +89,6 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
         for j in range(i + 1, len(rows)):
             text = row.cells[columns[j]]
             if text and abs(float(text) - matrix[i, j]) > EQUAL:
-                what = f"a correlation matrix is symmetric, and its mirror is {matrix[i, j]:g}"
-                raise row.error(columns[j], what)
+                message = f"a correlation matrix is symmetric, and its mirror is {matrix[i, j]:g}"
+                raise row.error(columns[j], message)
     return matrix

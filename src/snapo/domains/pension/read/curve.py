@@ -80,20 +80,20 @@ def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
     """
     if curve.extrapolation != "smith-wilson":
         if curve.quote == "swap":
-            what = 'a column "swap" goes with "smith-wilson"'
-            raise section.error("extrapolation", curve.extrapolation, what)
+            message = 'a column "swap" goes with "smith-wilson"'
+            raise section.error("extrapolation", curve.extrapolation, message)
         return curve
     last = float(curve.tenor[-1])
     if curve.quote == "forward":
-        what = 'with "smith-wilson" a column zero or swap is needed'
-        raise section.error("file", table.file, what)
+        message = 'with "smith-wilson" a column zero or swap is needed'
+        raise section.error("file", table.file, message)
     if curve.quote == "swap" and np.any(np.abs(curve.tenor - np.round(curve.tenor)) > NEVER):
         raise section.error("file", table.file, "swaps pay every year: whole tenors are needed")
     convergence = table.convergence or max(last + PERIOD, EARLIEST)
     if convergence <= last:
         raise section.error("convergence", convergence, f"it must lie beyond the tenor {last:g}")
-    whole = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
-    curve = replace(curve, tenor=whole, speed=table.speed, convergence=convergence)
+    complete = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
+    curve = replace(curve, tenor=complete, speed=table.speed, convergence=convergence)
     _possible(section, table, curve)
     return curve
 
@@ -101,21 +101,21 @@ def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
 def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
     @jax.jit
     def whole(rate, ultimate):
-        found = fit(curve, rate, ultimate)
+        result = fit(curve, rate, ultimate)
         dates, flows = cash_flows(curve, rate)
-        own = jnp.exp(-ultimate * dates)[:, None] * flows.T
+        local = jnp.exp(-ultimate * dates)[:, None] * flows.T
         prices = log_bond(curve, rate, ultimate, np.arange(1.0, PAYMENT_YEARS + 61))
-        return found.speed, distance(dates, own, found.speed, curve.convergence), prices
+        return result.speed, distance(dates, local, result.speed, curve.convergence), prices
 
     with jax.enable_x64(True):
-        given = curve.rate.used(), curve.ultimate.used()
-        speed, missed, prices = map(np.asarray, whole(*map(jnp.asarray, given)))
+        values = curve.rate.used(), curve.ultimate.used()
+        speed, missed, prices = map(np.asarray, whole(*map(jnp.asarray, values)))
     if not np.isfinite(prices).all():
-        what = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
-        raise section.error("file", table.file, what)
+        message = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
+        raise section.error("file", table.file, message)
     if table.speed is None and missed > 1e-6:
-        what = f"no speed up to {MOST:g} brings the forward rate within a basis point by then"
-        raise section.error("convergence", curve.convergence, what)
+        message = f"no speed up to {MOST:g} brings the forward rate within a basis point by then"
+        raise section.error("convergence", curve.convergence, message)
     if table.speed is None:
         section.notes.append(
             f"{table.file}: Smith-Wilson with a speed of {float(speed):.6f}, found so that the"
@@ -125,11 +125,11 @@ def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
 
 
 def quotes(
-    section: Place, table: CurveTable | InflationTable, given: Quotes, annual: bool
+    section: Place, table: CurveTable | InflationTable, values: Quotes, annual: bool
 ) -> Curve:
     """Nodes from a CSV whose second column says which rate is quoted."""
-    rows = read_rows(Mention(section, given.key, given.file), ("tenor",))
-    column = _quoted(rows, tuple(given.columns))
+    rows = read_rows(Mention(section, values.key, values.file), ("tenor",))
+    column = _quoted(rows, tuple(values.columns))
     rows = _liquid(section, table, rows)
     tenor = rising(rows, "tenor")
     # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
@@ -137,18 +137,18 @@ def quotes(
     if annual and column != "swap":
         rates = np.log1p(rates)
         text = "annual rates were made continuous; sensitivities are per continuous rate."
-        section.notes.append(f"{given.file}: {text}")
+        section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
-        what = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
-        raise section.error("ultimate", table.ultimate, what)
-    far = empty(given.far, ())
+        message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
+        raise section.error("ultimate", table.ultimate, message)
+    far = empty(values.far, ())
     if table.ultimate is not None:
         ultimate = float(np.log1p(table.ultimate)) if annual else table.ultimate
-        far = single(given.far, ultimate, ULTIMATE)
-    name, said = given.columns[column]
+        far = single(values.far, ultimate, ULTIMATE)
+    name, metadata = values.columns[column]
     return Curve(
         tenor=tenor,
-        rate=listed(name, rates.tolist(), [years(t) for t in tenor], said),
+        rate=listed(name, rates.tolist(), [years(t) for t in tenor], metadata),
         quote=QUOTES.get(column, "zero"),
         extrapolation=table.extrapolation,
         ultimate=far,
@@ -161,14 +161,14 @@ def _liquid(section: Place, table: CurveTable | InflationTable, rows: list[Row])
     last = getattr(table, "last_liquid", None)
     if last is None:
         return rows
-    kept = [row for row in rows if row.number("tenor") <= last]
-    if not kept or kept[-1].number("tenor") != last:
+    selected = [row for row in rows if row.number("tenor") <= last]
+    if not selected or selected[-1].number("tenor") != last:
         raise section.error("last_liquid", last, "no row of the file has this tenor")
-    return kept
+    return selected
 
 
 def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:
-    present = [each for each in columns if each in rows[0].cells]
+    present = [column for column in columns if column in rows[0].cells]
     if len(present) != 1:
         got = f"the columns {', '.join(rows[0].cells)}"
         row = Row(rows[0].file, 1, {"header": got})
@@ -181,9 +181,9 @@ def read_rates(section: Place, table: RatesTable | None, grid: Grid) -> ShortRat
     if table is None:
         return MODELS[IDLE].at_rest(grid.steps)
     if table.kind not in MODELS:
-        known = ", ".join(f'"{each}"' for each in sorted(MODELS))
-        what = f"allowed is one of {known}; {nearest(table.kind, sorted(MODELS))}"
-        raise section.error("kind", table.kind, what)
+        available = ", ".join(f'"{model}"' for model in sorted(MODELS))
+        message = f"allowed is one of {available}; {nearest(table.kind, sorted(MODELS))}"
+        raise section.error("kind", table.kind, message)
     return MODELS[table.kind].read(section, table, grid)
 
 
@@ -194,20 +194,20 @@ def read_inflation(
     rates of the case, where the table has none of its own."""
     annual = (table.compounding or compounding) == "annual"
 
-    def one(name: str, key: str, said: Said) -> Given:
+    def one(name: str, key: str, metadata: Said) -> Given:
         value = getattr(table, key)
         if annual and key == "real_wage_growth":
             value = float(np.log1p(value))
-        return section.told(table, key, single(name, value, said))
+        return section.told(table, key, single(name, value, metadata))
 
     def moving(name: str, key: str) -> Given:
         part = stepwise(section, key, getattr(table, key), grid)
         return section.told(table, key, alone(name, part, SAID[key]))
 
     columns = {"rate": ("break_even", BREAK_EVEN), "forward": ("break_even", BREAK_EVEN)}
-    given = Quotes("break_evens", table.break_evens, columns, "ultimate_break_even")
+    values = Quotes("break_evens", table.break_evens, columns, "ultimate_break_even")
     return Inflation(
-        break_even=quotes(section, table, given, annual),
+        break_even=quotes(section, table, values, annual),
         mean_reversion=one("inflation_mean_reversion", "mean_reversion", SAID["mean_reversion"]),
         volatility=moving("inflation_volatility", "volatility"),
         price_of_risk=one("inflation_price_of_risk", "price_of_risk", SAID["price_of_risk"]),

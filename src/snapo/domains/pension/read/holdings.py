@@ -48,12 +48,20 @@ LIMIT = "a limit of the swaps"
 
 
 def column(
-    name: str, rows: Sequence[Row], column: str, labels, said: Said, most: float = 1.0, least=0.0
+    name: str,
+    rows: Sequence[Row],
+    column: str,
+    labels,
+    metadata: Said,
+    maximum: float = 1.0,
+    minimum=0.0,
 ) -> Given:
     """The numbers of a column that may be left out: then they are zero, and no input."""
     if column not in rows[0].cells:
         return empty(name, (len(rows),))
-    return listed(name, [number(row, column, 0.0, least, most) for row in rows], labels, said)
+    return listed(
+        name, [number(row, column, 0.0, minimum, maximum) for row in rows], labels, metadata
+    )
 
 
 def read_credit(section: Section, table: CreditTable | None) -> Credit:
@@ -68,8 +76,8 @@ def read_credit(section: Section, table: CreditTable | None) -> Credit:
         values = [above_zero(row, name) for row in rows]
         return listed(f"credit_{name}", values, ratings, CREDIT[name])
 
-    def optional(name: str, most: float) -> Given:
-        return column(f"credit_{name}", rows, name, ratings, CREDIT[name], most)
+    def optional(name: str, maximum: float) -> Given:
+        return column(f"credit_{name}", rows, name, ratings, CREDIT[name], maximum)
 
     return Credit(
         names=ratings,
@@ -91,8 +99,8 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
     markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
     numbers: dict[str, Any] = {
-        name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
-        for name, said in CURRENCY.items()
+        name: column(f"currency_{name}", rows, name, names, metadata, *ranges.get(name, ()))
+        for name, metadata in CURRENCY.items()
     }
     emerging = tuple(market == MARKETS[1] for market in markets)
     return Currencies(names=names, emerging=emerging, **numbers)
@@ -117,14 +125,14 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
     labels = [years(steps * grid.step) for steps in maturity]
     labels = [f"{t} {SWAPS[-1]}" * (row in inflation) or t for t, row in zip(labels, rows)]
     low, high = (np.array([row.number(name) for row in rows]) for name in ("low", "high"))
-    for row, least, most in zip(rows, low, high):
-        if least > most:
-            raise row.error("low", f"the lower limit must not exceed the upper one, {most:g}")
+    for row, minimum, maximum in zip(rows, low, high):
+        if minimum > maximum:
+            raise row.error("low", f"the lower limit must not exceed the upper one, {maximum:g}")
     held = amount("the notional held today, before the first trade", "overlay", grid.currency)
     cost = rate("the share of the notional traded that trading swaps costs", "overlay", "1")
 
-    def limit(key: str, said: Said) -> Given:
-        return section.told(table, key, single(f"overlay_{key}", getattr(table, key), said))
+    def limit(key: str, metadata: Said) -> Given:
+        return section.told(table, key, single(f"overlay_{key}", getattr(table, key), metadata))
 
     return Overlay(
         maturity=np.array(maturity, np.int64),

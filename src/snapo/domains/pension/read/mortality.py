@@ -86,19 +86,19 @@ def _ages(section: Place, file: str, first: int, q: np.ndarray) -> int:
         return count
     got = Unquoted(f"the ages {first} to {last}")
     if count < FEWEST:
-        what = f"a table that ends before {OLD} needs at least {FEWEST} ages, to go on from them"
-        raise section.error("file", got, what)
+        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to go on from them"
+        raise section.error("file", got, message)
     oldest = q[:, -SLOPE_AGES:]
     ages = f"{last + 1 - oldest.shape[1]} to {last}"
-    place = np.arange(oldest.shape[1]) - (oldest.shape[1] - 1) / 2
+    position = np.arange(oldest.shape[1]) - (oldest.shape[1] - 1) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        rises = np.log(oldest) @ place > 0
+        rises = np.log(oldest) @ position > 0
     if not rises.all() or not (oldest.max() < HALF):
-        what = (
+        message = (
             f"a table that ends before {OLD} goes on from its oldest ages, and their death"
             f" probabilities do not rise, or reach {HALF:g}, at {ages}"
         )
-        raise section.error("file", got, what)
+        raise section.error("file", got, message)
     section.notes.append(
         f"{file} ends at {last}: the ages {last + 1} to {LAST_AGE} are closed, the logit of their"
         f" hazards rising as at {ages} (Kannisto)."
@@ -109,24 +109,24 @@ def _ages(section: Place, file: str, first: int, q: np.ndarray) -> int:
 def _table(section: Section, file: str) -> tuple[int, Given]:
     """First age and q [2, G]: both sexes, every age from the first to the last."""
     rows = read_rows(Mention(section, "file", file), ("sex", "age", "q"))
-    found: dict[tuple[int, int], float] = {}
+    numbers: dict[tuple[int, int], float] = {}
     for row in rows:
         key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
-        if key in found:
+        if key in numbers:
             raise row.error("age", "this age stands further up already")
-        found[key] = row.number("q", 0.0, 1.0)
-    ages = sorted({age for _, age in found})
+        numbers[key] = row.number("q", 0.0, 1.0)
+    ages = sorted({age for _, age in numbers})
     for sex in (MALE, FEMALE):
         for age in range(ages[0], ages[-1] + 1):
-            if (sex, age) not in found:
+            if (sex, age) not in numbers:
                 got = Unquoted(f"no row for {SEX[sex]}, {age}")
-                what = f"both sexes need every age from {ages[0]} to {ages[-1]}"
-                raise section.error("file", got, f"{what} in {file}")
+                message = f"both sexes need every age from {ages[0]} to {ages[-1]}"
+                raise section.error("file", got, f"{message} in {file}")
     order = [(sex, age) for sex in (MALE, FEMALE) for age in range(ages[0], ages[-1] + 1)]
     labels = tuple(f"{SEX[sex]} {age}" for sex, age in order)
-    values = [found[key] for key in order]
-    place = _square(len(order))
-    return ages[0], PROBABILITY.given("death_probability", values, labels, place)
+    values = [numbers[key] for key in order]
+    position = _square(len(order))
+    return ages[0], PROBABILITY.given("death_probability", values, labels, position)
 
 
 def _square(count: int) -> np.ndarray:
@@ -144,12 +144,12 @@ def _gompertz(section: Section, table: MortalityTable) -> Given:
     """alpha, beta and makeham by sex [2, 3]."""
     values: list[float] = []
     for key in SEX:
-        given = getattr(table, key)
-        if given is None:
+        inputs = getattr(table, key)
+        if inputs is None:
             raise section.error(key, None, f'kind "{table.kind}" needs this key')
-        alpha, beta, makeham = (*given, 0.0)[:3]
+        alpha, beta, makeham = (*inputs, 0.0)[:3]
         if beta <= 0 or makeham < 0:
-            raise section.error(key, given, "beta is above 0 and makeham at least 0")
+            raise section.error(key, inputs, "beta is above 0 and makeham at least 0")
         values += [alpha, beta, makeham]
     labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]
     return FORMULA.given("gompertz", values, labels, _square(6))
@@ -161,40 +161,40 @@ def _banded(
     key: str,
     name: str,
     ages: range,
-    said: Said,
+    metadata: Said,
     low: float = 0.0,
 ) -> Given:
     """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G]."""
     value = getattr(table, key)
     if isinstance(value, str):
-        return bands(Mention(section, key, value), "value", name, ages, said, low)
-    place = np.zeros((2, len(ages)), np.int64)
-    return section.told(table, key, said.given(name, [value], ("",), place))
+        return bands(Mention(section, key, value), "value", name, ages, metadata, low)
+    position = np.zeros((2, len(ages)), np.int64)
+    return section.told(table, key, metadata.given(name, [value], ("",), position))
 
 
 def bands(
-    mention: Mention, column: str, name: str, ages: range, said: Said, low: float = -np.inf
+    reference: Mention, column: str, name: str, ages: range, metadata: Said, low: float = -np.inf
 ) -> Given:
     """Numbers by sex that hold from an age on; a number that no age of the table meets is left
     out."""
-    rows = read_rows(mention, ("sex", "age", column))
+    rows = read_rows(reference, ("sex", "age", column))
     values, labels = [], []
     index = np.zeros((2, len(ages)), np.int64)
     for sex in (MALE, FEMALE):
-        own = [row for row in rows if word(row, "sex", SEX) == SEX[sex]]
-        begins = [_whole_age(row) for row in own]
-        if not own or begins[0] > ages[0]:
+        local = [row for row in rows if word(row, "sex", SEX) == SEX[sex]]
+        begins = [_whole_age(row) for row in local]
+        if not local or begins[0] > ages[0]:
             got = Unquoted(f"no value for {SEX[sex]} at {ages[0]}")
-            raise mention.section.error(mention.key, got, f"{mention.name} must begin there")
-        for row, before, here in zip(own[1:], begins[:-1], begins[1:]):
+            raise reference.section.error(reference.key, got, f"{reference.name} must begin there")
+        for row, before, here in zip(local[1:], begins[:-1], begins[1:]):
             if here <= before:
                 raise row.error("age", f"ages must rise, and the row before has {before}")
-        place = np.searchsorted(begins, np.array(ages), side="right") - 1
-        for band in np.unique(place):
-            index[sex, place == band] = len(values)
-            values.append(own[band].number(column, low))
-            labels.append(f"{SEX[sex]} from {begins[band]}" if len(own) > 1 else SEX[sex])
-    return said.given(name, values, labels, index)
+        position = np.searchsorted(begins, np.array(ages), side="right") - 1
+        for band in np.unique(position):
+            index[sex, position == band] = len(values)
+            values.append(local[band].number(column, low))
+            labels.append(f"{SEX[sex]} from {begins[band]}" if len(local) > 1 else SEX[sex])
+    return metadata.given(name, values, labels, index)
 
 
 def read_lee_carter(
@@ -204,8 +204,8 @@ def read_lee_carter(
     if table is None:
         return None
     ages = range(mortality.first_age, mortality.first_age + mortality.ages)
-    mention = Mention(section, "file", table.file)
+    reference = Mention(section, "file", table.file)
     return LeeCarter(
         volatility=single("lee_carter_volatility", table.volatility, FACTOR),
-        loading=bands(mention, "loading", "lee_carter_loading", ages, LOADING),
+        loading=bands(reference, "loading", "lee_carter_loading", ages, LOADING),
     )

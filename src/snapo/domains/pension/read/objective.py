@@ -21,19 +21,19 @@ def read_objectives(file: str, data: Any, more: Sequence[str] = ()) -> tuple[Obj
     if not terms:
         raise CaseError(file, "objective", data, "at least one table is needed")
     return tuple(
-        _term(file, f"objective.{i}" if many else "objective", each, (*OUTPUTS, *more))
-        for i, each in enumerate(terms, 1)
+        _term(file, f"objective.{i}" if many else "objective", term, (*OUTPUTS, *more))
+        for i, term in enumerate(terms, 1)
     )
 
 
-def _term(file: str, name: str, data: Any, known: Sequence[str]) -> ObjectiveTerm:
+def _term(file: str, name: str, data: Any, available: Sequence[str]) -> ObjectiveTerm:
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, "this must be a table")
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
     table = read_objective(rest, file, name, optional=("wealth",))
     weight = read_weight(data, table, file, name)
     output = data.get("output", USUAL.get(table.kind, "funding_ratio"))
-    if output not in known:
-        close = nearest(str(output), known)
+    if output not in available:
+        close = nearest(str(output), available)
         raise CaseError(file, f"{name}.output", output, f"there is no such output; {close}")
     return ObjectiveTerm(weight, str(output), table)

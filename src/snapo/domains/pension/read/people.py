@@ -45,11 +45,11 @@ def read_members(
     sex = np.array([SEX.index(word(row, "sex", SEX)) for row in rows], np.int64)
     last = mortality.first_age + mortality.ages
     age = np.array([_age(row, mortality.first_age, last) for row in rows])
-    for row, each, old in zip(rows, status, age):
-        if each == ACTIVE and old >= retirement_age:
+    for row, item, old in zip(rows, status, age):
+        if item == ACTIVE and old >= retirement_age:
             raise row.error("age", f"an active member is younger than {retirement_age:g}")
         row.cells.setdefault("salary", "")
-        if each != ACTIVE and number(row, "salary", 0.0) != 0:
+        if item != ACTIVE and number(row, "salary", 0.0) != 0:
             raise row.error("salary", "only active members have a salary")
     money = grid.currency
     return Members(
@@ -81,8 +81,8 @@ def _factor(rows: Sequence[Row], names: Sequence[str]) -> Given | None:
 def _age(row: Row, first: int, last: int) -> float:
     age = row.number("age", 0.0)
     if not first <= age < last:
-        what = f"the mortality table has the ages {first} to {last - 1}"
-        raise row.error("age", what)
+        message = f"the mortality table has the ages {first} to {last - 1}"
+        raise row.error("age", message)
     return age
 
 
@@ -92,14 +92,14 @@ def _each(rows: Sequence[Row], column: str) -> list[float]:
 
 def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> Given:
     """Salaries of those who are active; who is not has no salary that could be an input."""
-    active = [i for i, each in enumerate(status) if each == ACTIVE]
+    active = [i for i, item in enumerate(status) if item == ACTIVE]
     if not active:
         return empty("salary", (len(rows),))
     values = [rows[i].number("salary", 0.0) for i in active]
     index = np.zeros(len(rows), np.int64)
     index[active] = np.arange(len(active))
-    said = amount(SALARY, "people", f"{money}/year")
-    return said.given("salary", values, [names[i] for i in active], index)
+    metadata = amount(SALARY, "people", f"{money}/year")
+    return metadata.given("salary", values, [names[i] for i in active], index)
 
 
 def read_cash_flows(section: Place, table: MembersTable, arrears: bool, grid: Grid) -> CashFlows:

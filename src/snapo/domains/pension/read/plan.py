@@ -50,11 +50,15 @@ def read_plan(
 ) -> Plan:
     """Terms of the scheme; numbers that nothing was said about are no inputs."""
 
-    def given(name: str, said: Said) -> Given:
+    def given(name: str, metadata: Said) -> Given:
         value = getattr(table, name)
         written = name in table.model_fields_set
         # A share of one that was left unsaid is a fact of the format, not a number of the owner.
-        return single(f"plan_{name}", value, said) if written or value else _nothing(f"plan_{name}")
+        return (
+            single(f"plan_{name}", value, metadata)
+            if written or value
+            else _nothing(f"plan_{name}")
+        )
 
     yearly = f"{money}/year"
     married = given("married_share", MARRIED) if table.spouse_share else _nothing("married")
@@ -94,14 +98,14 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     if table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
     if "lower_ratio" in used and table.lower_ratio >= table.upper_ratio:
-        what = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
-        raise section.error("lower_ratio", table.lower_ratio, what)
+        message = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
+        raise section.error("lower_ratio", table.lower_ratio, message)
 
     def given(name: str) -> Given:
-        known = name in used or name in cuts
-        said = INDEXED if name in ("cap", "floor", "rate") else RATIO
+        available = name in used or name in cuts
+        metadata = INDEXED if name in ("cap", "floor", "rate") else RATIO
         name, value = f"indexation_{name}", getattr(table, name)
-        return single(name, value, said) if known else _nothing(name)
+        return single(name, value, metadata) if available else _nothing(name)
 
     return Indexation(
         kind=kind,
@@ -128,17 +132,17 @@ def read_revaluation(section: Place, table: RevaluationTable | None) -> Revaluat
     return Revaluation(deferred=given("deferred"), active=given("active"))
 
 
-def read_contribution(section: Section, table: ContributionTable, clock: Clock) -> Contribution:
+def read_contribution(section: Section, table: ContributionTable, timer: Clock) -> Contribution:
     """The rule of contributions with its limits, and payments agreed in money."""
-    kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], clock.grid.currency
+    kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], timer.grid.currency
     schedule = None
     if table.schedule is not None:
-        schedule = read_cash_plan(Mention(section, "schedule", table.schedule), clock)
+        schedule = read_cash_plan(Mention(section, "schedule", table.schedule), timer)
     used = list(rule.takes)
     if rule.by_cost:
         used.append("rate" if table.normal_cost == "rate" else "loading")
     if kind != "none":
-        used += [each for each in LIMITS if getattr(table, each) is not None]
+        used += [limit for limit in LIMITS if getattr(table, limit) is not None]
     for key in used:
         if getattr(table, key) is None:
             raise section.error(key, None, f'kind "{kind}" needs this key')
@@ -146,12 +150,12 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
     level = None
     if kind == "target" and table.recovery == "level":
-        step = clock.grid.step
+        step = timer.grid.step
         level = round(table.recovery_years / step)
         if not level or abs(level * step - table.recovery_years) > WHOLE:
-            what = f"level payments end after whole steps of {years(step)}"
-            raise section.error("recovery_years", table.recovery_years, what)
-    said = {
+            message = f"level payments end after whole steps of {years(step)}"
+            raise section.error("recovery_years", table.recovery_years, message)
+    metadata = {
         "spread_factor": share(RULE.words, "plan", YEARLY),
         "recovery_years": time(RULE.words, "plan"),
         "sponsor_limit": amount(RULE.words, "plan", f"{money}/year"),
@@ -160,9 +164,11 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
     def given(name: str) -> Given:
         value, full = getattr(table, name), f"contribution_{name}"
         # A loading of zero that nobody wrote is no number of the owner's.
-        wanted = name in used and (name != "loading" or name in table.model_fields_set)
-        wanted = wanted and (name != "recovery_years" or level is None)  # a date has no gradient
-        return single(full, value, said.get(name, RULE)) if wanted else _nothing(full)
+        requested = name in used and (name != "loading" or name in table.model_fields_set)
+        requested = requested and (
+            name != "recovery_years" or level is None
+        )  # a date has no gradient
+        return single(full, value, metadata.get(name, RULE)) if requested else _nothing(full)
 
     return Contribution(
         kind=kind,
@@ -185,8 +191,8 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
 
 def read_liability(section: Section, table: LiabilityTable, annual: bool) -> Liability:
     """How payments are valued; `annual`: the compounding of the case."""
-    wanted = table.basis != "risk-free"
-    if wanted and table.rate is None:
+    requested = table.basis != "risk-free"
+    if requested and table.rate is None:
         raise section.error("rate", None, f'basis "{table.basis}" needs this key')
     name = "liability_rate"
     added = single(name, table.rate, VALUED) if table.rate is not None else _nothing(name)
@@ -204,15 +210,15 @@ def check_limited(case: PensionCase) -> None:
     if case.liability.future_indexation != "capped":
         return
     models = (case.rates.volatility, case.inflation.volatility, case.inflation.index_volatility)
-    what = None
+    message = None
     if case.plan.indexation.kind != "capped":
-        what = 'increases of plan.indexation are not limited: kind "capped" is needed'
+        message = 'increases of plan.indexation are not limited: kind "capped" is needed'
     elif case.scenarios is not None:
-        what = "ready-made scenarios hold no volatilities, which the options' value needs"
-    elif any(np.ptp(each.used(), axis=0).any() for each in models):
-        what = "options are valued at volatilities of rates and inflation that do not change"
-    if what is not None:
-        raise CaseError(str(case.file), "liability.future_indexation", "capped", what)
+        message = "ready-made scenarios hold no volatilities, which the options' value needs"
+    elif any(np.ptp(model.used(), axis=0).any() for model in models):
+        message = "options are valued at volatilities of rates and inflation that do not change"
+    if message is not None:
+        raise CaseError(str(case.file), "liability.future_indexation", "capped", message)
 
 
 def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> Frontier | None:
@@ -222,11 +228,11 @@ def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> 
     kind = plan.contribution.kind
     if not CONTRIBUTIONS[kind].responds:
         allowed = " and ".join(f'"{k}"' for k, rule in CONTRIBUTIONS.items() if rule.responds)
-        what = (
+        message = (
             f'contributions of kind "{kind}" do not depend on decisions; '
             f"allowed are {allowed} in plan.contribution"
         )
-        raise section.error("points", table.points, what)
+        raise section.error("points", table.points, message)
     return Frontier(table.points, table.steps, table.level)
 
 

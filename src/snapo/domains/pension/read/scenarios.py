@@ -34,24 +34,24 @@ def read_scenarios(
     if table is None:
         return None
     if table.training == table.evaluation:
-        what = "a policy is not measured on the same paths that it was trained on"
-        raise section.error("evaluation", table.evaluation, what)
-    sets, known = [], None
+        message = "a policy is not measured on the same paths that it was trained on"
+        raise section.error("evaluation", table.evaluation, message)
+    sets, available = [], None
     for key in ("training", "evaluation"):
-        mention = Mention(section, key, getattr(table, key))
-        rows = read_rows(mention, ("path",))
+        reference = Mention(section, key, getattr(table, key))
+        rows = read_rows(reference, ("path",))
         columns = _columns(rows, classes)
-        if known is not None and columns.names != known.names:
-            what = f"the columns must be those of {table.training}"
-            raise section.error(key, mention.name, what)
-        known = columns
-        paths = _paths(mention, rows, columns, grid, start)
+        if available is not None and columns.names != available.names:
+            message = f"the columns must be those of {table.training}"
+            raise section.error(key, reference.name, message)
+        available = columns
+        paths = _paths(reference, rows, columns, grid, start)
         if annual:
             zeros = slice(len(columns.names) - len(columns.tenor), None)
             paths[:, :, zeros] = np.log1p(paths[:, :, zeros])
         sets.append(paths)
-    assert known is not None
-    return SuppliedScenarios(sets[0], sets[1], known.names, known.tenor)
+    assert available is not None
+    return SuppliedScenarios(sets[0], sets[1], available.names, available.tenor)
 
 
 def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
@@ -67,44 +67,44 @@ def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
             try:
                 tenors[float(name.removeprefix("zero "))] = name
             except ValueError:
-                what = "a zero rate's column is named like zero 10, with its tenor in years"
-                raise Row(head.file, 1, {name: name}).error(name, what) from None
+                message = "a zero rate's column is named like zero 10, with its tenor in years"
+                raise Row(head.file, 1, {name: name}).error(name, message) from None
     if len(tenors) < 2:
         raise head.error("header", "at least two columns of zero rates are needed, like zero 10")
     tenor = sorted(tenors)
     if tenor[0] <= 0:
         raise head.error("header", "the tenors of zero rates are above 0")
-    return Columns((*needed, *(tenors[each] for each in tenor)), np.array(tenor))
+    return Columns((*needed, *(tenors[item] for item in tenor)), np.array(tenor))
 
 
 def _paths(
-    mention: Mention, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
+    reference: Mention, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
 ) -> np.ndarray:
     """[paths, T, K] without a hole."""
     numbers: dict[str, int] = {}
     for row in rows:
         numbers.setdefault(row.cells["path"], len(numbers))
-    found = np.full((len(numbers), grid.steps, len(columns.names)), np.nan)
+    paths = np.full((len(numbers), grid.steps, len(columns.names)), np.nan)
     names = [name.lower() for name in columns.names]
     for row in rows:
         path, step = numbers[row.cells["path"]], _step(row, grid, start)
         if step >= grid.steps:
             continue
-        if not np.isnan(found[path, step, 0]):
+        if not np.isnan(paths[path, step, 0]):
             raise row.error("path", "this path has this time already, further up")
         for k, name in enumerate(names):
-            least = -0.999999 if name.startswith(("return ", "zero ")) else -1.0
-            found[path, step, k] = row.number(name, least)
-    holes = np.argwhere(np.isnan(found[:, :, 0]))
+            minimum = -0.999999 if name.startswith(("return ", "zero ")) else -1.0
+            paths[path, step, k] = row.number(name, minimum)
+    holes = np.argwhere(np.isnan(paths[:, :, 0]))
     if len(holes):
         path, step = holes[0]
         name = list(numbers)[path]
         got = Unquoted(f"no row for path {name}, step {step + 1}")
-        what = f"every path needs all {grid.steps} steps, and {len(holes)} are missing"
-        raise CaseError(mention.name, "", got, what)
+        message = f"every path needs all {grid.steps} steps, and {len(holes)} are missing"
+        raise CaseError(reference.name, "", got, message)
     if len(numbers) < 2:
-        raise CaseError(mention.name, "", Unquoted("one path"), "two paths or more are needed")
-    return found
+        raise CaseError(reference.name, "", Unquoted("one path"), "two paths or more are needed")
+    return paths
 
 
 def _step(row: Row, grid: Grid, start: str) -> int:

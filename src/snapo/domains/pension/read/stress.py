@@ -53,8 +53,8 @@ def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
     if data is None:
         return ()
     table = parse(StressTable, data, str(case.file), "stress")
-    mention = Mention(Section(case.file, "stress", []), "file", table.file)
-    rows = read_rows(mention, ("scenario", "input", "label", "kind", "size"))
+    reference = Mention(Section(case.file, "stress", []), "file", table.file)
+    rows = read_rows(reference, ("scenario", "input", "label", "kind", "size"))
     return tuple(_shock(case, row) for row in rows)
 
 
@@ -72,17 +72,17 @@ def _shock(case: PensionCase, row: Row) -> Shock:
     target, label = row.cells["input"], row.label("label")
     if not row.cells["scenario"]:
         raise row.error("scenario", "every line belongs to a scenario with a name")
-    given = {each.name: each for each in every_given(case)}
-    known = (*CURVES, PRICE, *given)
-    if target not in known:
-        raise row.error("input", f"there is no such input; {nearest(target, known)}")
+    values = {item.name: item for item in every_given(case)}
+    available = (*CURVES, PRICE, *values)
+    if target not in available:
+        raise row.error("input", f"there is no such input; {nearest(target, available)}")
     if target in CURVES:
         if label:
             row.number("label", 0.0)
     elif target == PRICE:
         _held(case, row)
-    elif label and label not in given[target].labels:
-        raise row.error("label", f"{target} has the labels {', '.join(given[target].labels)}")
+    elif label and label not in values[target].labels:
+        raise row.error("label", f"{target} has the labels {', '.join(values[target].labels)}")
     kind = word(row, "kind", ("add", "multiply"))
     if target == PRICE and kind != "multiply":
         raise row.error("kind", "prices are multiplied: a size of -0.3 is a fall by 30 %")
@@ -91,8 +91,10 @@ def _shock(case: PensionCase, row: Row) -> Shock:
 
 
 def _held(case: PensionCase, row: Row) -> None:
-    names = [n for each in case.assets.classes for n in (each.name, each.kind)]
+    names = [n for class_ in case.assets.classes for n in (class_.name, class_.kind)]
     label = row.cells["label"]
     if label and label not in names:
-        known = ", ".join(dict.fromkeys(names))
-        raise row.error("label", f"there is no such class or kind of classes; known are {known}")
+        available = ", ".join(dict.fromkeys(names))
+        raise row.error(
+            "label", f"there is no such class or kind of classes; known are {available}"
+        )

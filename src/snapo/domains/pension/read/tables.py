@@ -69,10 +69,12 @@ def csv(columns: str, default: Any = ...) -> Any:
     return Field(default, description=f"the name of a CSV file with columns {columns}")
 
 
-def words(*known: str, default: Any = ...) -> Any:
+def words(*available: str, default: Any = ...) -> Any:
     """A field that takes one of a few words."""
-    shown = [f'"{each}"' for each in known]
-    text = shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} or {shown[-1]}"
+    displayed = [f'"{item}"' for item in available]
+    text = (
+        displayed[0] if len(displayed) == 1 else f"{', '.join(displayed[:-1])} or {displayed[-1]}"
+    )
     return Field(default, description=text)
 
 

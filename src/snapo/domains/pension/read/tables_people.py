@@ -35,8 +35,8 @@ def _kind(name: str) -> Callable[[Tables], str]:
 
 
 def _either(kinds: Iterable[str]) -> str:
-    named = " or ".join(f'"{kind}"' for kind in kinds)
-    return f"with kind {named}"
+    by_name = " or ".join(f'"{kind}"' for kind in kinds)
+    return f"with kind {by_name}"
 
 
 def _increase(key: str) -> Only:

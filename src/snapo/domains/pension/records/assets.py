@@ -65,7 +65,7 @@ class Assets:
     @property
     def dealing(self) -> bool:
         """Whether trading has limits of its own."""
-        return any(each is not None for each in (self.max_sale, self.band, self.turnover))
+        return any(item is not None for item in (self.max_sale, self.band, self.turnover))
 
     @property
     def short(self) -> bool:
@@ -75,12 +75,12 @@ class Assets:
     @property
     def cash(self) -> int:
         """The position of cash."""
-        return next(i for i, each in enumerate(self.classes) if each.is_cash)
+        return next(i for i, class_ in enumerate(self.classes) if class_.is_cash)
 
     @property
     def shocks(self) -> tuple[int, ...]:
         """[m] positions of the classes with a shock of their own."""
-        return tuple(i for i, each in enumerate(self.classes) if each.own_shock)
+        return tuple(i for i, class_ in enumerate(self.classes) if class_.own_shock)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,5 +113,5 @@ class Overlay:
     @property
     def at_par(self) -> np.ndarray:
         """[b] whether each is a par swap of rates."""
-        place = np.arange(len(self.maturity))
-        return (place < len(place) - self.inflation) & ~np.isin(place, self.zero_coupon)
+        position = np.arange(len(self.maturity))
+        return (position < len(position) - self.inflation) & ~np.isin(position, self.zero_coupon)

@@ -15,13 +15,13 @@ from .case import PensionCase
 
 def pension_inputs(case: PensionCase) -> dict[str, Input]:
     """{name: Input} of markets, people and plan, without those that the case holds fixed."""
-    found: dict[str, Input] = {}
-    for given in every_given(case):
-        if given.name in found:
-            raise ValueError(f"{given.name}: two inputs of a case share this name.")
-        if given.name not in case.held:
-            found[given.name] = given.input()
-    return found
+    inputs: dict[str, Input] = {}
+    for values in every_given(case):
+        if values.name in inputs:
+            raise ValueError(f"{values.name}: two inputs of a case share this name.")
+        if values.name not in case.held:
+            inputs[values.name] = values.input()
+    return inputs
 
 
 def every_given(record: Any) -> Iterator[Given]:
@@ -35,8 +35,8 @@ def every_given(record: Any) -> Iterator[Given]:
             yield from every_given(value)
 
 
-def use(inputs: dict[str, Any], given: Given) -> Array:
+def use(inputs: dict[str, Any], values: Given) -> Array:
     """The numbers where they are used: input or number held fixed, at `given.index`."""
-    if not given.values.size:
-        return jnp.zeros(given.index.shape)
-    return jnp.asarray(inputs.get(given.name, given.values))[given.index]
+    if not values.values.size:
+        return jnp.zeros(values.index.shape)
+    return jnp.asarray(inputs.get(values.name, values.values))[values.index]

@@ -16,13 +16,13 @@ OF_MODELS = ("variance by source", "market consistency")
 def lacking(case: PensionCase, stress: bool) -> dict[str, str]:
     """{part: why a run of the case has it not, or has nothing in it}; `stress`: whether the case
     names a file of shocks."""
-    found = {} if stress else {"stress": "the case has no [stress]"}
+    result = {} if stress else {"stress": "the case has no [stress]"}
     if case.frontier is None:
-        found["frontier"] = "the case has no [frontier]"
+        result["frontier"] = "the case has no [frontier]"
     if case.scenarios is not None:
-        found |= dict.fromkeys(OF_MODELS, "ready-made [scenarios] take the place of the models")
+        result |= dict.fromkeys(OF_MODELS, "ready-made [scenarios] take the place of the models")
     if case.pots is None:
-        found["pots"] = "the case has no [pots]"
+        result["pots"] = "the case has no [pots]"
     else:
-        found |= dict.fromkeys(OF_RIGHTS, "it is of promised rights, and this fund has [pots]")
-    return found
+        result |= dict.fromkeys(OF_RIGHTS, "it is of promised rights, and this fund has [pots]")
+    return result

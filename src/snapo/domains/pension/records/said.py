@@ -44,24 +44,24 @@ class Said:
         )
 
 
-def rate(words: str, group: str, unit: str = YEARLY) -> Said:
+def rate(text: str, group: str, unit: str = YEARLY) -> Said:
     """Moves by a basis point."""
-    return Said(unit, words, group, 1e-4, "bp", 1e4)
+    return Said(unit, text, group, 1e-4, "bp", 1e4)
 
 
-def share(words: str, group: str, unit: str = "1") -> Said:
+def share(text: str, group: str, unit: str = "1") -> Said:
     """Moves by a percentage point."""
-    return Said(unit, words, group, 0.01, "percentage point", 100.0)
+    return Said(unit, text, group, 0.01, "percentage point", 100.0)
 
 
-def volatility(words: str) -> Said:
+def volatility(text: str) -> Said:
     """Of prices: moves by a percentage point."""
-    return share(words, "volatility", SQUARE_ROOT)
+    return share(text, "volatility", SQUARE_ROOT)
 
 
-def quiet_volatility(words: str) -> Said:
+def quiet_volatility(text: str) -> Said:
     """Of rates and growth: a percentage point would double it, so that it moves by ten bp."""
-    return Said(SQUARE_ROOT, words, "volatility", 1e-3, "bp", 1e4)
+    return Said(SQUARE_ROOT, text, "volatility", 1e-3, "bp", 1e4)
 
 
 def number(words: str, group: str, unit: str = "1") -> Said:
@@ -69,11 +69,11 @@ def number(words: str, group: str, unit: str = "1") -> Said:
     return Said(unit, words, group, 0.01)
 
 
-def amount(words: str, group: str, unit: str) -> Said:
+def amount(text: str, group: str, unit: str) -> Said:
     """Moves by one per cent of itself."""
-    return Said(unit, words, group, None)
+    return Said(unit, text, group, None)
 
 
-def time(words: str, group: str) -> Said:
+def time(text: str, group: str) -> Said:
     """Moves by a year."""
-    return Said("year", words, group, 1.0, "year")
+    return Said("year", text, group, 1.0, "year")

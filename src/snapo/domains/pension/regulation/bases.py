@@ -90,14 +90,14 @@ def side_by_side(case: PensionCase, paid: Due) -> Bases:
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding
-    found = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
-    mature = next(each for each in found if each.name == LOW).duration
+    basises = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
+    mature = next(item for item in basises if item.name == LOW).duration
     old = mature <= funding.significant_maturity
     years = funding.recovery_years
     if years is None:
         years = funding.mature if old else funding.longest
-    recovery = _recovery(found[0], paid, years)
-    return Bases(found, recovery, old, funding.since, funding.source)
+    recovery = _recovery(basises[0], paid, years)
+    return Bases(basises, recovery, old, funding.since, funding.source)
 
 
 def discounted(paid: Due, margin: float) -> np.ndarray:
@@ -117,9 +117,9 @@ def _basis(name: str, margin: float, paid: Due, assets: float) -> Basis:
 def _recovery(provisions: Basis, owed: Due, years: float) -> Recovery:
     """A whole number of payments, and one in proportion for the rest of a year."""
     deficit = max(-provisions.surplus, 0.0)
-    ends = np.append(np.arange(1, int(years) + 1), years)
+    endpoints = np.append(np.arange(1, int(years) + 1), years)
     paid = np.append(np.ones(int(years)), years - int(years))
-    rates = np.interp(ends, owed.years, discounted(owed, provisions.margin))
-    worth = float(paid @ rates)
-    each = deficit / worth
-    return Recovery(deficit, years, each, each * float(paid.sum()))
+    rates = np.interp(endpoints, owed.years, discounted(owed, provisions.margin))
+    value = float(paid @ rates)
+    item = deficit / value
+    return Recovery(deficit, years, item, item * float(paid.sum()))

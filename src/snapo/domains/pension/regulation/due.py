@@ -26,9 +26,9 @@ def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
     increases are expected to add belongs to the payments."""
     case = replace(case, scenarios=None)
 
-    def both(given):
-        grown = log_growth(case, given) if limited(case) else None
-        return *payments(case, given), grown
+    def both(values):
+        grown = log_growth(case, values) if limited(case) else None
+        return *payments(case, values), grown
 
     with jax.enable_x64(True):
         flow, discount, growth = jax.tree.map(np.asarray, jax.jit(both)(inputs))

@@ -14,7 +14,7 @@ Found = TypeVar("Found")
 def in_force(
     section: Place,
     name: str,
-    own: Mapping[str, str],
+    local: Mapping[str, str],
     day: datetime.date,
     made: Callable[[dict[str, Any]], Found],
 ) -> Found:
@@ -27,22 +27,22 @@ def in_force(
     **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
     """
     try:
-        if name in own:
-            text = (files(__package__ or "") / own[name]).read_text(encoding="utf-8")
+        if name in local:
+            text = (files(__package__ or "") / local[name]).read_text(encoding="utf-8")
         else:
             text = (section.file.parent / name).read_text(encoding="utf-8")
         versions = tomllib.loads(text)["version"]
-        known = [(each["from"], each) for each in versions if each["from"] <= day]
+        available = [(version["from"], version) for version in versions if version["from"] <= day]
     except FileNotFoundError:
-        what = f"there is no such file, nor rules of this name ({', '.join(own)})"
-        raise section.error("rules", name, what) from None
+        message = f"there is no such file, nor rules of this name ({', '.join(local)})"
+        raise section.error("rules", name, message) from None
     except (tomllib.TOMLDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
-        what = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
-        raise section.error("rules", name, what) from None
-    if not known:
+        message = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
+        raise section.error("rules", name, message) from None
+    if not available:
         raise section.error("rules", name, f"no version holds on {day}")
     try:
-        return made(max(known, key=lambda pair: pair[0])[1])
+        return made(max(available, key=lambda pair: pair[0])[1])
     except (KeyError, TypeError, ValueError) as error:
-        what = f"its version for {day} lacks a number or has one that cannot be read: {error}"
-        raise section.error("rules", name, what) from None
+        message = f"its version for {day} lacks a number or has one that cannot be read: {error}"
+        raise section.error("rules", name, message) from None

@@ -30,8 +30,8 @@ def read_regulation(
         return None
     rules = in_force(section, table.rules, OWN, day, _rules)
     if len(table.policy_ratios) > rules.averaging_months:
-        what = f"the policy ratio is that of {rules.averaging_months} months: give no more"
-        raise section.error("policy_ratios", len(table.policy_ratios), what)
+        message = f"the policy ratio is that of {rules.averaging_months} months: give no more"
+        raise section.error("policy_ratios", len(table.policy_ratios), message)
     ratios = tuple(table.policy_ratios)
     return Regulation(rules, ratios, table.insurance_risk, table.active_risk)
 
@@ -40,7 +40,7 @@ def _rules(data: dict[str, Any]) -> Rules:
     rates = data["rates"]
     term = np.array(rates["term"], float)
     factors = {name: np.array(rates[name], float) for name in FACTORS}
-    if any(each.shape != term.shape for each in factors.values()) or np.any(np.diff(term) <= 0):
+    if any(factor.shape != term.shape for factor in factors.values()) or np.any(np.diff(term) <= 0):
         raise ValueError("rates: one factor for each term, and terms that rise, are needed")
 
     def numbers(name: str, keys: tuple[str, ...]) -> dict[str, float]:

@@ -28,12 +28,12 @@ class Losses:
 
 def total(rules: Rules, losses: Losses) -> float:
     """The required own funds: the root of squares and correlated products."""
-    known = rules.correlations
+    available = rules.correlations
     falling = 1.0 if losses.falling else 0.0
     s1, s2, s5 = losses.rates, losses.equity, losses.credit
-    squares = sum(each**2 for each in astuple(losses)[:7])
-    crossed = falling * (known["rates_equity"] * s1 * s2 + known["rates_credit"] * s1 * s5)
-    return float(np.sqrt(squares + 2 * (crossed + known["equity_credit"] * s2 * s5)))
+    squares = sum(item**2 for item in astuple(losses)[:7])
+    crossed = falling * (available["rates_equity"] * s1 * s2 + available["rates_credit"] * s1 * s5)
+    return float(np.sqrt(squares + 2 * (crossed + available["equity_credit"] * s2 * s5)))
 
 
 def correlated(parts: Sequence[float], correlation: float) -> float:
@@ -55,9 +55,9 @@ def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[boo
     """S3 of the unhedged exposures, money, each in a currency of its own."""
     sides = []
     for market, late in zip(MARKETS, (False, True)):
-        own = [each for each, is_late in zip(exposed, emerging) if is_late == late]
+        local = [item for item, is_late in zip(exposed, emerging) if is_late == late]
         within = rules.correlations[f"currencies_{market}"]
-        sides.append(rules.currencies[market] * correlated(own, within))
+        sides.append(rules.currencies[market] * correlated(local, within))
     return correlated(sides, rules.correlations["currencies"])
 
 

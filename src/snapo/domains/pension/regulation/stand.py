@@ -101,8 +101,8 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
         move.liability - float(held @ move.classes) - float(notional @ move.swaps) for move in moves
     ]
     groups: dict[str, float] = {}
-    for each, word in zip(held, case.assets.risk, strict=True):
-        groups[word] = groups.get(word, 0.0) + float(each)
+    for item, word in zip(held, case.assets.risk, strict=True):
+        groups[word] = groups.get(word, 0.0) + float(item)
     return Losses(
         rates=max(*rates, 0.0),
         equity=equity_loss(rules, groups),
@@ -140,17 +140,17 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
     hedged = case.currencies.hedge_ratio
     share = 1 - (hedged.used() if hedged.values.size else np.zeros(len(case.currencies.names)))
     exposed = np.zeros(len(case.currencies.names))
-    for each, one in zip(held, case.assets.classes):
+    for item, one in zip(held, case.assets.classes):
         if one.currency >= 0:
-            exposed[one.currency] += each * share[one.currency]
+            exposed[one.currency] += item * share[one.currency]
     return exposed.tolist()
 
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
     """S5: bonds with a rating lose the rise of its spread until their payments."""
     rules, lost, before = known(case).rules, 0.0, curve_prices(case, {})
-    for kind, places in by_kind(case):
-        for place, rating in zip(places, kind.ratings(case, places)):
+    for kind, positions in by_kind(case):
+        for position, rating in zip(positions, kind.ratings(case, positions)):
             if rating >= 0:
                 rise = rules.spreads.get(case.credit.names[rating], rules.spreads["other"])
 
@@ -158,8 +158,8 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
                     return before(steps, linked) * jnp.exp(-rise * steps * case.step)
 
                 with jax.enable_x64(True):
-                    left = kind.ratio(case, [place], before, wider)
-                lost += float(held[place]) * (1 - float(left[0]))
+                    left = kind.ratio(case, [position], before, wider)
+                lost += float(held[position]) * (1 - float(left[0]))
     return max(lost, 0.0)
 
 
@@ -170,15 +170,15 @@ def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> R
 
     - `funding`: [T + 1, N] funding ratios; months before time 0 are the regulation's `ratios`.
     """
-    regulation, each = known(case), round(1 / case.step)
-    months = max(1, round(regulation.rules.averaging_months * each / 12))
+    regulation, item = known(case), round(1 / case.step)
+    months = max(1, round(regulation.rules.averaging_months * item / 12))
     before = np.array(regulation.ratios[-months:] or (funding[0, 0],))
-    last = min(round(regulation.rules.recovery_years), (len(funding) - 1) // each)
+    last = min(round(regulation.rules.recovery_years), (len(funding) - 1) // item)
     past = np.repeat(before[:, None], funding.shape[1], 1)
     # The newest of the last months is today's, at which the paths begin.
-    whole = np.concatenate([past[:-1], funding])
-    ends = (np.arange(last + 1) * each) + len(past) - 1
-    policy = np.array([whole[max(end - months + 1, 0) : end + 1].mean(0) for end in ends])
+    complete = np.concatenate([past[:-1], funding])
+    endpoints = (np.arange(last + 1) * item) + len(past) - 1
+    policy = np.array([complete[max(end - months + 1, 0) : end + 1].mean(0) for end in endpoints])
     return RecoveryCourse(
         tuple(range(last + 1)),
         tuple((policy >= required_ratio).mean(1).tolist()),

@@ -100,72 +100,72 @@ def held_now(case: PensionCase) -> np.ndarray:
     return case.assets.weight.used() * float(case.assets.amount.used())
 
 
-def slopes(curve: Curve, inputs: dict[str, Any], worth: Callable[[dict], Array]) -> np.ndarray:
+def slopes(curve: Curve, inputs: dict[str, Any], value: Callable[[dict], Array]) -> np.ndarray:
     """[k, nodes]: d `worth` [k] / d quote at a node of `curve`."""
 
     def moved(quotes):
-        return worth(inputs | {curve.rate.name: quotes})
+        return value(inputs | {curve.rate.name: quotes})
 
     with jax.enable_x64(True):
         return np.asarray(jax.jacrev(moved)(np.asarray(curve.rate.values)))
 
 
 def ladder(
-    case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
+    case: PensionCase, values: dict[str, Any], figure: Figures, notional: np.ndarray
 ) -> CurveLadder:
     """That of nominal rates, break-evens held.
 
     Classes with a shock of their own count as insensitive to the curve.
     """
-    linked = np.array([each.linked for each in case.assets.classes])
+    linked = np.array([class_.linked for class_ in case.assets.classes])
     prices = case.liability.future_indexation == "full"
     liability = np.asarray(figure.key_rate)
     return replace(
-        _ladder(case, case.curve, given, notional, liability),
-        real_assets=_by_node(case, case.curve, given, linked),
+        _ladder(case, case.curve, values, notional, liability),
+        real_assets=_by_node(case, case.curve, values, linked),
         real_liability=liability * prices,
     )
 
 
 def inflation_ladder(
-    case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
+    case: PensionCase, values: dict[str, Any], figure: Figures, notional: np.ndarray
 ) -> CurveLadder:
     """IE01: the same for +1 bp at each node of the break-evens, nominal rates held."""
     liability = np.asarray(figure.key_inflation)
-    return _ladder(case, case.inflation.break_even, given, notional, liability)
+    return _ladder(case, case.inflation.break_even, values, notional, liability)
 
 
 def _ladder(
     case: PensionCase,
     curve: Curve,
-    given: dict[str, Any],
+    values: dict[str, Any],
     notional: np.ndarray,
     liability: np.ndarray,
 ) -> CurveLadder:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
-        worth = slopes(curve, given, lambda moved: swap_values(case, moved))
-        swaps = BASIS_POINT * notional @ worth
-    assets = _by_node(case, curve, given, np.ones(len(case.assets.classes)))
+        value = slopes(curve, values, lambda moved: swap_values(case, moved))
+        swaps = BASIS_POINT * notional @ value
+    assets = _by_node(case, curve, values, np.ones(len(case.assets.classes)))
     labels = tuple(curve.rate.labels)
     return CurveLadder(labels, curve.tenor, curve.quote, assets, swaps, liability)
 
 
-def _by_node(case: PensionCase, curve: Curve, given: dict, counted: np.ndarray) -> np.ndarray:
+def _by_node(case: PensionCase, curve: Curve, values: dict, counted: np.ndarray) -> np.ndarray:
     """[nodes]: change of value for +1 bp of the classes that are `counted` [n]."""
-    held = slopes(curve, given, lambda moved: log_prices(case, moved))
+    held = slopes(curve, values, lambda moved: log_prices(case, moved))
     return BASIS_POINT * (counted * held_now(case)) @ held
 
 
 def trades(
-    case: PensionCase, weights: np.ndarray, places: np.ndarray, values: np.ndarray
+    case: PensionCase, weights: np.ndarray, positions: np.ndarray, values: np.ndarray
 ) -> TradeList:
     """The trades of the classes, and of the swaps to their `places` between limits [b]."""
     amount, now = float(case.assets.amount.used()), case.assets.weight.used()
     cost = case.assets.cost.used() if case.assets.cost.values.size else np.zeros(len(now))
     classes = tuple(
         ClassTrade(
-            each.name,
+            class_.name,
             now=now[i],
             target=weights[i],
             low=case.assets.low[i],
@@ -173,11 +173,11 @@ def trades(
             trade=(weights[i] - now[i]) * amount,
             cost=abs(weights[i] - now[i]) * amount * cost[i],
         )
-        for i, each in enumerate(case.assets.classes)
+        for i, class_ in enumerate(case.assets.classes)
     )
     if case.overlay is None:
         return TradeList(classes, ())
-    before, after = case.overlay.notional.values, notionals(case, places, values)
+    before, after = case.overlay.notional.values, notionals(case, positions, values)
     swaps = tuple(
         SwapTrade(label, float(before[i]), after[i], after[i] - before[i])
         for i, label in enumerate(case.overlay.notional.labels)
@@ -211,12 +211,12 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> He
 
 def _first(missing: Callable[[np.ndarray], np.ndarray]) -> float | None:
     """The first number of basis points at which collateral is missing; None up to `FARTHEST`."""
-    whole = np.arange(FARTHEST + 1.0)
-    short = missing(whole) >= 0
+    complete = np.arange(FARTHEST + 1.0)
+    short = missing(complete) >= 0
     if not short.any():
         return None
     last = int(np.argmax(short))
     if not last:
         return 0.0
-    ends = (last - 1.0, float(last))
-    return toms748(lambda x: float(missing(np.array(x))), *ends, xtol=1e-10)  # pyright: ignore
+    endpoints = (last - 1.0, float(last))
+    return toms748(lambda x: float(missing(np.array(x))), *endpoints, xtol=1e-10)  # pyright: ignore

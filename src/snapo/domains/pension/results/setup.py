@@ -76,7 +76,7 @@ def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
     Nothing is compiled where the fund takes these numbers from its inputs only.
     """
     other = simulator_of(case)
-    values = {name: given.value for name, given in pension_inputs(case).items()}
+    values = {name: inputs.value for name, inputs in pension_inputs(case).items()}
     return at_values(setup, other, values, lambda: make_setup(case, engine))
 
 

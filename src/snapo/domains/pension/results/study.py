@@ -64,29 +64,29 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     def relaxation() -> FundRelaxation:
         return FundRelaxation(setup().problem, setup().policy)
 
-    every, kept = parts(case), wanted(case)
-    known = about(case) | {"notes": list(notes)} | choice.told(every, kept)
-    if TRAINING not in kept:  # which says them
-        known |= {"seed": case.training.seed, "versions": versions()}
+    every, selected = parts(case), wanted(case)
+    available = about(case) | {"notes": list(notes)} | choice.told(every, selected)
+    if TRAINING not in selected:  # which says them
+        available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    return Study("pension", known, kept, result, setup, bounded, moved, checks)
+    return Study("pension", available, selected, result, setup, bounded, moved, checks)
 
 
 def parts(case: PensionCase) -> tuple[Part, ...]:
     """The parts of a run: those of promised rights, or of personal pots."""
     if case.pots is None:
         return PARTS
-    return (*(each for each in PARTS if each.name not in OF_RIGHTS), POTS.part)
+    return (*(part for part in PARTS if part.name not in OF_RIGHTS), POTS.part)
 
 
 def wanted(case: PensionCase) -> list[Part]:
     """The parts that the case asks for and those that they need; with a policy also the words for
     its value, which every report begins with."""
     every = parts(case)
-    kept = choice.chosen(every, case.parts)
-    if case.parts and TRAINING in kept:
-        kept = choice.chosen(every, (*case.parts, OBJECTIVE.name))
-    return kept
+    selected = choice.chosen(every, case.parts)
+    if case.parts and TRAINING in selected:
+        selected = choice.chosen(every, (*case.parts, OBJECTIVE.name))
+    return selected
 
 
 def about(case: PensionCase) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def about(case: PensionCase) -> dict[str, Any]:
         "step": case.step,
         "steps": case.steps,
         "model": _model(case),
-        "kinds": {each.kind: each.words for each in case.assets.classes},
+        "kinds": {class_.kind: class_.words for class_ in case.assets.classes},
         "held": list(case.held),
         "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
@@ -112,8 +112,8 @@ def about(case: PensionCase) -> dict[str, Any]:
 def result(run: StudyRun) -> Mapping[str, Any]:
     """The headline: the trained policy's value, and those of the classical policies."""
     others = [policy for policy in POLICIES.of(run) or () if policy.key != LEARNED]
-    leads = [(policy.name, policy.difference, policy.difference_error) for policy in others]
-    return trained(run, {policy.key: policy.value for policy in others}, leads)
+    advantages = [(policy.name, policy.difference, policy.difference_error) for policy in others]
+    return trained(run, {policy.key: policy.value for policy in others}, advantages)
 
 
 def _unbounded(case: PensionCase) -> str:

@@ -34,19 +34,19 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
     The profile itself is the same where its old nodes are among the new ones, otherwise within
     the chords. Parameters that are entries of the profile are left out: they are other nodes now.
     """
-    owner, _, field = name.partition(".")
-    unit = next(each for each in case.units if each.name == owner)
+    user, _, field = name.partition(".")
+    unit = next(item for item in case.units if item.name == user)
     profile = getattr(unit, field)
     if not isinstance(profile, Profile) or profile.kind != "linear":
         raise ValueError(f"with_nodes: {name} is no piecewise linear profile.")
     share = np.linspace(0.0, 1.0, count)
     values = np.interp(share, profile.share, profile.value.used())
-    labels = tuple(f"{each:.4g}" for each in share)
-    given = Given(profile.value.name, values, labels, profile.value.unit, np.arange(count))
-    finer = replace(unit, **{field: replace(profile, share=share, value=given)})
+    labels = tuple(f"{entry:.4g}" for entry in share)
+    inputs = Given(profile.value.name, values, labels, profile.value.unit, np.arange(count))
+    finer = replace(unit, **{field: replace(profile, share=share, value=inputs)})
     return replace(
         case,
-        units=tuple(finer if each is unit else each for each in case.units),
+        units=tuple(finer if value is unit else value for value in case.units),
         parameters=tuple(each for each in case.parameters if each.input != name),
         pairs=(),
         design_space=None,
@@ -84,16 +84,16 @@ class Attributions:
 
 def measure(run: StudyRun) -> Attributions:
     """Every sensitivity of the matrix by path, and the check that the paths add up."""
-    whole, known = process(run), MATRIX.of(run)
-    assert known is not None
-    split = attribution.split(whole.case, local(whole), known.raw)
-    effects = attribution.by_unit(whole.case, split)
+    complete, available = process(run), MATRIX.of(run)
+    assert available is not None
+    split = attribution.split(complete.case, local(complete), available.raw)
+    effects = attribution.by_unit(complete.case, split)
     return Attributions(
         closure=float(split.closure.max()),
         paths=tuple(
-            PathShare(*names, way.units, way.value)
+            PathShare(*names, path.units, path.value)
             for names, ways in split.paths.items()
-            for way in ways
+            for path in ways
         ),
         by_unit=tuple(UnitEffect(*names, value) for names, value in effects.items()),
     )
@@ -213,9 +213,9 @@ PROFILES = Chapter(
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
     """Of every attribute by the pairs of parameters that the case names, in owners' units."""
-    whole, case = process(run), process(run).case
+    complete, case = process(run), process(run).case
     pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
-    rows = second(whole, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))
+    rows = second(complete, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))
     both = zip(case.pairs, pairs, rows)
     return {"second": [{"pair": n, "values": x * a.scale * b.scale} for n, (a, b), x in both]}
 

@@ -185,42 +185,42 @@ def _over_time(charts: Charts, unit: str) -> Callable[[Folder, BatchResult], lis
 
     def show(run: Folder, result: BatchResult) -> list[Block]:
         blocks: list[Block] = []
-        for name, course in result.trajectories.items():
-            blocks += charts(name, course, result.solubility.get(name))
+        for name, trajectory in result.trajectories.items():
+            blocks += charts(name, trajectory, result.solubility.get(name))
         return blocks or [Missing(f"No {unit}'s trajectory is in this run.")]
 
     return show
 
 
-def _reaction(unit: str, course: Course, curve: Course | None) -> list[Chart]:
+def _reaction(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
     """Concentrations over time, where the unit records them."""
-    names = [name for name in course if name.startswith("concentration.")]
-    lines = [(name.partition(".")[2], course[name]) for name in names]
+    names = [name for name in trajectory if name.startswith("concentration.")]
+    lines = [(name.partition(".")[2], trajectory[name]) for name in names]
     if not lines:
         return []
 
     def paint(axes):
-        pictures.curves(axes, course["time"] / 60, lines, "Concentration, mol/L")
+        pictures.curves(axes, trajectory["time"] / 60, lines, "Concentration, mol/L")
         axes.set_xlabel("Time, min")
 
     svg = draw(f"reaction-{unit}", "Concentration of every species over time.", paint)
     return [Chart(svg, f"{unit}: every species over time.")]
 
 
-def _crystals(unit: str, course: Course, curve: Course | None) -> list[Chart]:
+def _crystals(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
     """Crystallisation in the c-T plane, and supersaturation over time."""
     if curve is None:
         return []
-    minutes, line = course["time"] / 60, (curve["temperature"], curve["solubility"])
+    minutes, line = trajectory["time"] / 60, (curve["temperature"], curve["solubility"])
 
     def paint(axes):
-        pictures.plane(axes, course["temperature"], course["concentration"], line)
+        pictures.plane(axes, trajectory["temperature"], trajectory["concentration"], line)
 
     def paint_below(upper, lower):
-        lines = [("S", course["supersaturation"])]
+        lines = [("S", trajectory["supersaturation"])]
         pictures.curves(upper, minutes, lines, "Supersaturation", True)
-        names = [name for name in ("d43", "d32", "d10", "d50", "d90") if name in course]
-        sizes = [(name, 1e6 * course[name]) for name in names]
+        names = [name for name in ("d43", "d32", "d10", "d50", "d90") if name in trajectory]
+        sizes = [(name, 1e6 * trajectory[name]) for name in names]
         pictures.curves(lower, minutes, sizes, "Size, µm")
         pictures.minutes_below(upper, lower)
 
@@ -230,21 +230,21 @@ def _crystals(unit: str, course: Course, curve: Course | None) -> list[Chart]:
     alt = "Supersaturation and size over time."
     below = draw(f"time-{unit}", alt, paint_below, 340, (1.0, 1.0))
     text = f"{unit}: supersaturation (c − c*)/c* and sizes of all crystals"
-    text += "; d10, d50 and d90 by volume." if "d50" in course else "."
+    text += "; d10, d50 and d90 by volume." if "d50" in trajectory else "."
     return [Chart(svg, caption), Chart(below, text)]
 
 
-def _drying(unit: str, course: Course, curve: Course | None) -> list[Chart]:
+def _drying(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
     """Moisture of the cake over time, and its temperature where that has a balance of its own."""
-    if "solvent" not in course:
+    if "solvent" not in trajectory:
         return []
-    minutes = course["time"] / 60
+    minutes = trajectory["time"] / 60
 
     def paint(upper, lower):
-        moisture = [("Solvent", 100 * course["solvent"])]
+        moisture = [("Solvent", 100 * trajectory["solvent"])]
         pictures.curves(upper, minutes, moisture, "Solvent, % of the crystals", True)
-        lines = [("Cake", course["temperature"])]
-        lines += [("Shelf", course["shelf"])] if "shelf" in course else []
+        lines = [("Cake", trajectory["temperature"])]
+        lines += [("Shelf", trajectory["shelf"])] if "shelf" in trajectory else []
         pictures.curves(lower, minutes, lines, "Temperature, K")
         pictures.minutes_below(upper, lower)
 

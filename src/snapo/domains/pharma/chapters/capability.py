@@ -45,16 +45,16 @@ STATISTICS_MESH = Chapter(
 
 def measure(run: StudyRun) -> Capability:
     """Spread, Cpk and shares out of specification, over fresh batches."""
-    whole = sampled(run)
-    count = min(whole.case.evaluation.paths, BATCHES)
-    return capability(whole, count, open_loop(run).seed + 1)
+    complete = sampled(run)
+    count = min(complete.case.evaluation.paths, BATCHES)
+    return capability(complete, count, open_loop(run).seed + 1)
 
 
 def measure_spread(run: StudyRun) -> Spread:
     """Where the spread comes from, to first order, to compare with the drawn batches."""
-    known = MATRIX.of(run)
-    assert known is not None
-    return spread(open_loop(run).case, known.varied)
+    available = MATRIX.of(run)
+    assert available is not None
+    return spread(open_loop(run).case, available.varied)
 
 
 def show(run: Folder, result: Capability) -> list[Block]:
@@ -91,10 +91,10 @@ def show(run: Folder, result: Capability) -> list[Block]:
     return [*blocks, _sources(run, sources)]
 
 
-def _cpk(*ends: float | None) -> str:
+def _cpk(*endpoints: float | None) -> str:
     """Two decimals, which tell a capable process; none where it, or its interval, is far beyond."""
-    places = 2 if all(abs(finite(x) or 0.0) < 100 for x in ends) else 0
-    return " – ".join(number(x, places) for x in ends)
+    digits = 2 if all(abs(finite(x) or 0.0) < 100 for x in endpoints) else 0
+    return " – ".join(number(x, digits) for x in endpoints)
 
 
 def _sources(run: Folder, result: Spread) -> Table:

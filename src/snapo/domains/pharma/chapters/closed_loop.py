@@ -124,23 +124,23 @@ def measure(run: StudyRun) -> ClosedLoopResult:
     problem, evaluate, paths = loop.problem, loop.engines.evaluate, loop.evaluation.paths
     fixed = path_totals(problem, best, paths, engine=evaluate)
     first = path_totals(problem, loop.loop.baseline, paths, engine=evaluate)
-    ours, theirs, given = (np.asarray(x["success"]) for x in (solution.totals, fixed, first))
+    ours, theirs, values = (np.asarray(x["success"]) for x in (solution.totals, fixed, first))
     with jax.enable_x64(True):
         baseline_goal = float(problem.objective.value(fixed))
     groups, rules = problem.sources.evaluation.groups(np.arange(ours.size)), RULES.of(run) or ()
-    courses = _courses_of(loop, best, run)
-    run.write_csv(FILE, HEADER, decided(courses))
+    trajectories = _courses_of(loop, best, run)
+    run.write_csv(FILE, HEADER, decided(trajectories))
     return ClosedLoopResult(
-        **vars(rates(ours, theirs, given, groups)), goal=in_words(loop.case.goal),
+        **vars(rates(ours, theirs, values, groups)), goal=in_words(loop.case.goal),
         objective=solution.value, objective_error=solution.standard_error,
-        baseline_objective=baseline_goal, recipe=courses,
+        baseline_objective=baseline_goal, recipe=trajectories,
         rules=tuple(_beside(loop, x, ours, theirs, groups) for x in rules), engine=solution.engine,
         paths=dict(solution.paths), status=solution.status,
     )  # fmt: skip
 
 
 def rates(
-    ours: np.ndarray, theirs: np.ndarray, given: np.ndarray, groups: np.ndarray
+    ours: np.ndarray, theirs: np.ndarray, values: np.ndarray, groups: np.ndarray
 ) -> KeptShares:
     """Shares of batches [N] that keep all limits, of policy, best and given recipe, with errors.
 
@@ -148,7 +148,9 @@ def rates(
     by both batches of an antithetic pair, so that pairs taken for two would halve the variance.
     """
     numbers = [
-        number for kept in (ours, theirs, ours - theirs, given) for number in _mean(kept, groups)
+        number
+        for selected in (ours, theirs, ours - theirs, values)
+        for number in _mean(selected, groups)
     ]
     return KeptShares(*numbers, better=better(numbers[4], numbers[5]))
 
@@ -168,8 +170,10 @@ def better(gain: float, error: float) -> str:
 def _beside(loop: ClosedLoop, rule: TunedRule, ours, theirs, groups) -> RuleShares:
     """A rule on the same batches: its share, and the differences of policy and recipe from it."""
     paths, engine = loop.evaluation.paths, loop.engines.evaluate
-    own = np.asarray(path_totals(loop.problem, rule.policy(), paths, engine=engine)["success"])
-    numbers = [x for kept in (own, ours - own, theirs - own) for x in _mean(kept, groups)]
+    local = np.asarray(path_totals(loop.problem, rule.policy(), paths, engine=engine)["success"])
+    numbers = [
+        x for selected in (local, ours - local, theirs - local) for x in _mean(selected, groups)
+    ]
     return RuleShares(
         rule.name, *numbers, gains_own=rule.gains_own, times=rule.times, sensors=rule.sensors,
         of=rule.of,
@@ -182,8 +186,8 @@ def _courses_of(loop: ClosedLoop, best: Feedback, run: StudyRun) -> tuple[Contro
     block = next(iter(source.blocks(source.available(SHOWN), 1)))
     draws = source.draws(block, loop.problem.simulator)
     bound = loop.engines.evaluate.bind(loop.problem)
-    rolled = bound.values(run.solution.policy, draws, Exact(), record=("action",))
-    actions = [np.asarray(rolled.record["action"], float)]
+    rollout = bound.values(run.solution.policy, draws, Exact(), record=("action",))
+    actions = [np.asarray(rollout.record["action"], float)]
     actions += [policy.actions()[:, None] for policy in (best, loop.loop.baseline)]
     inputs, stages = loop.loop.inputs, loop.loop.stages
     three = (courses(loop.case, stages, inputs, x) for x in actions)
@@ -209,9 +213,9 @@ def courses(
         seconds = None
         if stage.unit is not None:
             seconds = float(inputs[stage.unit.duration.name].value[0]) / stage.horizon
-        for place, i in enumerate(stage.decided):
+        for position, i in enumerate(stage.decided):
             item = case.control.manipulated[i]
-            part = actions[stage.before : stage.before + stage.horizon, :, place]
+            part = actions[stage.before : stage.before + stage.horizon, :, position]
             values = item.low + np.asarray(part, float) * (item.high - item.low)
             if item.ramp is not None and seconds is not None:
                 values = _within(values, float(inputs[item.input].value[0]), item.ramp * seconds)
@@ -219,11 +223,11 @@ def courses(
     return rows
 
 
-def _within(values: np.ndarray, start: float, most: float) -> np.ndarray:
+def _within(values: np.ndarray, start: float, maximum: float) -> np.ndarray:
     """Values that move by at most `most` from one decision to the next."""
     limited, last = np.empty_like(values), np.full(values.shape[1], start)
     for t, target in enumerate(values):
-        limited[t] = last = np.clip(target, last - most, last + most)
+        limited[t] = last = np.clip(target, last - maximum, last + maximum)
     return limited
 
 
@@ -239,7 +243,7 @@ def decided(rows: Sequence[ControlCourse]) -> list[tuple]:
 
 def show(run: Folder, result: ClosedLoopResult) -> list[Block]:
     """The policy against the best fixed recipe, on the same fresh batches."""
-    sure = result.gain > 3 * result.gain_error
+    certain = result.gain > 3 * result.gain_error
     rows = [
         ("Trained policy", percent(result.value), percent(result.standard_error, 2)),
         ("Best fixed recipe", percent(result.baseline), percent(result.baseline_error, 2)),
@@ -249,7 +253,7 @@ def show(run: Folder, result: ClosedLoopResult) -> list[Block]:
     head = [("", ""), ("Probability of all limits", ""), ("Standard error", "")]
     batches = number(result.paths.get("evaluate"), 0)
     caption = f"On the same {batches} fresh batches, exact limits"
-    clear = Mark(sure, "yes" if sure else "no")
+    clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
         Text(str(run.result.get("verdict", ""))),
         Table(head, rows, caption),
@@ -288,10 +292,10 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     ]
     head = ("", "All limits", "Standard error", "Policy less rule", "Standard error",
             "Recipe less rule", "Standard error")  # fmt: skip
-    own = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
+    local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
     return [
         Table([(name, "") for name in head], shares, "Rules on the same batches, paired"),
-        Table([(name, "") for name in own], settings, "Settings of the rules", 2),
+        Table([(name, "") for name in local], settings, "Settings of the rules", 2),
         Text("First settings are those of the case or of its formula; a rule of that name without "
              "these words was trained from there, with its recipe, as long as the policy."),
     ]  # fmt: skip

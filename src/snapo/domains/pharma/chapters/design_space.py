@@ -104,9 +104,9 @@ def map_rows(
     return (*result.headers, *names), zip(*columns, which)
 
 
-def _rounded(places) -> np.ndarray:
+def _rounded(digits) -> np.ndarray:
     """Places on the axes of the map to ten significant digits, which leaves out round-off."""
-    return np.array([float(f"{x:.10g}") for x in places])
+    return np.array([float(f"{x:.10g}") for x in digits])
 
 
 def boundary_rows(
@@ -136,17 +136,19 @@ def _slices(result: SpaceMap) -> list[tuple[Any, str]]:
     if result.probability.ndim == 2:
         return [(slice(None), "")]
     grid, name, unit = result.grid[2], result.axes[2], result.units[2]
-    shown = sorted({0, len(grid) // 2, len(grid) - 1})
-    return [((slice(None), slice(None), k), f"{name} {quantity(grid[k], unit)}") for k in shown]
+    displayed = sorted({0, len(grid) // 2, len(grid) - 1})
+    return [((slice(None), slice(None), k), f"{name} {quantity(grid[k], unit)}") for k in displayed]
 
 
 def _in_words(result: SpaceMap) -> Text:
-    share, sure = (float((x >= result.required).mean()) for x in (result.probability, result.low))
+    share, certain = (
+        float((x >= result.required).mean()) for x in (result.probability, result.low)
+    )
     text = (
         f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
         f"{number(result.required)} or more; {number(result.samples, 0)} batches per point, the "
         f"same draws at every point, standard error at most {percent(result.error.max())}. At "
-        f"{percent(sure, 0)} of the points this is so even at the lower end of the 95 % "
+        f"{percent(certain, 0)} of the points this is so even at the lower end of the 95 % "
         "interval, within the dotted line of the map."
     )
     few = [level for level in result.levels if result.samples < draws_for(level)]
@@ -267,18 +269,18 @@ def _contours(
 
 def _labels(axes: "Axes", drawn: Any) -> None:
     """The level of each contour where the other labels are farthest away, off the edges."""
-    x, y = (np.array(ends) for ends in (axes.get_xlim(), axes.get_ylim()))
+    x, y = (np.array(endpoints) for endpoints in (axes.get_xlim(), axes.get_ylim()))
     corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
     taken: list[np.ndarray] = []
     for lines in drawn.allsegs:
-        points = np.concatenate([_along((each - corner) / size) for each in lines])
+        points = np.concatenate([_along((line - corner) / size) for line in lines])
         inner = points[((points > 0.06) & (points < 0.94)).all(1)]
         points = inner if len(inner) else points
         others = np.array(taken or [[0.5, 0.5]])
         away = np.linalg.norm(points[:, None] - others, axis=-1).min(1)
         taken.append(points[int(away.argmax() if taken else away.argmin())])
     axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8,
-                manual=[tuple(corner + each * size) for each in taken])  # fmt: skip
+                manual=[tuple(corner + item * size) for item in taken])  # fmt: skip
 
 
 def _along(line: np.ndarray, parts: int = 8) -> np.ndarray:

@@ -70,14 +70,14 @@ def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation
     log = np.array(estimation.logarithm)
 
     def both(x):
-        found = model(numbers_of(x, log))
-        return found, found
+        results = model(numbers_of(x, log))
+        return results, results
 
     with jax.enable_x64(True):
-        slope, found = jax.jit(jax.jacfwd(both, has_aux=True))(variables_of(fit.values, log))
-    slope, predicted = np.asarray(slope), np.asarray(found)
-    measured = np.concatenate([each.value for each in estimation.held_out])
-    error = np.concatenate([each.error for each in estimation.held_out])
+        slope, result = jax.jit(jax.jacfwd(both, has_aux=True))(variables_of(fit.values, log))
+    slope, predicted = np.asarray(slope), np.asarray(result)
+    measured = np.concatenate([entry.value for entry in estimation.held_out])
+    error = np.concatenate([value.error for value in estimation.held_out])
     if estimation.errors == "relative":
         error = error * np.sqrt(fit.scale)
     spread = slope @ fit.covariance @ slope.T
@@ -87,13 +87,13 @@ def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation
     inside = np.abs(measured - predicted) <= half
     low, high = interval(inside.mean(), inside.size)
     batches, start = [], 0
-    for each in estimation.held_out:
-        at = slice(start, start + len(each.time))
-        off, whole = (measured - predicted)[at], spread[at, at] + np.diag(error[at] ** 2)
-        size = float(off @ np.linalg.solve(whole, off))
+    for item in estimation.held_out:
+        at = slice(start, start + len(item.time))
+        off, complete = (measured - predicted)[at], spread[at, at] + np.diag(error[at] ** 2)
+        size = float(off @ np.linalg.solve(complete, off))
         tail = float(chi2.sf(size, len(off)))
-        batches.append(Agreement(each.name, len(off), int(inside[at].sum()), size, tail))
-        start += len(each.time)
+        batches.append(Agreement(item.name, len(off), int(inside[at].sum()), size, tail))
+        start += len(item.time)
     share = float(inside.mean())
     return Validation(
         measured, predicted, deviation, half, share, float(low), float(high), tuple(batches)
@@ -135,17 +135,17 @@ def measure(run: StudyRun) -> Estimates:
 
 def estimates(process: Process) -> Estimates:
     """The fit that a case asks for."""
-    asked = process.case.estimation
-    assert asked is not None
-    result, experiments = fit(process, asked), asked.experiments
+    request = process.case.estimation
+    assert request is not None
+    result, experiments = fit(process, request), request.experiments
     scale, offset = np.array([x for experiment in experiments for x in experiment.scales]).T
     return Estimates(
         **{x.name: getattr(result, x.name) for x in fields(result)},
         measured_own=(np.asarray(result.measured) - offset) / scale,
         fitted_own=(np.asarray(result.fitted) - offset) / scale,
-        start=np.array([process.inputs[x][i] for x, i in zip(asked.inputs, asked.entries)]),
-        level=asked.level, validation=validate(process, asked, result), errors=asked.errors,
-        units=tuple(asked.units), scales=tuple((float(a), float(b)) for a, b in asked.scales),
+        start=np.array([process.inputs[x][i] for x, i in zip(request.inputs, request.entries)]),
+        level=request.level, validation=validate(process, request, result), errors=request.errors,
+        units=tuple(request.units), scales=tuple((float(a), float(b)) for a, b in request.scales),
         state=tuple(state for x in experiments for state in x.state),
         state_unit=tuple(unit for x in experiments for unit in x.units),
         time=np.concatenate([x.time for x in experiments]),
@@ -175,17 +175,17 @@ def not_handed_on(result: Fit) -> list[str]:
 
 def fitted_rows(case: PharmaCase, result: Fit) -> list[tuple]:
     """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
-    asked = case.estimation
-    if asked is None or not_handed_on(result):
+    request = case.estimation
+    if request is None or not_handed_on(result):
         return []
     inputs = numbers_in((case.network, case.feeds, case.units))
     numbers = Numbers({x.name: x for x in inputs}, case.network)
     deviation = np.sqrt(np.diag(np.asarray(result.covariance, float)))
     rows = []
-    for i, entry in enumerate(zip(asked.inputs, asked.entries)):
+    for i, entry in enumerate(zip(request.inputs, request.entries)):
         unit = numbers.unit(*entry)
         unit = "" if unit == "1" else f" {unit}"
-        log = asked.logarithm[i]
+        log = request.logarithm[i]
         size = f"{float(deviation[i])!r}{'' if log else unit}"
         correlation = " ".join(repr(float(x)) for x in result.correlation[i])
         value = f"{float(result.values[i])!r}{unit}"
@@ -230,8 +230,8 @@ def _agreement(result: Estimates) -> Chart:
         for axes, unit in zip(panels, units):
             states = dict.fromkeys(s for s, x in zip(result.state, rows) if x == unit)
             label = ", ".join(states) if len(states) <= 2 else f"{len(states)} states"
-            measured, fitted = result.measured_own[rows == unit], result.fitted_own[rows == unit]
-            pictures.agreement(axes, measured, fitted, f"{label}{with_unit('', unit)}")
+            measured, resolved = result.measured_own[rows == unit], result.fitted_own[rows == unit]
+            pictures.agreement(axes, measured, resolved, f"{label}{with_unit('', unit)}")
 
     svg = draw("agreement", "Fitted over measured values.", paint, 60 + 220 * len(units),
                [1.0] * len(units))  # fmt: skip
@@ -302,11 +302,11 @@ def validation(run: Folder) -> Section:
         _points(tests),
     ]
     if finite(result.tail) is not None:
-        good = result.tail >= DOUBT
+        valid = result.tail >= DOUBT
         text = (
             f"Of the fit itself chi² is exceeded by chance in {percent(result.tail)} of all cases"
         )
-        end = "." if good else ": the errors of the measurements, or the model, fall short."
+        end = "." if valid else ": the errors of the measurements, or the model, fall short."
         blocks.append(Text(text + end))
     return Section("validation", title, short, blocks)
 

@@ -48,8 +48,8 @@ def checks(run: StudyRun | Folder) -> list[tuple[str, bool, str]]:
         rows.append(("convergence in time", convergence.passed, where))
         if convergence.cells:
             worst = max(convergence.cells, key=lambda x: _size(x.margins))
-            good = all(x.passed for x in convergence.cells)
-            rows.append(("twice as many cells", good, _where((worst.attribute,))))
+            valid = all(x.passed for x in convergence.cells)
+            rows.append(("twice as many cells", valid, _where((worst.attribute,))))
     if points := DIFFERENCES.of(run):
         off = [x for x in points if not x.passed]
         where = _where(*((x.attribute, x.parameter, x.point) for x in off[:1]))
@@ -77,11 +77,11 @@ def status(run: StudyRun | Folder) -> str:
     missing = [name for name, x in batch.attributes.items() if math.isnan(x)] if batch else []
     if missing:
         return f"{missing[0]} is not a number"
-    if fit is not None and (doubt := doubts(fit)):
-        return doubt
+    if fit is not None and (ambiguity := doubts(fit)):
+        return ambiguity
     if recipe is not None and not recipe.converged:
         return f"the best recipe did not converge: {recipe.message}"
-    failed = [name + where for name, good, where in checks(run) if not good]
+    failed = [name + where for name, valid, where in checks(run) if not valid]
     if failed:
         return f"a check fails: {', '.join(failed)}"
     batches = CAPABILITY.of(run)
@@ -120,8 +120,10 @@ def headline(run: Folder) -> Section:
     if facts := _facts(run):
         blocks.append(Facts(facts))
     batch = ONE_BATCH.of(run)
-    known = batch is not None and batch.attributes
-    blocks.append(_table(stated(run), batch) if batch and known else lacking(run, ONE_BATCH.name))
+    available = batch is not None and batch.attributes
+    blocks.append(
+        _table(stated(run), batch) if batch and available else lacking(run, ONE_BATCH.name)
+    )
     return Section("headline", title, "", blocks)
 
 
@@ -138,7 +140,7 @@ def _note(run: Folder) -> str:
 def marks(run: Folder) -> list[Mark]:
     """Verdicts on the numbers, then on the process; nothing good stands above a bad status."""
     rows, state = checks(run), str(run.result.get("status") or "ok")
-    failed = [name for name, good, _ in rows if not good]
+    failed = [name for name, valid, _ in rows if not valid]
     verdicts = []
     if failed:
         text = f"{len(failed)} of {len(rows)} numerical checks fail: {', '.join(failed)}"
@@ -154,8 +156,8 @@ def marks(run: Folder) -> list[Mark]:
 def _against(run: Folder) -> list[str]:
     """All that speaks against the process, however good the numbers are."""
     rows, batch, recipe = RANGES.of(run) or (), ONE_BATCH.of(run), OPTIMUM.of(run)
-    holds = batch.holds if batch else ()
-    broken = [name for name, good in zip(stated(run).attribute_names, holds) if not good]
+    contains = batch.holds if batch else ()
+    broken = [name for name, valid in zip(stated(run).attribute_names, contains) if not valid]
     outside = [x.parameter for x in rows if not x.probable.holds_normal]
     unsure = [x.parameter for x in rows if x.probable.holds_normal and not x.probable.sure_normal]
     verdicts = [
@@ -202,12 +204,12 @@ def _facts(run: Folder) -> list[tuple[str, str, str]]:
 
 def _table(case: Statement, batch: BatchResult) -> Table:
     rows = []
-    for attribute, good, room in zip(case.attributes, batch.holds, batch.distance):
+    for attribute, valid, room in zip(case.attributes, batch.holds, batch.distance):
         unit = "" if attribute.unit == "1" else attribute.unit
         rows.append(
             (
                 attribute.name, attribute.limits, attribute.citation or "–",
-                Mark(good, "holds" if good else "broken") if attribute.limited else "–",
+                Mark(valid, "holds" if valid else "broken") if attribute.limited else "–",
                 quantity(batch.attributes.get(attribute.name), unit),
                 quantity(room, unit) if attribute.limited else "–",
             )

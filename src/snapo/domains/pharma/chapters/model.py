@@ -173,14 +173,14 @@ class Statement:
 
 def statement(case: PharmaCase) -> Statement:
     """The statement of a case, in user units."""
-    known = dict(pair for unit in case.units for pair in unit.symbols)
+    available = dict(pair for unit in case.units for pair in unit.symbols)
     of_units = dict.fromkeys(text for unit in case.units for text in unit.assumptions)
     numerics, species = case.numerics, case.network.species
     return Statement(
         purpose=case.purpose,
         scope=SCOPE,
         assumptions=(*ASSUMPTIONS, *of_units, *case.assumptions),
-        symbols="; ".join(f"{symbol}: {meaning}" for symbol, meaning in known.items()),
+        symbols="; ".join(f"{symbol}: {meaning}" for symbol, meaning in available.items()),
         reactions=tuple(_reaction(case.network, i) for i in range(len(case.network.reactions))),
         units=tuple(
             UnitStatement(
@@ -302,15 +302,15 @@ def given(value: float, unit: str = "") -> str:
             text = f"{value:.10g}".replace("-", "−")
     else:
         mantissa, _, power = f"{value:.9e}".partition("e")
-        shown = str(int(power)).translate(POWERS)
-        text = f"{mantissa.rstrip('0').rstrip('.')} × 10{shown}".replace("-", "−")
+        displayed = str(int(power)).translate(POWERS)
+        text = f"{mantissa.rstrip('0').rstrip('.')} × 10{displayed}".replace("-", "−")
     return f"{text}\u00a0{unit_words(unit)}" if unit and unit != "1" else text
 
 
 def place(value: float | None, unit: str = "") -> str:
     """A place on a parameter's axis: five digits, with which 313.15 K stays what it is."""
-    known = finite(value)
-    return "–" if known is None else given(float(f"{known:.5g}"), unit)
+    available = finite(value)
+    return "–" if available is None else given(float(f"{available:.5g}"), unit)
 
 
 def _reactions(result: Statement) -> Table | Text:
@@ -335,7 +335,8 @@ def _tables(result: Statement) -> list[Block]:
     parameters = [
         (
             x.name, x.of, x.source, given(x.nominal, x.shown_unit),
-            *(" – ".join(map(given, ends)) for ends in (x.normal, x.range)), x.distribution,
+            *(" – ".join(map(given, endpoints)) for endpoints in (x.normal, x.range)),
+            x.distribution,
         )
         for x in result.parameters
     ]  # fmt: skip

@@ -128,37 +128,37 @@ class BestRecipe:
 def measure(run: StudyRun) -> BestRecipe:
     """The best recipe, and its setpoints as a table of their own where it converged."""
     loop = open_loop(run)
-    asked = loop.case.optimise
-    assert asked is not None
-    result = best_recipe(run, optimise(loop.process, loop.seed), asked)
+    request = loop.case.optimise
+    assert request is not None
+    result = best_recipe(run, optimise(loop.process, loop.seed), request)
     if result.converged:
-        changed = optimal(asked, [decision.value for decision in result.decisions])
+        changed = optimal(request, [decision.value for decision in result.decisions])
         run.write_csv(FILE, HEADER, setpoints(loop.case, changed))
     return result
 
 
-def optimal(asked: Optimise, values: Sequence[float]) -> dict[Entry, float]:
+def optimal(request: Optimise, values: Sequence[float]) -> dict[Entry, float]:
     """The numbers of the best recipe in the domain's units, from those in user units."""
     return {
         (x.input, x.entry): value * x.scale + x.offset
-        for x, value in zip(asked.decisions, values, strict=True)
+        for x, value in zip(request.decisions, values, strict=True)
     }
 
 
-def best_recipe(run: StudyRun, found: Optimum, asked: Optimise) -> BestRecipe:
+def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecipe:
     """Decisions, limits and ramps with their multipliers, the chance to keep all limits before and
     after, and how the answer was found. User units."""
-    recipe, conditions = found.recipe, found.recipe.conditions
-    start = np.array([decision.start for decision in asked.decisions])
-    (first, before), (last, after) = (_at(run, asked, x) for x in (start, recipe.x))
+    recipe, conditions = optimum.recipe, optimum.recipe.conditions
+    start = np.array([decision.start for decision in request.decisions])
+    (first, before), (last, after) = (_at(run, request, x) for x in (start, recipe.x))
     return BestRecipe(
-        sense="maximise" if asked.sense > 0 else "minimise",
-        terms=_terms(asked.terms),
-        per=_terms(asked.per),
-        unit=_unit(asked),
-        reserve=asked.reserve,
-        deviations=asked.deviations,
-        before=found.before,
+        sense="maximise" if request.sense > 0 else "minimise",
+        terms=_terms(request.terms),
+        per=_terms(request.per),
+        unit=_unit(request),
+        reserve=request.reserve,
+        deviations=request.deviations,
+        before=optimum.before,
         value=recipe.value,
         decisions=tuple(
             DecisionResult(
@@ -166,11 +166,11 @@ def best_recipe(run: StudyRun, found: Optimum, asked: Optimise) -> BestRecipe:
                 *(float(slope) * d.scale for slope in slopes),
             )
             for d, x, *slopes in zip(
-                asked.decisions, recipe.x, recipe.gradient, conditions.low, conditions.high
+                request.decisions, recipe.x, recipe.gradient, conditions.low, conditions.high
             )
         ),
-        limits=_limit_rows(found, first, last),
-        ramps=_ramp_rows(found),
+        limits=_limit_rows(optimum, first, last),
+        ramps=_ramp_rows(optimum),
         chance=(before, after),
         batches=BATCHES,
         stationarity=conditions.stationarity,
@@ -180,30 +180,30 @@ def best_recipe(run: StudyRun, found: Optimum, asked: Optimise) -> BestRecipe:
         message=recipe.message,
         iterations=recipe.iterations,
         evaluations=recipe.evaluations,
-        ends=tuple(found.ends),
-        mode=found.mode,
-        compiling=found.compiling,
-        solving=found.solving,
+        ends=tuple(optimum.ends),
+        mode=optimum.mode,
+        compiling=optimum.compiling,
+        solving=optimum.solving,
     )  # fmt: skip
 
 
-def _at(run: StudyRun, asked: Optimise, x: np.ndarray) -> tuple[np.ndarray, KeptChance]:
+def _at(run: StudyRun, request: Optimise, x: np.ndarray) -> tuple[np.ndarray, KeptChance]:
     """[Q] nominal attributes, and the chance to keep all limits with its standard error."""
     process, seed = sampled(run), open_loop(run).seed + 2
-    changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(asked.decisions, x)}
+    changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(request.decisions, x)}
     rows = batches.drawn(process, changes, BATCHES, seed)
     nominal = np.repeat(batches.nominally(process, changes), batches.CHUNK, 0)
     inputs, entries = batches.moved(process, changes), batches.varied(process.case)
     both = np.concatenate([nominal, rows])
     values = process.batch(entries, both, chunk=batches.CHUNK, inputs=inputs).values
-    kept = Limits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
-    share, error = proportion(kept.sum(), BATCHES)
+    selected = Limits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
+    share, error = proportion(selected.sum(), BATCHES)
     return values[0], KeptChance(float(share), float(error))
 
 
-def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> tuple[LimitResult, ...]:
+def _limit_rows(optimum: Optimum, start: np.ndarray, after: np.ndarray) -> tuple[LimitResult, ...]:
     """One row for each limit."""
-    above = found.recipe.conditions.above
+    above = optimum.recipe.conditions.above
     return tuple(
         LimitResult(
             attribute=bound.name, unit=bound.unit, side="at least" if bound.sign > 0 else "at most",
@@ -211,18 +211,18 @@ def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> tuple[L
             room=bound.sign * (after[bound.which] - bound.limit),
             worth=float(above[i]) / bound.size,
         )
-        for i, bound in enumerate(found.bounds)
+        for i, bound in enumerate(optimum.bounds)
     )  # fmt: skip
 
 
-def _ramp_rows(found: Optimum) -> tuple[RampResult, ...]:
+def _ramp_rows(optimum: Optimum) -> tuple[RampResult, ...]:
     """One row for each piece of a profile."""
-    rows, recipe = [], found.recipe
-    for i, ramp in enumerate(found.ramps):
-        both = slice(len(found.bounds) + 2 * i, len(found.bounds) + 2 * i + 2)
+    rows, recipe = [], optimum.recipe
+    for i, ramp in enumerate(optimum.ramps):
+        both = slice(len(optimum.bounds) + 2 * i, len(optimum.bounds) + 2 * i + 2)
         used = float(1 - recipe.constraints[both].min())
-        worth = float(recipe.conditions.above[both].max())
-        rows.append(RampResult(ramp.name, 60 * ramp.most, f"{ramp.unit}/min", used, worth))
+        value = float(recipe.conditions.above[both].max())
+        rows.append(RampResult(ramp.name, 60 * ramp.most, f"{ramp.unit}/min", used, value))
     return tuple(rows)
 
 
@@ -230,9 +230,9 @@ def _terms(terms: Sequence[Term]) -> tuple[GoalTerm, ...]:
     return tuple(GoalTerm(term.of, term.unit, term.weight) for term in terms)
 
 
-def _unit(asked: Optimise) -> str:
+def _unit(request: Optimise) -> str:
     """The goal's unit where its terms share one, "kg/h"."""
-    units = [{term.unit for term in terms} - {"1"} for terms in (asked.terms, asked.per)]
+    units = [{term.unit for term in terms} - {"1"} for terms in (request.terms, request.per)]
     if any(len(names) > 1 for names in units):
         return ""
     above, below = ("".join(names) for names in units)
@@ -252,12 +252,12 @@ def _goal(result: BestRecipe) -> str:
     goal = _sum(result.terms)
     if result.per:
         goal = f"({goal}) / ({_sum(result.per)})"
-    kept = "all limits of the nominal model are kept"
+    selected = "all limits of the nominal model are kept"
     if result.reserve:
-        kept += f", with {number(result.reserve)} margins to spare"
+        selected += f", with {number(result.reserve)} margins to spare"
     if result.deviations:
-        kept += f", and {number(result.deviations)} standard deviations of the batches to spare"
-    return f"{'Largest' if result.sense == 'maximise' else 'Smallest'} {goal} such that {kept}."
+        selected += f", and {number(result.deviations)} standard deviations of the batches to spare"
+    return f"{'Largest' if result.sense == 'maximise' else 'Smallest'} {goal} such that {selected}."
 
 
 def _sum(terms: Sequence[GoalTerm]) -> str:
@@ -279,9 +279,9 @@ def _facts(result: BestRecipe) -> Facts:
         ("Goal, recipe as given", quantity(before, unit), ""),
         ("Goal, best recipe", quantity(value, unit), note),
     ]
-    for name, chance in zip(("as given", "best recipe"), result.chance):
-        error = plus_minus(100 * chance.error, 1)
-        facts.append((f"Chance of all limits, {name}", percent(chance.probability), error))
+    for name, probability in zip(("as given", "best recipe"), result.chance):
+        error = plus_minus(100 * probability.error, 1)
+        facts.append((f"Chance of all limits, {name}", percent(probability.probability), error))
     return Facts(facts)
 
 
@@ -290,19 +290,19 @@ def _fine(value: float, unit: str = "") -> str:
     return quantity(value, "" if unit == "1" else unit, decimals([value]))
 
 
-def _multiplier(worth: float) -> str:
-    return number(worth) if worth else "0"
+def _multiplier(value: float) -> str:
+    return number(value) if value else "0"
 
 
 def _decisions(result: BestRecipe) -> Table:
     rows = []
     for x in result.decisions:
-        worth = x.at_low or x.at_high
+        value = x.at_low or x.at_high
         side = "at its lower bound" if x.at_low else "at its upper bound"
         rows.append(
             (
-                x.name, f"{_fine(x.low)} to {_fine(x.high, x.unit)}", side if worth else "inside",
-                _fine(x.start, x.unit), _fine(x.value, x.unit), _multiplier(worth),
+                x.name, f"{_fine(x.low)} to {_fine(x.high, x.unit)}", side if value else "inside",
+                _fine(x.start, x.unit), _fine(x.value, x.unit), _multiplier(value),
             )
         )  # fmt: skip
     head = [("Decision", ""), ("Bounds", ""), ("Where", ""), ("As given", ""), ("Best", ""),
@@ -341,13 +341,13 @@ def _conditions(result: BestRecipe) -> Table:
     tolerance = power(result.tolerance)
 
     def small(value: float) -> Mark:
-        good = finite(value) is not None and value <= result.tolerance
-        return Mark(good, f"{power(value)}, at most {tolerance}")
+        valid = finite(value) is not None and value <= result.tolerance
+        return Mark(valid, f"{power(value)}, at most {tolerance}")
 
-    ends = result.ends
-    starts = "one start" if len(ends) == 1 else f"{len(ends)} starts, which ended at "
-    if len(ends) > 1:
-        starts += ", ".join(map(number, ends))
+    endpoints = result.ends
+    starts = "one start" if len(endpoints) == 1 else f"{len(endpoints)} starts, which ended at "
+    if len(endpoints) > 1:
+        starts += ", ".join(map(number, endpoints))
     rows = [
         ("Solver", Mark(result.converged, result.message)),
         ("Gradient that no multiplier of the right sign explains", small(result.stationarity)),

@@ -118,11 +118,11 @@ def residuals(axes: "Axes", shares: np.ndarray) -> None:
     number_axis(axes.yaxis, 6)
 
 
-def agreement(axes: "Axes", measured: np.ndarray, fitted: np.ndarray, unit: str) -> None:
+def agreement(axes: "Axes", measured: np.ndarray, fit: np.ndarray, unit: str) -> None:
     """Fitted over measured, with the line on which both agree."""
-    ends = [min(measured.min(), fitted.min()), max(measured.max(), fitted.max())]
-    axes.plot(ends, ends, color=LIGHT["other"], linewidth=0.9, label="Agreement")
-    axes.plot(measured, fitted, "o", color=LIGHT["main"], markersize=4, label="Measurements")
+    endpoints = [min(measured.min(), fit.min()), max(measured.max(), fit.max())]
+    axes.plot(endpoints, endpoints, color=LIGHT["other"], linewidth=0.9, label="Agreement")
+    axes.plot(measured, fit, "o", color=LIGHT["main"], markersize=4, label="Measurements")
     axes.set_xlabel(with_unit("Measured", unit))
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 6)

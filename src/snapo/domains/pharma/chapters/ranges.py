@@ -19,22 +19,22 @@ SHOWN = 15  # pairs in the report, those with the least room first
 
 def measure(run: StudyRun) -> tuple[ProvenRange, ...]:
     """Both proven ranges of every parameter."""
-    whole = sampled(run)
-    space = whole.case.design_space
+    complete = sampled(run)
+    space = complete.case.design_space
     assert space is not None
-    return tuple(ranges.proven_ranges(whole, space.required, SAMPLES, open_loop(run).seed))
+    return tuple(ranges.proven_ranges(complete, space.required, SAMPLES, open_loop(run).seed))
 
 
 def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
     """The proven ranges of every two parameters at once."""
-    whole, proven = sampled(run), RANGES.of(run)
-    space = whole.case.design_space
+    complete, proven = sampled(run), RANGES.of(run)
+    space = complete.case.design_space
     assert space is not None and proven is not None
-    parameters = {x.name: x for x in whole.case.parameters}
+    parameters = {x.name: x for x in complete.case.parameters}
     nominal = {x.parameter: _ends(parameters[x.parameter], x.nominal) for x in proven}
     probable = {x.parameter: _ends(parameters[x.parameter], x.probable) for x in proven}
     seed = open_loop(run).seed
-    return tuple(pairs.pairs(whole, nominal, probable, space.required, SAMPLES, seed))
+    return tuple(pairs.pairs(complete, nominal, probable, space.required, SAMPLES, seed))
 
 
 def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
@@ -78,8 +78,8 @@ def _verdict(proven: AcceptableRange) -> Mark:
     return Mark(proven.sure_normal, "inside" if proven.sure_normal else "inside, not surely")
 
 
-def _span(ends: tuple[float, ...] | None) -> str:
-    return "–" if ends is None else " – ".join(map(place, ends))
+def _span(endpoints: tuple[float, ...] | None) -> str:
+    return "–" if endpoints is None else " – ".join(map(place, endpoints))
 
 
 def _range(proven: AcceptableRange) -> str:

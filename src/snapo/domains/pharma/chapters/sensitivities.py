@@ -52,9 +52,9 @@ class SensitivityMatrix:
 
 def measure(run: StudyRun) -> SensitivityMatrix:
     """One pass serves the parameters and everything else that varies."""
-    whole, case = process(run), process(run).case
+    complete, case = process(run), process(run).case
     entries = batches.varied(case)
-    result = matrix(whole, entries=entries)
+    result = matrix(complete, entries=entries)
     columns = [entries.index((x.input, x.entry)) for x in case.parameters]
     forms = sensitivities.table(case, result._replace(jacobian=result.jacobian[:, columns]))
     varied = result.jacobian[:, : len(all_entries(case))]
@@ -65,12 +65,12 @@ def measure(run: StudyRun) -> SensitivityMatrix:
     )  # fmt: skip
 
 
-def every_sensitivity(whole: Process) -> Iterable[tuple]:
+def every_sensitivity(complete: Process) -> Iterable[tuple]:
     """attribute, input, label, value, unit: by all numbers of the case."""
-    inputs = pharma_inputs(whole.case)
-    entries = every_entry(whole.inputs)
-    jacobian = matrix(whole, entries=entries, mode="adjoint").jacobian
-    for attribute, row in zip(whole.case.attributes, jacobian):
+    inputs = pharma_inputs(complete.case)
+    entries = every_entry(complete.inputs)
+    jacobian = matrix(complete, entries=entries, mode="adjoint").jacobian
+    for attribute, row in zip(complete.case.attributes, jacobian):
         for (name, i), value in zip(entries, row.tolist()):
             unit = f"({attribute.unit})/({inputs[name].unit})"
             yield attribute.name, name, inputs[name].labels[i], value, unit
@@ -117,8 +117,10 @@ def criticality(process: Process, seed: int, draws: int = DRAWS) -> CriticalityT
             rows.append(moved)
     values = batches.attributes(process, np.concatenate([here, *rows]))
     room = Limits.of(case).distance(values[0])[:, None]
-    ends = values[1:].reshape(len(case.parameters), 2, 1 + draws, -1)
-    half = (ends[:, 1] - ends[:, 0]).transpose(1, 2, 0) / 2  # draws, attributes, parameters
+    endpoints = values[1:].reshape(len(case.parameters), 2, 1 + draws, -1)
+    half = (endpoints[:, 1] - endpoints[:, 0]).transpose(
+        1, 2, 0
+    ) / 2  # draws, attributes, parameters
     low, high = np.nanquantile(half[1:], LEVELS, axis=0)
     sizes = np.stack([np.abs(half[0]), *np.nanquantile(np.abs(half[1:]), LEVELS, axis=0)])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -55,54 +55,54 @@ def balances(process: Process, inputs=None) -> list[Balance]:
     """The balances of every unit but tests of the product, and of the whole as unit "process"."""
     case = process.case
 
-    def make(own: bool):
-        def everything(given):
-            found = process.flow(given, own=own)
-            ledgers = {name: each.finish.ledger for name, each in found.outcomes.items()}
-            return found.streams, ledgers, found.measures
+    def make(local: bool):
+        def everything(values):
+            flow = process.flow(values, own=local)
+            ledgers = {name: outcome.finish.ledger for name, outcome in flow.outcomes.items()}
+            return flow.streams, ledgers, flow.measures
 
         return everything
 
     streams, ledgers, _ = process.either(
-        "balances", make, process.given(inputs), of=lambda found: found[2]
+        "balances", make, process.given(inputs), of=lambda result: result[2]
     )
-    fed, found = sources(case), []
+    fed, results = sources(case), []
     for unit in case.units:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
         if out:
             into = [streams[name] for name in fed[unit.name]]
-            found += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
-    into = [streams[each.name] for each in case.feeds]
+            results += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
+    into = [streams[feed.name] for feed in case.feeds]
     out = [streams[name] for name in leaving(case)]
-    return found + unit_balances(process, "process", into, out, list(ledgers.values()))
+    return results + unit_balances(process, "process", into, out, list(ledgers.values()))
 
 
 def unit_balances(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
     """The balances of the units with these `ledgers`, between the streams into and out of them."""
     network = process.case.network
-    made = np.sum([each.made for each in ledgers], axis=0)
-    added = np.sum([each.added for each in ledgers], axis=0)
-    held = np.sum([each.held + np.maximum(each.left, 0.0) for each in ledgers], axis=0)
-    liquid = sum(each.solvent_added for each in ledgers)
-    kept = sum(max(float(each.solvent_left), 0.0) for each in ledgers)
+    made = np.sum([ledger.made for ledger in ledgers], axis=0)
+    added = np.sum([item.added for item in ledgers], axis=0)
+    held = np.sum([entry.held + np.maximum(entry.left, 0.0) for entry in ledgers], axis=0)
+    liquid = sum(value.solvent_added for value in ledgers)
+    selected = sum(max(float(each.solvent_left), 0.0) for each in ledgers)
     fed, left = _species(into) + added, _species(out)
     solvent_in, solvent_out = _solvent(into) + liquid, _solvent(out)
-    found = [
+    results = [
         _balance(
             name,
             "mass",
             network.molar_mass @ fed + solvent_in,
             network.molar_mass @ left + solvent_out,
-            network.molar_mass @ held + kept,
+            network.molar_mass @ held + selected,
             network.molar_mass @ made,
         )
     ]
     for s, species in enumerate(network.species):
-        found.append(_balance(name, species, fed[s], left[s], held[s], made[s]))
-    found.append(_balance(name, "solvent", solvent_in, solvent_out, kept))
+        results.append(_balance(name, species, fed[s], left[s], held[s], made[s]))
+    results.append(_balance(name, "solvent", solvent_in, solvent_out, selected))
     if name != "process" and ledgers[0].energy is not None:
-        found.append(_balance(name, "energy", *ledgers[0].energy))
-    return found
+        results.append(_balance(name, "energy", *ledgers[0].energy))
+    return results
 
 
 def _balance(unit: str, quantity: str, inflow, outflow, accumulation, made=0.0) -> Balance:
@@ -115,11 +115,11 @@ def _balance(unit: str, quantity: str, inflow, outflow, accumulation, made=0.0) 
 
 def _species(streams: Iterable[Stream]) -> np.ndarray:
     """[S] kmol dissolved and in crystals."""
-    return np.sum([each.species + each.solid for each in streams], axis=0)
+    return np.sum([stream.species + stream.solid for stream in streams], axis=0)
 
 
 def _solvent(streams: Iterable[Stream]) -> float:
-    return sum(float(each.solvent + each.antisolvent) for each in streams)
+    return sum(float(stream.solvent + stream.antisolvent) for stream in streams)
 
 
 @dataclass(frozen=True)
@@ -151,16 +151,16 @@ def largest_gap(row: ConvergenceRow) -> float:
 
 def examine(run: StudyRun) -> Convergence:
     """In time, and on cells along a length and over sizes where there are any."""
-    whole = process(run)
-    return replace(convergence(whole), cells=on_finer_cells(whole))
+    complete = process(run)
+    return replace(convergence(complete), cells=on_finer_cells(complete))
 
 
 def check_points(run: StudyRun) -> tuple[CheckedPoint, ...]:
     """The adjoint against differences."""
-    whole, rows = process(run), []
-    names = [attribute.name for attribute in whole.case.attributes]
-    parameters = whole.case.parameters
-    for i, checked in enumerate(certify(whole, open_loop(run).seed)):
+    complete, rows = process(run), []
+    names = [attribute.name for attribute in complete.case.attributes]
+    parameters = complete.case.parameters
+    for i, checked in enumerate(certify(complete, open_loop(run).seed)):
         worst = np.unravel_index(int(checked.error.argmax()), checked.error.shape)
         rows.append(
             CheckedPoint(

@@ -28,10 +28,12 @@ def objective(case: PharmaCase) -> Objective:
     goal: Goal = case.goal
     if goal.kind == "probability":
         return Mean("success") - SHORTFALL * Mean("violation")
-    margin = next(each.margin for each in case.attributes if each.name == goal.attribute)
+    margin = next(
+        attribute.margin for attribute in case.attributes if attribute.name == goal.attribute
+    )
     name = f"attribute.{goal.attribute}"
-    kept: Objective = CVaR(name, goal.level) if goal.kind == "cvar" else goal.sense * Mean(name)
-    return kept - goal.penalty * margin * Mean("violation")
+    selected: Objective = CVaR(name, goal.level) if goal.kind == "cvar" else goal.sense * Mean(name)
+    return selected - goal.penalty * margin * Mean("violation")
 
 
 def in_words(goal: Goal) -> str:
@@ -46,10 +48,10 @@ def in_words(goal: Goal) -> str:
 
 def best_recipe(
     problem: Problem,
-    own: Feedback,
+    feedback: Feedback,
     training: TrainingPlan,
     engines: Engines,
-    tell: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[Feedback, Feedback]:
     """The best of several recipes, each trained; and it again, trained as long once more.
 
@@ -57,17 +59,19 @@ def best_recipe(
     second.
     """
 
-    def tuned(recipe: Feedback, plan: TrainingPlan, what: str) -> tuple[float, Feedback]:
-        found = climb(problem, begin(recipe, plan), plan, engines.train)
-        tell(f"{what}: exact value {found.best_value:,.7g}")
-        assert isinstance(found.best, Feedback)
-        return found.best_value, found.best
+    def tuned(recipe: Feedback, plan: TrainingPlan, subject: str) -> tuple[float, Feedback]:
+        result = climb(problem, begin(recipe, plan), plan, engines.train)
+        progress(f"{subject}: exact value {result.best_value:,.7g}")
+        assert isinstance(result.best, Feedback)
+        return result.best_value, result.best
 
-    starts = [own, *(own.moved(SPREAD, training.seed + k) for k in range(1, STARTS))]
-    found = [tuned(each, training, f"recipe from start {i + 1}") for i, each in enumerate(starts)]
-    first = max(found, key=lambda each: each[0])[1]
-    again = replace(training, seed=training.seed + 1)
-    return first, tuned(first, again, "best recipe, trained on")[1]
+    starts = [feedback, *(feedback.moved(SPREAD, training.seed + k) for k in range(1, STARTS))]
+    results = [
+        tuned(start, training, f"recipe from start {i + 1}") for i, start in enumerate(starts)
+    ]
+    first = max(results, key=lambda item: item[0])[1]
+    repeated = replace(training, seed=training.seed + 1)
+    return first, tuned(first, repeated, "best recipe, trained on")[1]
 
 
 TOO_LONG = "a step of a process is more than the native engine takes"
@@ -95,10 +99,10 @@ class ClosedLoop:
     def engines(self) -> Engines:
         # A step of a process is far more than the native engine takes, and asking it costs a trace.
         name = "xla" if self.engine == "auto" else self.engine
-        found = engines_for(name, self.problem, self.loop.policy)
+        engines = engines_for(name, self.problem, self.loop.policy)
         if self.engine != "auto":
-            return found
-        return found._replace(reason=found.reason.replace("it was asked for", TOO_LONG))
+            return engines
+        return engines._replace(reason=engines.reason.replace("it was asked for", TOO_LONG))
 
     @cached_property
     def _setups(self) -> dict[bool, Setup]:
@@ -106,18 +110,18 @@ class ClosedLoop:
 
     def setup(self) -> Setup:
         """The policy starts from the first recipe, once that is there."""
-        known = self.first is not None
-        if known not in self._setups:
+        available = self.first is not None
+        if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()
-            self._setups[known] = Setup(
+            self._setups[available] = Setup(
                 self.problem, policy, self.training, self.evaluation, self.engines
             )
-        return self._setups[known]
+        return self._setups[available]
 
     def moved(self, before: Setup, other: PharmaCase) -> Setup:
         """The setup of a case that differs in the numbers of its inputs alone."""
         loop = closed_loop(other, seed=self.training.seed)
-        values = {name: each.value for name, each in loop.inputs.items()}
+        values = {name: item.value for name, item in loop.inputs.items()}
         return at_values(
             before, loop.simulator, values, lambda: ClosedLoop(other, self.engine).setup()
         )

@@ -44,14 +44,14 @@ def closed_loop(case: PharmaCase, inputs: dict[str, Any] | None = None, seed: in
     stages = _stages(case)
     moves = [_move(a, b) for a, b in pairwise(stages)]
     simulator = Chain(stages, moves) if moves else stages[0]
-    found = pharma_inputs(case)
+    result = pharma_inputs(case)
     for name, value in (inputs or {}).items():
-        found[name] = eqx.tree_at(lambda each: each.value, found[name], np.asarray(value, float))
-    features = probe(simulator, prepare(simulator, found))[1].shape[0]
-    recipe = nominal_recipe(case, stages, found)
+        result[name] = eqx.tree_at(lambda item: item.value, result[name], np.asarray(value, float))
+    features = probe(simulator, prepare(simulator, result))[1].shape[0]
+    recipe = nominal_recipe(case, stages, result)
     baseline = Feedback(recipe, features, key=jax.random.key(seed))
-    names = tuple(f"attribute.{each.name}" for each in case.attributes)
-    return Loop(simulator, found, baseline.closed(), baseline, tuple(stages), names)
+    names = tuple(f"attribute.{attribute.name}" for attribute in case.attributes)
+    return Loop(simulator, result, baseline.closed(), baseline, tuple(stages), names)
 
 
 def _stages(case: PharmaCase) -> list[Stage]:
@@ -59,7 +59,7 @@ def _stages(case: PharmaCase) -> list[Stage]:
     assert case.control is not None
     steps, units = dict(case.control.steps), staged(case)
     last = [None] if decided(case, None) or not units else []
-    counts = [steps.get(each.name, 1) for each in units] + [1] * len(last)
+    counts = [steps.get(item.name, 1) for item in units] + [1] * len(last)
     starts = np.cumsum([0, *counts])
     return [
         Stage(  # pyright: ignore[reportCallIssue]
@@ -88,20 +88,20 @@ def nominal_recipe(case: PharmaCase, stages: list[Stage], inputs: dict[str, Inpu
     size = max(stage.action.size for stage in stages)
     table = np.full((stages[-1].total, size), 0.5)
     for stage in stages:
-        for place, i in enumerate(stage.decided):
+        for position, i in enumerate(stage.decided):
             item = case.control.manipulated[i]
             value = inputs[item.input].value
-            ends = (np.arange(stage.horizon) + 1) / stage.horizon
-            wanted = _course(case, item.input, value, ends)
+            endpoints = (np.arange(stage.horizon) + 1) / stage.horizon
+            requested = _course(case, item.input, value, endpoints)
             rows = slice(stage.before, stage.before + stage.horizon)
-            table[rows, place] = np.clip((wanted - item.low) / (item.high - item.low), 0, 1)
+            table[rows, position] = np.clip((requested - item.low) / (item.high - item.low), 0, 1)
     return table
 
 
 def _course(case: PharmaCase, name: str, value: np.ndarray, share: np.ndarray) -> np.ndarray:
     """A control at shares of its unit's duration: its profile, or one number all the time."""
-    unit = next(each for each in case.units if each.name == name.partition(".")[0])
-    profile = next((each for each in unit.profiles if each.value.name == name), None)
+    unit = next(item for item in case.units if item.name == name.partition(".")[0])
+    profile = next((entry for entry in unit.profiles if entry.value.name == name), None)
     if profile is None:
         return np.full(len(share), value[0])
     if profile.kind == "linear":

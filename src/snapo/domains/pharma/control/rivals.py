@@ -54,8 +54,8 @@ def simc(process: FirstOrder, closed: float | None = None) -> tuple[float, float
 
     `closed`: tau_c in s, by default theta. S. Skogestad, J. Process Control 13 (2003) 291.
     """
-    wanted = process.dead if closed is None else closed
-    room = wanted + process.dead
+    requested = process.dead if closed is None else closed
+    room = requested + process.dead
     return process.lag / process.gain / room, min(process.lag, 4 * room)
 
 
@@ -85,25 +85,25 @@ def connected(case: PharmaCase, stages: tuple[Stage, ...], rule: Rule) -> tuple[
     """Its wires and controllers, the outer one of a cascade before the inner one."""
     control = case.control
     assert control is not None
-    wires, loops = [], []
-    for each in rule.loops:
-        stage = next(s for s in stages if each.of in s.decided)
+    connections, loops = [], []
+    for item in rule.loops:
+        stage = next(s for s in stages if item.of in s.decided)
         if stage.unit is None:
             raise ValueError(f"rule {rule.name!r}: what is decided once has no loop")
         seconds = float(stage.unit.duration.used()) / stage.horizon
-        place = stage.decided.index(each.of)
-        applied = 2 + len(control.measurements) + each.of
-        both = [each.outer] if each.inner is None else [each.outer, each.inner]
+        position = stage.decided.index(item.of)
+        applied = 2 + len(control.measurements) + item.of
+        both = [item.outer] if item.inner is None else [item.outer, item.inner]
         for number, loop in enumerate(both):
-            outer = number == 0 and each.inner is not None
+            outer = number == 0 and item.inner is not None
             low, high = (_reading(control, both[1], x) if outer else i
-                         for i, x in enumerate((each.low, each.high)))  # fmt: skip
-            wires.append(
-                Wire(stage.before, stage.horizon, seconds, 2 + loop.sensor, applied, place,
-                     len(wires) + 1 if outer else -1, low, high)
+                         for i, x in enumerate((item.low, item.high)))  # fmt: skip
+            connections.append(
+                Wire(stage.before, stage.horizon, seconds, 2 + loop.sensor, applied, position,
+                     len(connections) + 1 if outer else -1, low, high)
             )  # fmt: skip
             loops.append(loop)
-    return wires, loops
+    return connections, loops
 
 
 def _reading(control: Control, loop: PI, value: float) -> float:
@@ -115,75 +115,80 @@ def first_settings(
     case: PharmaCase, stages: tuple[Stage, ...], problem: Problem, rule: Rule, recipe: np.ndarray
 ) -> Tuned:
     """A rule about a recipe, [T, size] actions: what is not given is found from steps."""
-    wires, loops = connected(case, stages, rule)
+    connections, loops = connected(case, stages, rule)
     control = case.control
     assert control is not None
-    policy = Loops(np.zeros_like(recipe), tuple(wires), np.zeros((len(wires), len(recipe))))
+    policy = Loops(
+        np.zeros_like(recipe), tuple(connections), np.zeros((len(connections), len(recipe)))
+    )
     policy = policy.on(recipe)
     nominal = readings(problem, policy)
-    wanted = np.stack([nominal[:, wire.sensor] for wire in wires])
-    for i, (wire, loop) in enumerate(zip(wires, loops)):
+    requested = np.stack([nominal[:, wire.sensor] for wire in connections])
+    for i, (connection, loop) in enumerate(zip(connections, loops)):
         if loop.setpoint is not None:
             nodes = [_reading(control, loop, value) for value in loop.setpoint]
-            share = (np.arange(wire.count) + 0.5) / wire.count
+            share = (np.arange(connection.count) + 0.5) / connection.count
             row = np.interp(share, np.linspace(0, 1, len(nodes)), nodes)
-            wanted[i, wire.first : wire.first + wire.count] = row
-    policy, processes = policy.following(wanted), list[FirstOrder | None]([None] * len(wires))
+            requested[i, connection.first : connection.first + connection.count] = row
+    policy, processes = (
+        policy.following(requested),
+        list[FirstOrder | None]([None] * len(connections)),
+    )
     # An inner loop is closed before the outer one is tuned.
-    for i in reversed(range(len(wires))):
-        loop, wire = loops[i], wires[i]
+    for i in reversed(range(len(connections))):
+        loop, connection = loops[i], connections[i]
         gain, time = loop.gain, loop.integral
         if gain is not None:
-            gain = gain * _scale(control, wire, wires)
+            gain = gain * _scale(control, connection, connections)
         if gain is None or time is None:
             try:
-                processes[i] = seen = respond(problem, policy, recipe, i)
+                processes[i] = observed = respond(problem, policy, recipe, i)
             except ValueError as error:
                 raise ValueError(f"rule {rule.name!r}, loop {i + 1}: {error}") from None
-            found = FORMULAS[rule.tuning](seen)
-            gain, time = (a if a is not None else b for a, b in zip((gain, time), found))
+            formulas = FORMULAS[rule.tuning](observed)
+            gain, time = (a if a is not None else b for a, b in zip((gain, time), formulas))
             # Within one decision an integral cannot do more than all of its work.
-            time = max(time, wire.seconds)
+            time = max(time, connection.seconds)
         policy = policy.tuned(i, gain, time)
     return Tuned(policy, tuple(processes), tuple(loops))
 
 
-def _scale(control: Control, wire: Wire, wires: list[Wire]) -> float:
+def _scale(control: Control, connection: Wire, connections: list[Wire]) -> float:
     """What a gain in the domain's units is multiplied by, for shares of the range per reading."""
-    sensor = control.measurements[wire.sensor - 2]
-    if wire.inner < 0:
-        moved = control.manipulated[wire.control - 2 - len(control.measurements)]
+    sensor = control.measurements[connection.sensor - 2]
+    if connection.inner < 0:
+        moved = control.manipulated[connection.control - 2 - len(control.measurements)]
         return sensor.width / (moved.high - moved.low)
-    return sensor.width / control.measurements[wires[wire.inner].sensor - 2].width
+    return sensor.width / control.measurements[connections[connection.inner].sensor - 2].width
 
 
 def in_units(control: Control, policy: Loops) -> np.ndarray:
     """[L] gains in the domain's units: of what is moved per what is measured."""
-    wires = list(policy.wires)
-    return policy.gains() / [_scale(control, wire, wires) for wire in wires]
+    connections = list(policy.wires)
+    return policy.gains() / [_scale(control, connection, connections) for connection in connections]
 
 
 def respond(problem: Problem, policy: Loops, recipe: np.ndarray, number: int) -> FirstOrder:
     """What loop `number` sees of a step in what it moves, from the start of its unit."""
-    wire = policy.wires[number]
-    rows = slice(wire.first, wire.first + wire.count)
-    if wire.inner < 0:
-        size = STEP if recipe[rows, wire.place].mean() < 0.5 else -STEP
+    connection = policy.wires[number]
+    rows = slice(connection.first, connection.first + connection.count)
+    if connection.inner < 0:
+        size = STEP if recipe[rows, connection.place].mean() < 0.5 else -STEP
         moved = recipe.copy()
-        moved[rows, wire.place] += size
+        moved[rows, connection.place] += size
         # At a limit not all of the step is made.
-        size = float((np.clip(moved, 0, 1) - np.clip(recipe, 0, 1))[rows, wire.place].mean())
+        size = float((np.clip(moved, 0, 1) - np.clip(recipe, 0, 1))[rows, connection.place].mean())
         other = policy.on(moved)
     else:
-        size = STEP * (wire.high - wire.low)
+        size = STEP * (connection.high - connection.low)
         setpoints = np.array(policy.setpoints.array)
-        setpoints[wire.inner, rows] += size
+        setpoints[connection.inner, rows] += size
         other = policy.following(setpoints)
     apart = readings(problem, other) - readings(problem, policy)
-    response = apart[rows, wire.sensor]
-    times = np.arange(wire.count) * wire.seconds
-    found = first_order(times, response, size)
-    return found._replace(dead=found.dead + wire.seconds / 2)
+    response = apart[rows, connection.sensor]
+    times = np.arange(connection.count) * connection.seconds
+    result = first_order(times, response, size)
+    return result._replace(dead=result.dead + connection.seconds / 2)
 
 
 def readings(problem: Problem, policy: Loops) -> np.ndarray:
@@ -201,13 +206,13 @@ def _followed(simulator, policy, constants, steps):
 
     def step(carry, now):
         state, memory = carry
-        seen = simulator.observe(constants, now, state)
-        action, memory = policy.decide(seen, memory, Exact())
+        observed = simulator.observe(constants, now, state)
+        action, memory = policy.decide(observed, memory, Exact())
         after, _ = simulator.step(constants, now, state, action, quiet, Exact())
         after = jax.tree.map(
             lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), after, state
         )
-        return (after, memory), seen
+        return (after, memory), observed
 
     start = first, jnp.zeros(policy.memory)
     return jax.lax.scan(step, start, steps)[1]

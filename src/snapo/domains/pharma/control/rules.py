@@ -59,14 +59,14 @@ class Loops(Memory):
     setpoints: Frozen
     wires: tuple[Wire, ...] = eqx.field(static=True)
 
-    def __init__(self, table: np.ndarray, wires: tuple[Wire, ...], setpoints: np.ndarray):
+    def __init__(self, table: np.ndarray, connections: tuple[Wire, ...], setpoints: np.ndarray):
         """All loops are open at first."""
         self.table = jnp.asarray(table, jnp.float32)
-        self.log_gain = jnp.full(len(wires), -jnp.inf, jnp.float32)
-        self.log_time = jnp.zeros(len(wires), jnp.float32)
-        self.signs = Frozen(np.ones(len(wires), np.float32))
+        self.log_gain = jnp.full(len(connections), -jnp.inf, jnp.float32)
+        self.log_time = jnp.zeros(len(connections), jnp.float32)
+        self.signs = Frozen(np.ones(len(connections), np.float32))
         self.setpoints = Frozen(np.asarray(setpoints, np.float32))
-        self.wires = wires
+        self.wires = connections
 
     @property
     def memory(self) -> int:
@@ -75,35 +75,41 @@ class Loops(Memory):
     def decide(self, observation, memory, smooth):
         kind = observation.dtype
         count, size = self.table.shape
-        clock = observation[0] * count
-        weights = jnp.maximum(1 - jnp.abs(clock - jnp.arange(count)), 0).astype(kind)
+        timer = observation[0] * count
+        weights = jnp.maximum(1 - jnp.abs(timer - jnp.arange(count)), 0).astype(kind)
         planned = jax.nn.sigmoid(weights @ self.table.astype(kind))
-        wanted = jnp.asarray(self.setpoints).astype(kind) @ weights
+        requested = jnp.asarray(self.setpoints).astype(kind) @ weights
         gains = jnp.asarray(self.signs).astype(kind) * jnp.exp(self.log_gain.astype(kind))
         times = jnp.exp(self.log_time.astype(kind))
-        correction, kept = jnp.zeros(size, kind), []
-        for i, wire in enumerate(self.wires):
-            now = (clock > wire.first - 0.5) & (clock < wire.first + wire.count - 0.5)
-            later = now & (clock > wire.first + 0.5)
-            pace = jnp.minimum(wire.seconds / times[i], 1.0)
-            direct = wire.inner < 0
+        correction, selected = jnp.zeros(size, kind), []
+        for i, connection in enumerate(self.wires):
+            now = (timer > connection.first - 0.5) & (
+                timer < connection.first + connection.count - 0.5
+            )
+            later = now & (timer > connection.first + 0.5)
+            pace = jnp.minimum(connection.seconds / times[i], 1.0)
+            direct = connection.inner < 0
             # What was applied of the last decision is seen only now.
-            applied = pace * observation[wire.control] if direct else 0.0
+            applied = pace * observation[connection.control] if direct else 0.0
             integral = jnp.where(later, memory[i] + applied, 0.0)
-            error = gains[i] * (wanted[i] - observation[wire.sensor])
-            base = planned[wire.place] if direct else wanted[wire.inner]
+            error = gains[i] * (requested[i] - observation[connection.sensor])
+            base = planned[connection.place] if direct else requested[connection.inner]
             moved = base + error + integral
             if direct:
                 after = pace * (error - moved)
-                correction = correction.at[wire.place].add(jnp.where(now, error + integral, 0.0))
+                correction = correction.at[connection.place].add(
+                    jnp.where(now, error + integral, 0.0)
+                )
             else:
-                width = wire.high - wire.low
-                held = smooth.clip(moved, wire.low, wire.high, scale=width)
+                width = connection.high - connection.low
+                held = smooth.clip(moved, connection.low, connection.high, scale=width)
                 after = pace * (error + held - moved)
-                wanted = wanted.at[wire.inner].set(jnp.where(now, held, wanted[wire.inner]))
-            kept.append(jnp.where(now, integral + after, 0.0))
+                requested = requested.at[connection.inner].set(
+                    jnp.where(now, held, requested[connection.inner])
+                )
+            selected.append(jnp.where(now, integral + after, 0.0))
         action = Box(0.0, 1.0, size).near(planned, correction, smooth)
-        return action, jnp.stack(kept).astype(kind)
+        return action, jnp.stack(selected).astype(kind)
 
     def on(self, recipe: np.ndarray) -> "Loops":
         """The same loops about another recipe, [T, size] actions in 0..1."""

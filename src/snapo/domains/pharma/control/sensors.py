@@ -20,7 +20,7 @@ def kept(sensors: Sequence[Measurement], interval: float) -> int:
 
     One more than the dead time needs, as a unit's duration may vary from batch to batch.
     """
-    longest = max((each.delay for each in sensors), default=0.0)
+    longest = max((sensor.delay for sensor in sensors), default=0.0)
     return math.ceil(longest / interval * (1 + 1e-9)) + 2 if longest else 0
 
 

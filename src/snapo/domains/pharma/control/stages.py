@@ -43,23 +43,23 @@ def staged(case: PharmaCase) -> tuple[Timed, ...]:
     """The units over whose time something is decided or measured, in order."""
     control = case.control
     assert control is not None
-    named = {name for name, _ in control.steps}
-    named |= {each.state.partition(".")[0] for each in control.measurements}
-    named |= {each.input.partition(".")[0] for each in control.manipulated}
-    return tuple(each for each in timed(case.units) if each.name in named)
+    by_name = {name for name, _ in control.steps}
+    by_name |= {measurement.state.partition(".")[0] for measurement in control.measurements}
+    by_name |= {item.input.partition(".")[0] for item in control.manipulated}
+    return tuple(entry for entry in timed(case.units) if entry.name in by_name)
 
 
 def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
     """Numbers of the `Manipulated` that belong to a stage's unit, or (None) to all the others."""
-    names = {each.name for each in staged(case)}
+    names = {entry.name for entry in staged(case)}
 
     def owner(item: Manipulated) -> str | None:
         name = item.input.partition(".")[0]
         return name if name in names else None
 
     assert case.control is not None
-    wanted = None if unit is None else unit.name
-    return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == wanted)
+    requested = None if unit is None else unit.name
+    return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == requested)
 
 
 class Stage(Simulator):
@@ -106,32 +106,32 @@ class Stage(Simulator):
         correlated = jnp.asarray(self.varied.correlated)
         number = np.arange(self.horizon)
         steps = {"clock": (self.before + number) / self.total, "share": number / self.horizon}
-        constants = {name: jnp.asarray(each) for name, each in inputs.items()}
+        constants = {name: jnp.asarray(item) for name, item in inputs.items()}
         return Schedule({"inputs": constants, "correlated": correlated}, steps)
 
     def draw(self, constants, noise) -> Float[Array, " V"]:
         """Values of the varied numbers."""
         uncertain, inputs = self.varied, constants["inputs"]
         z = constants["correlated"] @ noise[: len(uncertain.inputs)]
-        found = [
-            drawn(each, inputs[name][entry], z[i])
-            for i, (each, name, entry) in enumerate(
+        drawns = [
+            drawn(distribution, inputs[name][entry], z[i])
+            for i, (distribution, name, entry) in enumerate(
                 zip(uncertain.distributions, uncertain.inputs, uncertain.entries)
             )
         ]
-        return jnp.stack(found) if found else jnp.zeros(0)
+        return jnp.stack(drawns) if drawns else jnp.zeros(0)
 
     def inputs_of(self, constants, draws) -> dict[str, Array]:
         """The inputs of this batch."""
-        found, uncertain = dict(constants["inputs"]), self.varied
+        inputs, uncertain = dict(constants["inputs"]), self.varied
         for i, (name, entry) in enumerate(zip(uncertain.inputs, uncertain.entries)):
-            found[name] = found[name].at[entry].set(draws[i])
-        return found
+            inputs[name] = inputs[name].at[entry].set(draws[i])
+        return inputs
 
     def initial(self, constants, noise) -> State:
         size = len(self.varied.inputs)
         draws = self.draw(constants, noise)
-        firsts = [constants["inputs"][each.input][0] for each in self.control.manipulated]
+        firsts = [constants["inputs"][item.input][0] for item in self.control.manipulated]
         state = {
             "y": jnp.zeros(0),
             "streams": {},
@@ -159,65 +159,65 @@ class Stage(Simulator):
         ]
         values = self.sensed(problem, y, controls)
         past = begun(values, self.control.measurements, self._interval())
-        seen = self.read(problem, values, past, state)
-        return state | {"y": y, "seen": seen, "past": past}
+        observed = self.read(problem, values, past, state)
+        return state | {"y": y, "seen": observed, "past": past}
 
     def leave(self, constants, state: State) -> State:
         """The state with the streams and measures of this stage's unit."""
         assert self.unit is not None
         inputs = self.inputs_of(constants, state["draws"])
         problem = self.problem(inputs, state["streams"])
-        ends = []
+        endpoints = []
         for profile, value in problem.controls:
             i = self._manipulated(profile.value.name)
-            ends.append(state["control"][i] if i >= 0 else value[-1])
-        return self.delivered(self.unit, problem.finish(state["y"], *ends), state)
+            endpoints.append(state["control"][i] if i >= 0 else value[-1])
+        return self.delivered(self.unit, problem.finish(state["y"], *endpoints), state)
 
     def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
         """The state with the delivery of a timed unit."""
-        wanted = asked(self.case)
+        requested = asked(self.case)
         streams = {
             f"{unit.name}.{port}": flat(stream)
             for port, stream in zip(unit.outlets, finish.outlets)
         }
-        measures = {f"{unit.name}.{each}": value for each, value in finish.measures.items()}
-        kept = {each: value for each, value in measures.items() if each in wanted}
+        measures = {f"{unit.name}.{item}": value for item, value in finish.measures.items()}
+        selected = {entry: value for entry, value in measures.items() if entry in requested}
         return state | {
             "streams": state["streams"] | streams,
-            "measures": state["measures"] | kept,
+            "measures": state["measures"] | selected,
         }
 
     def settle(self, inputs, state: State) -> State:
         """The state with every timed unit run that has no stage and whose inlets flow by now."""
-        case, fed, own = self.case, sources(self.case), staged(self.case)
+        case, fed, local = self.case, sources(self.case), staged(self.case)
         numerics = replace(case.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
         for unit in timed(case.units):
             done = any(f"{unit.name}.{port}" in state["streams"] for port in unit.outlets)
-            if unit in own or done:
+            if unit in local or done:
                 continue
-            found, _ = self.streams(inputs, state["streams"])
-            if not all(name in found for name in fed[unit.name]):
+            result, _ = self.streams(inputs, state["streams"])
+            if not all(name in result for name in fed[unit.name]):
                 continue
-            given = tuple(found[name] for name in fed[unit.name])
-            finish = unit.operate(case.network, numerics, given, inputs).finish
+            values = tuple(result[name] for name in fed[unit.name])
+            finish = unit.operate(case.network, numerics, values, inputs).finish
             state = self.delivered(unit, finish, state)
         return state
 
     def streams(self, inputs, made: dict[str, Array]) -> tuple[dict[str, Stream], dict]:
         """All streams and measures that follow from the feeds and the vectors `made` so far."""
         case, fed = self.case, sources(self.case)
-        found = {each.name: feed(each, inputs) for each in case.feeds}
+        feeds = {item.name: feed(item, inputs) for item in case.feeds}
         species, sizes = len(case.network.species), crystal_sizes(case)
-        found |= {name: unflat(each, blank(species, sizes[name])) for name, each in made.items()}
+        feeds |= {name: unflat(entry, blank(species, sizes[name])) for name, entry in made.items()}
         measures = {}
         over_time = timed(case.units)
         for group in groups(case.units, case.connections):
             inside = {f"{unit.name}.{port}" for unit in group.units for port in unit.outlets}
             needed = {name for unit in group.units for name in fed[unit.name]} - inside
-            if group.units[0] not in over_time and needed <= set(found):
-                flowed = through(case, group, found, inputs)
-                found, measures = flowed.streams, measures | flowed.measures
-        return found, measures
+            if group.units[0] not in over_time and needed <= set(feeds):
+                flowed = through(case, group, feeds, inputs)
+                feeds, measures = flowed.streams, measures | flowed.measures
+        return feeds, measures
 
     def problem(self, inputs, made) -> Dynamics:
         """This stage's unit as an initial value problem."""
@@ -229,23 +229,23 @@ class Stage(Simulator):
     def sensed(self, problem: Dynamics, y, controls) -> Float[Array, " M"]:
         """The states that this unit's sensors measure, now; 0 for the sensors of other units."""
         assert self.unit is not None
-        states, found = problem.states(y, *controls), []
+        states, results = problem.states(y, *controls), []
         for sensor in self.control.measurements:
             unit, _, name = sensor.state.partition(".")
-            found.append(states[name] if unit == self.unit.name else jnp.zeros(()))
-        return jnp.stack(found) if found else jnp.zeros(0)
+            results.append(states[name] if unit == self.unit.name else jnp.zeros(()))
+        return jnp.stack(results) if results else jnp.zeros(0)
 
     def read(self, problem: Dynamics, values, past, state: State) -> Float[Array, " M"]:
         """The readings of the sensors, this unit's new ones with their errors, of order one."""
         assert self.unit is not None
-        steps, seen = problem.duration / self.horizon, []
+        steps, observed = problem.duration / self.horizon, []
         for i, sensor in enumerate(self.control.measurements):
             if sensor.state.partition(".")[0] != self.unit.name:
-                seen.append(state["seen"][i])
+                observed.append(state["seen"][i])
                 continue
             value = reading(values[i], past[i], sensor, steps) + sensor.error * state["error"][i]
-            seen.append((value - sensor.centre) / sensor.width)
-        return jnp.stack(seen) if seen else jnp.zeros(0)
+            observed.append((value - sensor.centre) / sensor.width)
+        return jnp.stack(observed) if observed else jnp.zeros(0)
 
     def _interval(self) -> float:
         """s from one decision to the next over the nominal duration."""
@@ -253,31 +253,33 @@ class Stage(Simulator):
         return float(self.unit.duration.used()) / self.horizon
 
     def observe(self, constants, now, state: State) -> Float[Array, " features"]:
-        low = np.array([each.low for each in self.control.manipulated])
-        high = np.array([each.high for each in self.control.manipulated])
+        low = np.array([item.low for item in self.control.manipulated])
+        high = np.array([entry.high for entry in self.control.manipulated])
         control = (state["control"] - low) / (high - low)
-        clock = jnp.stack([now["clock"], now["share"]])
-        return jnp.concatenate([clock, state["seen"], control])
+        timer = jnp.stack([now["clock"], now["share"]])
+        return jnp.concatenate([timer, state["seen"], control])
 
     def renewed(self, constants, state: State, noise) -> State:
         """The state with this step's disturbances and sensor errors."""
         uncertain = self.varied
         state = state | {"error": noise[len(uncertain.inputs) :]}
-        again = np.array([each == "step" for each in uncertain.when], bool)
-        if not again.any():
+        repeated = np.array([item == "step" for item in uncertain.when], bool)
+        if not repeated.any():
             return state
-        draws = jnp.where(again, self.draw(constants, noise), state["draws"])
+        draws = jnp.where(repeated, self.draw(constants, noise), state["draws"])
         return state | {"draws": draws}
 
     def wanted(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
         """The controls after this decision, in their units and within their ramps."""
         control = state["control"]
-        for place, i in enumerate(self.decided):
+        for position, i in enumerate(self.decided):
             item = self.control.manipulated[i]
-            value = item.low + action[place] * (item.high - item.low)
+            value = item.low + action[position] * (item.high - item.low)
             if item.ramp is not None and self.unit is not None:
-                most = item.ramp * seconds
-                value = smooth.clip(value, control[i] - most, control[i] + most, scale=most)
+                maximum = item.ramp * seconds
+                value = smooth.clip(
+                    value, control[i] - maximum, control[i] + maximum, scale=maximum
+                )
             control = control.at[i].set(value)
         return control
 
@@ -294,52 +296,54 @@ class Stage(Simulator):
         part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
         # Of a control that is decided only its disturbance is the batch's own.
         nominal, share = constants["inputs"], now["share"] + part / self.horizon
-        courses, ends = [], []
+        trajectories, endpoints = [], []
         for profile, value in problem.controls:
             i = self._manipulated(profile.value.name)
             if i >= 0:
                 # A profile of pieces jumps, unless it may not; any other moves evenly.
                 jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
                 first = control[i] if jumps else state["control"][i]
-                course = first + (control[i] - first) * part
+                trajectory = first + (control[i] - first) * part
                 name = profile.value.name
-                course = course + values_at(profile, inputs[name] - nominal[name], share)
+                trajectory = trajectory + values_at(profile, inputs[name] - nominal[name], share)
             else:
-                course = values_at(profile, value, share)
-            courses.append(course)
-            ends.append(course[-1, 2])
+                trajectory = values_at(profile, value, share)
+            trajectories.append(trajectory)
+            endpoints.append(trajectory[-1, 2])
         if problem.to_dose is not None:
-            courses[-1] = courses[-1] * self._dosed(problem, state, courses[-1], seconds)
-        y, worst = self._advance(problem, state, courses, seconds / count, smooth)
+            trajectories[-1] = trajectories[-1] * self._dosed(
+                problem, state, trajectories[-1], seconds
+            )
+        y, worst = self._advance(problem, state, trajectories, seconds / count, smooth)
         after = state | {"y": y, "control": control, "worst": worst}
-        values = self.sensed(problem, y, ends)
+        values = self.sensed(problem, y, endpoints)
         past = moved(values, state["past"])
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _dosed(self, problem: Dynamics, state: State, flow, seconds) -> Float[Array, ""]:
         """The share of a `flow` over this decision that what waits to be dosed is enough for."""
         assert problem.to_dose is not None
-        wanted = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
+        requested = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
         waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
-        return jnp.where(wanted > waits, waits / jnp.where(wanted > 0, wanted, 1.0), 1.0)
+        return jnp.where(requested > waits, waits / jnp.where(requested > 0, requested, 1.0), 1.0)
 
-    def _advance(self, problem: Dynamics, state: State, courses, step, smooth):
+    def _advance(self, problem: Dynamics, state: State, trajectories, step, smooth):
         """y after the substeps, and the largest supersaturation on the way."""
-        drive = problem.drive(*courses)
+        drive = problem.drive(*trajectories)
         margin = self.control.solubility_margin
-        watch = margin is not None and "supersaturation" in self.readings
+        monitor = margin is not None and "supersaturation" in self.readings
 
         def advance(carry, now):
             y, worst = carry
             y = runge_kutta(problem.rate, y, step, now[0])
-            if watch:
+            if monitor:
                 level = problem.states(y, *now[1])["supersaturation"]
                 worst = smooth.maximum(worst, level, scale=margin)
             return (y, worst), None
 
-        ends = [course[:, 2] for course in courses]
+        endpoints = [trajectory[:, 2] for trajectory in trajectories]
         first = state["y"], state["worst"]
-        return jax.lax.scan(advance, first, (drive, ends))[0]
+        return jax.lax.scan(advance, first, (drive, endpoints))[0]
 
     def terminal(self, constants, state: State, smooth):
         """The other units, every attribute, whether all limits hold and by how much they do not.
@@ -360,15 +364,17 @@ class Stage(Simulator):
         measures |= state["measures"] | yields(self.case, streams)
         outputs, success, violation = {}, jnp.ones(()), jnp.zeros(())
         gaps = []
-        for each in self.case.attributes:
-            value = each.scale * measures[each.measure]
-            outputs[f"attribute.{each.name}"] = value
+        for attribute in self.case.attributes:
+            value = attribute.scale * measures[attribute.measure]
+            outputs[f"attribute.{attribute.name}"] = value
             # What cannot be is no success; it has no slope, as no good batch comes near it.
-            success = success * jnp.where(value >= each.scale * least(each.measure), 1.0, 0.0)
-            if each.low is not None:
-                gaps.append((value - each.low, each.margin))
-            if each.high is not None:
-                gaps.append((each.high - value, each.margin))
+            success = success * jnp.where(
+                value >= attribute.scale * least(attribute.measure), 1.0, 0.0
+            )
+            if attribute.low is not None:
+                gaps.append((value - attribute.low, attribute.margin))
+            if attribute.high is not None:
+                gaps.append((attribute.high - value, attribute.margin))
         margin = self.control.solubility_margin
         if margin is not None:
             gaps.append((margin - state["worst"], margin / 10))
@@ -379,5 +385,5 @@ class Stage(Simulator):
 
     def _manipulated(self, name: str) -> int:
         """The number of the `Manipulated` with this input, -1 if nobody decides it."""
-        names = [each.input for each in self.control.manipulated]
+        names = [item.input for item in self.control.manipulated]
         return names.index(name) if name in names else -1

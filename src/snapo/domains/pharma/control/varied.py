@@ -24,16 +24,20 @@ class Varied(NamedTuple):
 
 def varied(case: PharmaCase) -> Varied:
     """The same numbers as those of `draws.all_entries`."""
-    known, moving = case.uncertainty, [each for each in case.parameters if each.distribution]
-    size = len(known.inputs)
+    available, moving = (
+        case.uncertainty,
+        [parameter for parameter in case.parameters if parameter.distribution],
+    )
+    size = len(available.inputs)
     factor = np.eye(size + len(moving))
     if size:
-        factor[:size, :size] = np.linalg.cholesky(known.correlation)
+        factor[:size, :size] = np.linalg.cholesky(available.correlation)
     return Varied(
-        known.inputs + tuple(each.input for each in moving),
-        known.entries + tuple(each.entry for each in moving),
-        known.distributions + tuple(each.distribution for each in moving if each.distribution),
-        known.when + ("batch",) * len(moving),
+        available.inputs + tuple(item.input for item in moving),
+        available.entries + tuple(entry.entry for entry in moving),
+        available.distributions
+        + tuple(value.distribution for value in moving if value.distribution),
+        available.when + ("batch",) * len(moving),
         factor,
     )
 

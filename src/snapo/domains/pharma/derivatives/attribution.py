@@ -35,22 +35,22 @@ class Split(NamedTuple):
 
 def split(case: PharmaCase, blocks: Local, raw: np.ndarray) -> Split:
     """Every entry of `raw` [Q, P], owner's units, as a sum over paths."""
-    found: dict[tuple[str, str], tuple[Path, ...]] = {}
+    table: dict[tuple[str, str], tuple[Path, ...]] = {}
     total = np.zeros(raw.shape)
     for q, attribute in enumerate(case.attributes):
         for p, parameter in enumerate(case.parameters):
             every = _paths(blocks.units, attribute, parameter)
-            ways = tuple(way for way in every if way.value != 0)
+            ways = tuple(path for path in every if path.value != 0)
             if ways:
-                found[attribute.name, parameter.name] = ways
-                total[q, p] = sum(way.value for way in ways)
+                table[attribute.name, parameter.name] = ways
+                total[q, p] = sum(key_path.value for key_path in ways)
     largest = np.abs(raw).max(1, keepdims=True)
     closure = np.abs(total - raw) / np.where(largest > 0, largest, 1.0)
-    return Split(found, closure)
+    return Split(table, closure)
 
 
 def _paths(units: dict[str, Block], attribute: Attribute, parameter: Parameter) -> Iterator[Path]:
-    end = next(name for name, each in units.items() if attribute.measure in each.measures)
+    end = next(name for name, unit in units.items() if attribute.measure in unit.measures)
     row = units[end].measures.index(attribute.measure)
     entry: Entry = (parameter.input, parameter.entry)
     scale = attribute.scale * parameter.scale
@@ -61,8 +61,8 @@ def _paths(units: dict[str, Block], attribute: Attribute, parameter: Parameter) 
         if start == end:
             yield Path((start,), float(scale * block.measure_by_entry[row, column]))
         outlets = block.stream_by_entry[:, :, column]
-        for way, value in _onward(units, start, outlets, end, row):
-            yield Path((start, *way), float(scale * value))
+        for path, value in _onward(units, start, outlets, end, row):
+            yield Path((start, *path), float(scale * value))
 
 
 def _onward(
@@ -82,19 +82,19 @@ def _onward(
             yield (name,), float(value)
         further = sum(block.stream[:, :, i] @ changes[outlet] for outlet, i in inlets)
         if np.any(further):
-            for way, value in _onward(units, name, np.asarray(further), end, row):
-                yield (name, *way), value
+            for path, value in _onward(units, name, np.asarray(further), end, row):
+                yield (name, *path), value
 
 
-def by_unit(case: PharmaCase, found: Split) -> dict[tuple[str, str], float]:
+def by_unit(case: PharmaCase, result: Split) -> dict[tuple[str, str], float]:
     """{(unit where parameters act, attribute): root of the summed squares over half the normal
     range}: which unit matters for which attribute, before anyone asks by what."""
-    half = {each.name: (each.normal_high - each.normal_low) / 2 / each.scale
-            for each in case.parameters}  # fmt: skip
+    half = {item.name: (item.normal_high - item.normal_low) / 2 / item.scale
+            for item in case.parameters}  # fmt: skip
     squares: dict[tuple[str, str], float] = {}
-    for (attribute, parameter), ways in found.paths.items():
-        for start in dict.fromkeys(way.units[0] for way in ways):
-            value = sum(way.value for way in ways if way.units[0] == start)
+    for (attribute, parameter), ways in result.paths.items():
+        for start in dict.fromkeys(path.units[0] for path in ways):
+            value = sum(key_path.value for key_path in ways if key_path.units[0] == start)
             key = (start, attribute)
             squares[key] = squares.get(key, 0.0) + (value * half[parameter]) ** 2
     return {key: float(np.sqrt(value)) for key, value in squares.items()}

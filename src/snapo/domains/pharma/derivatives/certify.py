@@ -39,19 +39,19 @@ class Checked(NamedTuple):
 def certify(process: "Process", seed: int) -> list[Checked]:
     """The set point first, then `POINTS` random ones within the normal operating ranges."""
     case = process.case
-    low = np.array([each.normal_low for each in case.parameters])
-    high = np.array([each.normal_high for each in case.parameters])
-    here = np.array([process.inputs[each.input][each.entry] for each in case.parameters])
+    low = np.array([parameter.normal_low for parameter in case.parameters])
+    high = np.array([item.normal_high for item in case.parameters])
+    here = np.array([process.inputs[entry.input][entry.entry] for entry in case.parameters])
     random = np.random.Generator(np.random.Philox(key=seed)).random((POINTS, len(here)))
     points = np.vstack([here, low + random * (high - low)])
     step = STEP * (high - low) / 2
     values = _moved_values(process, points, step)
-    return [_check(process, *each, step) for each in zip(points, values)]
+    return [_check(process, *value, step) for value in zip(points, values)]
 
 
 def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> np.ndarray:
     """[points, 4 P + 1, Q] attributes two steps and one step below and above, and at the point."""
-    entries = [(each.input, each.entry) for each in process.case.parameters]
+    entries = [(parameter.input, parameter.entry) for parameter in process.case.parameters]
     size = len(step)
     moves = np.concatenate([k * np.diag(step) for k in (-2, -1, 1, 2)] + [np.zeros((1, size))])
     rows = [
@@ -63,18 +63,18 @@ def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> n
 
 
 def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.ndarray) -> Checked:
-    entries = [(each.input, each.entry) for each in process.case.parameters]
+    entries = [(parameter.input, parameter.entry) for parameter in process.case.parameters]
     inputs = batches.moved(process, dict(zip(entries, point)))
     # By all numbers, which costs the adjoint nothing: the same function gives the run's table.
     every = every_entry(process.inputs)
     adjoint = matrix(process, inputs, entries=every, mode="adjoint").jacobian
-    adjoint = adjoint[:, [every.index(each) for each in entries]]
+    adjoint = adjoint[:, [every.index(entry) for entry in entries]]
     size = len(point)
     far_low, low, high, far_high = (values[k * size : (k + 1) * size].T for k in range(4))
     difference = (8 * (high - low) - (far_high - far_low)) / (12 * step)
     row = np.abs(adjoint).max(1, keepdims=True)
     # An attribute that is next to nothing has no slope worth comparing: a margin in half a range.
-    margins = np.array([each.margin for each in process.case.attributes])[:, None]
+    margins = np.array([attribute.margin for attribute in process.case.attributes])[:, None]
     half = np.array([(p.normal_high - p.normal_low) / 2 for p in process.case.parameters])
     row = np.maximum(row, margins / half)
     here = values[-1][:, None]

@@ -47,20 +47,20 @@ class Convergence:
 def _own(process: Process, inputs) -> Matrix:
     """By the parameters, from the function that gives a run its matrix: it is compiled once."""
     entries = batches.varied(process.case)
-    found = matrix(process, inputs, entries=entries)
-    columns = [entries.index(each) for each in process.entries]
-    return found._replace(jacobian=found.jacobian[:, columns])
+    result = matrix(process, inputs, entries=entries)
+    columns = [entries.index(entry) for entry in process.entries]
+    return result._replace(jacobian=result.jacobian[:, columns])
 
 
 def _differences(process: Process, inputs) -> Matrix:
     """By the parameters, as central differences of fourth order of single runs."""
     parameters = process.case.parameters
-    here, given = process.at(process.entries, inputs), process.given(inputs)
+    here, values = process.at(process.entries, inputs), process.given(inputs)
     columns = []
-    for i, each in enumerate(parameters):
-        step = STEP * (each.normal_high - each.normal_low) / 2
+    for i, parameter in enumerate(parameters):
+        step = STEP * (parameter.normal_high - parameter.normal_low) / 2
         far_low, low, high, far_high = (
-            process.values(batches.moved(process, {process.entries[i]: here[i] + k * step}, given))
+            process.values(batches.moved(process, {process.entries[i]: here[i] + k * step}, values))
             for k in (-2, -1, 1, 2)
         )
         columns.append((8 * (high - low) - (far_high - far_low)) / (12 * step))
@@ -82,18 +82,18 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
     if numerics.method == "mesh":
         ways.append(replace(numerics, method="adaptive", tolerance=tight))
     tables = []
-    for way in ways:
-        other = Process(replace(process.case, numerics=way))
-        if way == numerics:
-            found = _own(process, inputs)
-        elif way.method == "adaptive" and numerics.held:
-            found = _differences(other, inputs)
+    for path in ways:
+        other = Process(replace(process.case, numerics=path))
+        if path == numerics:
+            differences = _own(process, inputs)
+        elif path.method == "adaptive" and numerics.held:
+            differences = _differences(other, inputs)
         else:
-            found = matrix(other, inputs)
-        tables.append(np.concatenate([found.values[:, None], found.jacobian], 1))
+            differences = matrix(other, inputs)
+        tables.append(np.concatenate([differences.values[:, None], differences.jacobian], 1))
     rows, passed = [], True
     case = process.case
-    half = np.array([(each.normal_high - each.normal_low) / 2 for each in case.parameters])
+    half = np.array([(item.normal_high - item.normal_low) / 2 for item in case.parameters])
     for q, attribute in enumerate(case.attributes):
         largest = np.max(np.abs(tables[0][q, 1:]), initial=0.0)
         # What is next to nothing is compared with a margin, and its slope with one in half a range.

@@ -41,10 +41,12 @@ def matrix(
     mode, reason = choose(process, len(rows), len(entries), mode)
     derivative = DERIVATIVES[mode]
 
-    def make(own: bool):
+    def make(local: bool):
         def of_entries(numbers, inputs):
-            found = process.attributes(process.shifted(numbers, entries, inputs), own=own)[rows]
-            return found, found
+            attribute = process.attributes(process.shifted(numbers, entries, inputs), own=local)[
+                rows
+            ]
+            return attribute, attribute
 
         return derivative(of_entries, has_aux=True)
 
@@ -66,17 +68,17 @@ def choose(
         return "adjoint", "adaptive integration is differentiated by its adjoint"
     if mode != "auto":
         return mode, f"{mode} mode was asked for"
-    chosen = "adjoint" if adjoint < forward else "forward"
+    selected = "adjoint" if adjoint < forward else "forward"
     counted = f"{rows} adjoint passes cost about as much as {adjoint:.3g} forward tangents"
-    return chosen, f"{counted}, and forward {columns} are needed: {chosen} mode"
+    return selected, f"{counted}, and forward {columns} are needed: {selected} mode"
 
 
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
     """One attribute by every entry of every input, from ONE adjoint pass; per domain unit."""
     row = process.names.index(attribute)
 
-    def make(own: bool):
-        return DERIVATIVES["adjoint"](lambda given: process.attributes(given, own=own)[row])
+    def make(local: bool):
+        return DERIVATIVES["adjoint"](lambda values: process.attributes(values, own=local)[row])
 
     return process.either(("gradient", row), make, process.given(inputs))
 
@@ -85,11 +87,11 @@ def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None
     """[pairs, Q] second derivatives of every attribute by the pair, forward over reverse."""
     if process.case.numerics.method == "adaptive":
         raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")
-    entries = tuple(dict.fromkeys(each for pair in pairs for each in pair))
+    entries = tuple(dict.fromkeys(item for pair in pairs for item in pair))
 
-    def make(own: bool):
+    def make(local: bool):
         def of_entries(numbers, inputs):
-            return process.attributes(process.shifted(numbers, entries, inputs), own=own)
+            return process.attributes(process.shifted(numbers, entries, inputs), own=local)
 
         return DERIVATIVES["forward"](DERIVATIVES["adjoint"](of_entries))
 

@@ -55,15 +55,15 @@ class Local(NamedTuple):
 
 def local(process: Process, inputs=None) -> Local:
     """The derivatives of every unit alone at the streams that flow at `inputs`."""
-    case, given = process.case, process.given(inputs)
+    case, values = process.case, process.given(inputs)
     streams = process.run(inputs).streams
     fed, blocks = sources(case), {}
 
     def block(name: str, into: tuple[str, ...], out: tuple[str, ...], entries, run: Run) -> None:
-        blocks[name] = _block(process, name, into, out, entries, run, streams, given)
+        blocks[name] = _block(process, name, into, out, entries, run, streams, values)
 
-    for each in case.feeds:
-        block(each.name, (), (each.name,), _entries(process, each, False), _of_feed(each))
+    for item in case.feeds:
+        block(item.name, (), (item.name,), _entries(process, item, False), _of_feed(item))
     for group in groups(case.units, case.connections):
         made = [f"{unit.name}.{port}" for unit in group.units for port in unit.outlets]
         fed_with = dict.fromkeys(name for unit in group.units for name in fed[unit.name])
@@ -73,7 +73,7 @@ def local(process: Process, inputs=None) -> Local:
         entries = _entries(process, group.units, reacts)
         name = group.loop or group.units[0].name
         block(name, into, out, entries, _of_group(process, group, into, out))
-    names = (*leaving(case), *(each.name for each in case.feeds))
+    names = (*leaving(case), *(entry.name for entry in case.feeds))
     block("process", names, (), (), _of_process(process, names))
     return Local(blocks)
 
@@ -84,8 +84,8 @@ def _of_feed(record: Feed) -> Run:
 
 def _of_group(process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]) -> Run:
     def run(streams, inputs):
-        found = through(process.case, group, dict(zip(into, streams)), inputs)
-        return tuple(found.streams[name] for name in out), found.measures
+        result = through(process.case, group, dict(zip(into, streams)), inputs)
+        return tuple(result.streams[name] for name in out), result.measures
 
     return run
 
@@ -100,13 +100,13 @@ def _of_process(process: Process, names: tuple[str, ...]) -> Run:
 def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
     """Its own inputs, and of a unit that `reacts` those of the network."""
     records = (record, process.case.network) if reacts else (record,)
-    names = [each.name for each in numbers_in(records) if each.name in process.inputs]
+    names = [number.name for number in numbers_in(records) if number.name in process.inputs]
     return tuple((name, i) for name in names for i in range(process.inputs[name].size))
 
 
 def _block(process: Process, name, inlets, outlets, entries, run: Run, streams, inputs) -> Block:
-    fixed = tuple(streams[each] for each in inlets)
-    size = max(len(flat(each)) for each in streams.values())
+    fixed = tuple(streams[inlet] for inlet in inlets)
+    size = max(len(flat(item)) for item in streams.values())
     labels: list[str] = []
 
     def filled(stream: Stream):
@@ -115,15 +115,15 @@ def _block(process: Process, name, inlets, outlets, entries, run: Run, streams, 
         return jnp.pad(vector, (0, size - len(vector)))
 
     def vectors(rows, numbers, inputs, fixed):
-        given = tuple(unflat(row[: len(flat(like))], like) for row, like in zip(rows, fixed))
-        out, measures = run(given, process.shifted(numbers, entries, inputs))
+        values = tuple(unflat(row[: len(flat(like))], like) for row, like in zip(rows, fixed))
+        out, measures = run(values, process.shifted(numbers, entries, inputs))
         labels[:] = measures
-        flowed = jnp.stack([filled(each) for each in out]) if out else jnp.zeros((0, size))
+        flowed = jnp.stack([filled(entry) for entry in out]) if out else jnp.zeros((0, size))
         measured = jnp.stack(list(measures.values())) if measures else jnp.zeros(0)
         return flowed, measured
 
     def derivatives(numbers, inputs, fixed):
-        rows = jnp.stack([filled(each) for each in fixed]) if fixed else jnp.zeros((0, size))
+        rows = jnp.stack([filled(value) for value in fixed]) if fixed else jnp.zeros((0, size))
         derivative = of_method(process.case.numerics.method)
         return derivative(vectors, argnums=(0, 1))(rows, numbers, inputs, fixed)
 

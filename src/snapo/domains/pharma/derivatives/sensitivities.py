@@ -36,17 +36,17 @@ class MatrixForms(NamedTuple):
     zero: np.ndarray
 
 
-def table(case: PharmaCase, found: Matrix) -> MatrixForms:
+def table(case: PharmaCase, matrix: Matrix) -> MatrixForms:
     """The three forms of `found`, whose entries are the case's parameters in order."""
-    scale = np.array([each.scale for each in case.parameters])
-    half = np.array([(each.normal_high - each.normal_low) / 2 for each in case.parameters])
-    scaled = found.jacobian * half
-    room = Limits.of(case).distance(found.values)[:, None]
+    scale = np.array([parameter.scale for parameter in case.parameters])
+    half = np.array([(item.normal_high - item.normal_low) / 2 for item in case.parameters])
+    scaled = matrix.jacobian * half
+    room = Limits.of(case).distance(matrix.values)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(room > 0, scaled / room, np.sign(scaled) * np.inf)
-    share = np.where(found.jacobian == 0, 0.0, share)
+    share = np.where(matrix.jacobian == 0, 0.0, share)
     share = np.where(Limits.of(case).any()[:, None], share, np.nan)
-    return MatrixForms(found.jacobian * scale, scaled, share, found.jacobian == 0)
+    return MatrixForms(matrix.jacobian * scale, scaled, share, matrix.jacobian == 0)
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class Rank:
     variance: Number
 
 
-def ranking(case: PharmaCase, forms: MatrixForms, found: Matrix, varied: "Spread") -> list[Rank]:
+def ranking(case: PharmaCase, forms: MatrixForms, matrix: Matrix, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
     about the set point. `outside`: the attribute stands beyond its limit already, `spent`: its
     variation alone takes the room; a share has then no meaning.
     """
-    room = Limits.of(case).distance(found.values)
+    room = Limits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(left > 0, np.abs(forms.scaled) / left, np.inf)
@@ -85,12 +85,12 @@ def ranking(case: PharmaCase, forms: MatrixForms, found: Matrix, varied: "Spread
         size = np.where(np.isnan(size), -1.0, size)
         size = np.where(np.isinf(size), BEYOND * (1 + plain[:, p]), size)
         worst = int(np.argmax(size))
-        known = size[worst] >= 0
+        available = size[worst] >= 0
         ranks.append(
             Rank(
                 parameter.name,
-                float(shares[worst, p]) if known else float("nan"),
-                case.attributes[worst].name if known and size[worst] > 0 else "",
+                float(shares[worst, p]) if available else float("nan"),
+                case.attributes[worst].name if available and size[worst] > 0 else "",
                 bool(np.isinf(shares[worst, p]) and room[worst] <= 0),
                 bool(np.isinf(shares[worst, p]) and room[worst] > 0),
                 _of_variance(varied, variances[worst], parameter.name),
@@ -123,11 +123,11 @@ def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
     which = all_entries(case)
     centre = nominal(case, which)
     kinds = list(case.uncertainty.distributions)
-    kinds += [each.distribution for each in case.parameters if each.distribution]
+    kinds += [parameter.distribution for parameter in case.parameters if parameter.distribution]
     sigma = np.array([deviation(kind, x) for kind, x in zip(kinds, centre)])
     correlation = np.eye(len(which))
-    known = len(case.uncertainty.inputs)
-    correlation[:known, :known] = case.uncertainty.correlation
+    available = len(case.uncertainty.inputs)
+    correlation[:available, :available] = case.uncertainty.correlation
     signed = jacobian * sigma
     variance = np.einsum("qi,ij,qj->q", signed, correlation, signed)
     return Spread(source_names(case), np.abs(signed), np.sqrt(variance))
@@ -135,13 +135,13 @@ def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
 
 def source_names(case: PharmaCase) -> tuple[str, ...]:
     """[V] `all_entries(case)` in words: a parameter by its name, a number with its label."""
-    names = {(each.input, each.entry): each.name for each in case.parameters}
+    names = {(parameter.input, parameter.entry): parameter.name for parameter in case.parameters}
     return tuple(names.get(entry) or entry_name(case, *entry) for entry in all_entries(case))
 
 
 def entry_name(case: PharmaCase, name: str, entry: int) -> str:
     """ "kinetics.prefactor[product]"; a single number has no brackets."""
-    for given in numbers_in((case.network, case.feeds, case.units)):
-        if given.name == name and len(given.labels) > 1:
-            return f"{name}[{given.labels[entry]}]"
+    for values in numbers_in((case.network, case.feeds, case.units)):
+        if values.name == name and len(values.labels) > 1:
+            return f"{name}[{values.labels[entry]}]"
     return name

@@ -13,7 +13,7 @@ class Grid:
 
     @classmethod
     def of(cls, edges: np.ndarray) -> "Grid":
-        return cls(tuple(float(each) for each in edges))
+        return cls(tuple(float(edge) for edge in edges))
 
     @property
     def cells(self) -> int:
@@ -31,5 +31,5 @@ Sizes = Grid | None
 
 def together(sizes: tuple[Sizes, ...]) -> Sizes:
     """On which grid crystals of several streams are counted together; None where they are not."""
-    some = {each for each in sizes if each != NO_CRYSTALS}
+    some = {size for size in sizes if size != NO_CRYSTALS}
     return NO_CRYSTALS if not some else some.pop() if len(some) == 1 else None

@@ -8,10 +8,10 @@ from .case import PharmaCase
 
 def pharma_inputs(case: PharmaCase) -> dict[str, Input]:
     """{name: Input} of kinetics, feeds and units, without those that the case holds fixed."""
-    found: dict[str, Input] = {}
-    for given in numbers_in((case.network, case.feeds, case.units)):
-        if given.name in found:
-            raise ValueError(f"{given.name}: two inputs of a case share this name.")
-        if given.name not in case.held:
-            found[given.name] = given.input()
-    return found
+    inputs: dict[str, Input] = {}
+    for values in numbers_in((case.network, case.feeds, case.units)):
+        if values.name in inputs:
+            raise ValueError(f"{values.name}: two inputs of a case share this name.")
+        if values.name not in case.held:
+            inputs[values.name] = values.input()
+    return inputs

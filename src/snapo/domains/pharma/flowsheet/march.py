@@ -110,19 +110,19 @@ class Marches:
         self, draws: Float[np.ndarray, "N E"], inputs: dict[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, "N Q P"]]:
         """The attributes, and their derivatives by `by`."""
-        ends: dict[str, np.ndarray] = {}
+        endpoints: dict[str, np.ndarray] = {}
         d_ends: dict[str, np.ndarray] = {}
         for name, leg in self.legs.items():
             with jax.enable_x64(True):
-                shared, state = leg.enter(draws, ends, d_ends, inputs)
+                shared, state = leg.enter(draws, endpoints, d_ends, inputs)
             schedule, policy = Schedule(shared, leg.steps), Constant(np.zeros(1))
             noise = Pseudo(0).draws(np.arange(len(draws)), leg.march)
-            found = ENGINE.values(leg.march, policy, schedule, noise, Exact(), start=state)
-            ends[name] = found.state["y"]
+            engine = ENGINE.values(leg.march, policy, schedule, noise, Exact(), start=state)
+            endpoints[name] = engine.state["y"]
             d_ends[name] = np.zeros((len(draws), len(self.by), leg.size))
-            d_ends[name][:, leg.columns] = found.state["dy"]
+            d_ends[name][:, leg.columns] = engine.state["dy"]
         with jax.enable_x64(True):
-            values, jacobian = self.leave(draws, ends, d_ends, inputs)
+            values, jacobian = self.leave(draws, endpoints, d_ends, inputs)
             return np.asarray(values), np.asarray(jacobian)
 
     def _given(self, numbers, draw, inputs):
@@ -135,25 +135,27 @@ class Marches:
         drawn = self.process.shifted(draw, self.entries, inputs)
         return [drawn[name][position] for name, position in self.by]
 
-    def _leave(self, draw, ends, d_ends, inputs):
-        def attributes(numbers, ends):
-            found = flow(self.process.case, self._given(numbers, draw, inputs), ends=ends)
-            return self.process.of_measures(found.measures)
+    def _leave(self, draw, endpoints, d_ends, inputs):
+        def attributes(numbers, bounds):
+            result = flow(self.process.case, self._given(numbers, draw, inputs), ends=bounds)
+            return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
-        values, rows = _pushed(attributes, every, self._numbers(draw, inputs), ends, d_ends)
+        values, rows = _pushed(attributes, every, self._numbers(draw, inputs), endpoints, d_ends)
         return values, rows.T
 
     def _leg(self, unit: Timed) -> _Leg:
         """The unit's leg, once those before it are there."""
         made = {}
 
-        def start(numbers, draw, ends, inputs):
+        def start(numbers, draw, endpoints, inputs):
             """y, and all numbers that a step reads."""
-            problem = problem_of(self.process.case, unit, self._given(numbers, draw, inputs), ends)
+            problem = problem_of(
+                self.process.case, unit, self._given(numbers, draw, inputs), endpoints
+            )
             numerics = self.process.case.numerics
             advance, made["steps"] = mesh_march(problem, numerics, numerics.held.get(unit.name))
-            now = {name: jnp.asarray(each[0]) for name, each in made["steps"].items()}
+            now = {name: jnp.asarray(step[0]) for name, step in made["steps"].items()}
             made["advance"], held = jax.closure_convert(advance, problem.start, now)
             return [problem.start, *held]
 
@@ -171,28 +173,28 @@ class Marches:
         whether on the draw."""
         count, inputs = len(self.by), self.process.given()
         numbers, draw = [np.float64(0)] * count, np.zeros(len(self.entries))
-        ends = {name: np.zeros(leg.size) for name, leg in self.legs.items()}
-        closed, shapes = jax.make_jaxpr(start, return_shape=True)(numbers, draw, ends, inputs)
-        each = np.eye(count + 1, dtype=bool)
+        endpoints = {name: np.zeros(leg.size) for name, leg in self.legs.items()}
+        closed, shapes = jax.make_jaxpr(start, return_shape=True)(numbers, draw, endpoints, inputs)
+        item = np.eye(count + 1, dtype=bool)
         marks = (
-            list(each[:count]),
-            each[count],
-            {name: each[[*leg.columns, count]].any(0) for name, leg in self.legs.items()},
-            {name: np.zeros_like(each[count]) for name in inputs},
+            list(item[:count]),
+            item[count],
+            {name: item[[*leg.columns, count]].any(0) for name, leg in self.legs.items()},
+            {name: np.zeros_like(item[count]) for name in inputs},
         )
         return shapes, spread(closed.jaxpr, jax.tree.leaves(marks))
 
     def _enter(self, start: Callable, kinds: tuple[Kind, ...], columns: np.ndarray) -> Callable:
         def of(kind: Kind, held: list) -> list:
-            return [each for each, own in zip(held, kinds) if own == kind]
+            return [item for item, local in zip(held, kinds) if local == kind]
 
-        def one(draw, ends, d_ends, inputs):
-            def moving(numbers, ends):
-                y, *held = start(numbers, draw, ends, inputs)
+        def one(draw, endpoints, d_ends, inputs):
+            def moving(numbers, bounds):
+                y, *held = start(numbers, draw, bounds, inputs)
                 return (y, of("moving", held)), held
 
             (y, moved), (dy, d_moved), held = _pushed(
-                moving, columns, self._numbers(draw, inputs), ends, d_ends, has_aux=True
+                moving, columns, self._numbers(draw, inputs), endpoints, d_ends, has_aux=True
             )
             state = {"y": y, "dy": dy, "moving": moved, "d_moving": d_moved}
             return of("shared", held), state | {"drawn": of("drawn", held)}
@@ -205,27 +207,29 @@ def _kind(reached) -> Kind:
     return "moving" if any(columns) else "drawn" if drawn else "shared"
 
 
-def _pushed(function, columns: np.ndarray, numbers: list, ends: dict, d_ends: dict, **aux):
+def _pushed(function, columns: np.ndarray, numbers: list, endpoints: dict, d_ends: dict, **aux):
     """A function of numbers and of the ends, and its derivatives [C, ...] by some `columns` of the
     numbers, through the ends as well."""
-    value, push, *rest = jax.linearize(function, numbers, ends, **aux)
+    value, push, *rest = jax.linearize(function, numbers, endpoints, **aux)
     if not len(columns):
-        nothing = jax.tree.map(lambda each: jnp.zeros((0, *each.shape)), value)
+        nothing = jax.tree.map(lambda item: jnp.zeros((0, *item.shape)), value)
         return value, nothing, *rest
     eye = np.eye(len(numbers))[columns]
-    own = [eye[:, k] for k in range(len(numbers))]
-    through = {name: each[columns] for name, each in d_ends.items()}
-    return value, jax.vmap(push)(own, through), *rest
+    local = [eye[:, k] for k in range(len(numbers))]
+    through = {name: d_end[columns] for name, d_end in d_ends.items()}
+    return value, jax.vmap(push)(local, through), *rest
 
 
 def spread(jaxpr: Any, marks: Sequence) -> list[np.ndarray]:
     """Of each output, the marks of all arguments on which it depends."""
-    known, none = dict(zip(jaxpr.invars, marks)), np.zeros_like(marks[0])
+    available, none = dict(zip(jaxpr.invars, marks)), np.zeros_like(marks[0])
 
     def of(variables) -> np.ndarray:
-        found = [known[v] for v in variables if not isinstance(v, jex.Literal) and v in known]
-        return np.any([none, *found], 0)
+        results = [
+            available[v] for v in variables if not isinstance(v, jex.Literal) and v in available
+        ]
+        return np.any([none, *results], 0)
 
     for equation in jaxpr.eqns:
-        known.update(dict.fromkeys(equation.outvars, of(equation.invars)))
+        available.update(dict.fromkeys(equation.outvars, of(equation.invars)))
     return [of([v]) for v in jaxpr.outvars]

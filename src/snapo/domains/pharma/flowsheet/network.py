@@ -68,7 +68,7 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
     Written out reaction by reaction: species of order 0 appear only in what stops the reaction that
     uses them, so 0^0 never does.
     """
-    found = []
+    results = []
     for i in range(len(network.reactions)):
         rate = constants[..., i]
         for s, order in enumerate(network.order[i]):
@@ -79,11 +79,11 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
         ]
         if left:
             rate = rate * reduce(jnp.minimum, left)
-        found.append(rate)
-    return found
+        results.append(rate)
+    return results
 
 
-def fastest_rate(network: Network, temperature: np.ndarray, most: np.ndarray) -> float:
+def fastest_rate(network: Network, temperature: np.ndarray, maximum: np.ndarray) -> float:
     """1/s: a bound on the norm of d r / d extents below concentrations `most` [S] in kmol/m3, at
     the given temperatures in K; infinite where an order lies between 0 and 1."""
     if ((network.order > 0) & (network.order < 1)).any():
@@ -95,8 +95,8 @@ def fastest_rate(network: Network, temperature: np.ndarray, most: np.ndarray) ->
     for i, order in enumerate(network.order):
         for s in np.flatnonzero(order):
             left = order - (np.arange(len(order)) == s)
-            slope[i, s] = constants[i] * order[s] * np.prod(most**left)
-        slope[i] += network.runs_out[i] * constants[i] * np.prod(most**order) / SPENT
+            slope[i, s] = constants[i] * order[s] * np.prod(maximum**left)
+        slope[i] += network.runs_out[i] * constants[i] * np.prod(maximum**order) / SPENT
     size = np.abs(slope) @ np.abs(network.stoichiometry).T
     return float(min(size.sum(0).max(), size.sum(1).max()))
 

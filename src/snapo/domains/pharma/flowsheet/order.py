@@ -22,26 +22,26 @@ class Group(NamedTuple):
     @property
     def loop(self) -> str:
         """The units in words; "" for one without a loop."""
-        return " -> ".join(each.name for each in self.units) if self.torn else ""
+        return " -> ".join(unit.name for unit in self.units) if self.torn else ""
 
 
 def ancestors(units: Sequence[Unit], connections: Sequence[Connection]) -> dict[str, set[str]]:
     """{unit: every unit that material passes on its way to it, itself included}."""
-    found = {unit.name: {unit.name} for unit in units}
+    table = {unit.name: {unit.name} for unit in units}
     moved = True
     while moved:
         moved = False
-        for each in (c for c in connections if c.target in found):
-            new = found.get(each.source, set()) - found[each.target]
-            found[each.target] |= new
+        for connection in (c for c in connections if c.target in table):
+            new = table.get(connection.source, set()) - table[connection.target]
+            table[connection.target] |= new
             moved |= bool(new)
-    return found
+    return table
 
 
 def in_order(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Unit, ...]:
     """The units in the order in which material flows; those of a loop stand together."""
     before = ancestors(units, connections)
-    left, found = [unit.name for unit in units], []
+    left, results = [unit.name for unit in units], []
     while left:
         ready = [
             name
@@ -49,48 +49,48 @@ def in_order(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[
             if all(name in before[other] for other in before[name] if other in left)
         ]
         for name in ready:
-            if name not in found:
-                around = [each for each in ready if name in before[each] and each in before[name]]
-                found += _around(around, connections)
-        left = [name for name in left if name not in found]
+            if name not in results:
+                around = [item for item in ready if name in before[item] and item in before[name]]
+                results += _around(around, connections)
+        left = [name for name in left if name not in results]
     by_name = {unit.name: unit for unit in units}
-    return tuple(by_name[name] for name in found)
+    return tuple(by_name[name] for name in results)
 
 
 def _around(names: list[str], connections: Sequence[Connection]) -> list[str]:
     """The units of one loop, from one that is fed from outside, so that few streams are torn."""
     outside = {c.target for c in connections if c.source not in names}
-    found: list[str] = []
+    around: list[str] = []
 
     def waits_for(name: str) -> int:
         into = [c.source for c in connections if c.target == name]
-        return sum(source in names and source not in found for source in into)
+        return sum(source in names and source not in around for source in into)
 
-    while len(found) < len(names):
-        left = [name for name in names if name not in found]
-        found.append(
+    while len(around) < len(names):
+        left = [name for name in names if name not in around]
+        around.append(
             min(left, key=lambda name: (waits_for(name) > 0, name not in outside, waits_for(name)))
         )
-    return found
+    return around
 
 
 def groups(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Group, ...]:
     """The units, which stand in order, with those of a loop together."""
     before = ancestors(units, connections)
-    place = {unit.name: i for i, unit in enumerate(units)}
-    found: list[Group] = []
+    position = {unit.name: i for i, unit in enumerate(units)}
+    results: list[Group] = []
     for unit in units:
-        if found and any(unit.name in before[each.name] for each in found[-1].units):
-            found[-1] = Group((*found[-1].units, unit), ())
+        if results and any(unit.name in before[item.name] for item in results[-1].units):
+            results[-1] = Group((*results[-1].units, unit), ())
         else:
-            found.append(Group((unit,), ()))
+            results.append(Group((unit,), ()))
 
     def torn(group: Group) -> tuple[str, ...]:
-        inside = {each.name for each in group.units}
+        inside = {entry.name for entry in group.units}
         back = [c for c in connections if c.source in inside and c.target in inside]
-        return tuple(c.stream for c in back if place[c.source] >= place[c.target])
+        return tuple(c.stream for c in back if position[c.source] >= position[c.target])
 
-    return tuple(Group(group.units, torn(group)) for group in found)
+    return tuple(Group(group.units, torn(group)) for group in results)
 
 
 def settled(
@@ -113,7 +113,7 @@ def settled(
             ports = [source[unit.name, inlet.name] for inlet in unit.inlets]
             into[unit.name] = tuple(made.get(port, start) for port in ports)
             out = of_unit(unit, into[unit.name])
-            made |= {(unit.name, port): each for port, each in zip(unit.outlets, out)}
+            made |= {(unit.name, port): item for port, item in zip(unit.outlets, out)}
         if made == last:
             break
     return made, into

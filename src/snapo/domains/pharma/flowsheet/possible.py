@@ -31,10 +31,10 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
         if not math.isfinite(value):
             return f"{name} is not a number"
         if value < least(name):
-            own = units.get(name, "1")
-            said = f"{value:.6g}" + ("" if own == "1" else f" {own}")
+            local = units.get(name, "1")
+            metadata = f"{value:.6g}" + ("" if local == "1" else f" {local}")
             hint = HINTS.get(name.partition(".")[2], "")
-            return f"{name} is {said}, which cannot be{hint}"
+            return f"{name} is {metadata}, which cannot be{hint}"
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
                 f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "

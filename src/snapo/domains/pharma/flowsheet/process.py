@@ -69,9 +69,11 @@ class Process:
 
     def __init__(self, case: PharmaCase):
         self.case = case = with_steps(case)
-        self.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
-        self.names = tuple(each.name for each in case.attributes)
-        self.parameters = tuple(each.name for each in case.parameters)
+        self.inputs = {
+            name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()
+        }
+        self.names = tuple(attribute.name for attribute in case.attributes)
+        self.parameters = tuple(parameter.name for parameter in case.parameters)
         self.entries: tuple[Entry, ...] = tuple((p.input, p.entry) for p in case.parameters)
         self.traces = 0
         self._compiled: dict[Any, Callable] = {}
@@ -86,7 +88,9 @@ class Process:
 
     def of_measures(self, measures: dict[str, Array]) -> Float[Array, " Q"]:
         """The attributes from the measures of all units."""
-        return jnp.stack([each.scale * measures[each.measure] for each in self.case.attributes])
+        return jnp.stack(
+            [attribute.scale * measures[attribute.measure] for attribute in self.case.attributes]
+        )
 
     def flow(
         self,
@@ -102,13 +106,13 @@ class Process:
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
-        make = lambda own: partial(self.attributes, own=own)  # noqa: E731
+        make = lambda local: partial(self.attributes, own=local)  # noqa: E731
         return self.either("values", make, self.given(inputs))
 
     def given(self, inputs=None) -> dict[str, np.ndarray]:
         """The nominal inputs with those of `inputs` in their place, float64."""
-        found = self.inputs | (inputs or {})
-        return {name: np.asarray(each, np.float64) for name, each in found.items()}
+        result = self.inputs | (inputs or {})
+        return {name: np.asarray(item, np.float64) for name, item in result.items()}
 
     def compiled(self, key: Any, make: Callable[[], Callable]) -> Callable:
         """The function that `make` gives, compiled once for each `key`; float64, NumPy out."""
@@ -123,85 +127,85 @@ class Process:
         return call
 
     def either(
-        self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda found: found
+        self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda result: result
     ):
         """The function `make(own)` at `arguments`: on held steps first, and where those are refused
         on steps of the run's own, compiled for the first run that needs it. Refused is a result of
         which some number in `of(result)` is not finite."""
-        found = self.compiled(key, lambda: make(False))(*arguments)
-        if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(found)))):
-            found = self.compiled(("own", key), lambda: make(True))(*arguments)
-        return found
+        result = self.compiled(key, lambda: make(False))(*arguments)
+        if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(result)))):
+            result = self.compiled(("own", key), lambda: make(True))(*arguments)
+        return result
 
     def run(self, inputs=None) -> Run:
         """One batch with all streams, measures and trajectories."""
-        make = lambda own: partial(self._everything, own=own)  # noqa: E731
-        given = self.given(inputs)
-        found = self.either("run", make, given, of=lambda found: found[2])
-        streams, measures, attributes, trajectories, times, loops = found
-        measured = {name: float(each) for name, each in measures.items()}
-        held = {name: each[3] for name, each in times.items() if each[3] is not None}
+        make = lambda local: partial(self._everything, own=local)  # noqa: E731
+        values = self.given(inputs)
+        either = self.either("run", make, values, of=lambda result: result[2])
+        streams, measures, attributes, trajectories, times, loops = either
+        measured = {name: float(measure) for name, measure in measures.items()}
+        held = {name: time[3] for name, time in times.items() if time[3] is not None}
         return Run(
             streams,
             measured,
-            {name: float(each) for name, each in zip(self.names, attributes)},
+            {name: float(attribute) for name, attribute in zip(self.names, attributes)},
             trajectories,
             self._open(loops)
             or _status({unit.name: times[unit.name] for unit in self.case.units})
             or impossible(self.case, measured)
-            or self._unsound(trajectories, given)
+            or self._unsound(trajectories, values)
             or "ok",
             {name: float(error) for name, error in held.items()},
-            {name: (float(each.change), int(each.rounds)) for name, each in loops.items()},
+            {name: (float(loop.change), int(loop.rounds)) for name, loop in loops.items()},
         )
 
     def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
         """The first unit whose model ended within the run, in words; "" where none did."""
         with jax.enable_x64(True):
-            said = (
+            metadata = (
                 unit.unsound(trajectories[unit.name], inputs)
                 for unit in self.case.units
                 if unit.name in trajectories
             )
-            return next(filter(None, said), "")
+            return next(filter(None, metadata), "")
 
     def _open(self, loops: dict[str, Closed]) -> str:
         """The first loop without a steady state, in words; "" where all have one."""
-        for name, each in loops.items():
-            if not each.good:
-                words = entry_words(self.case, name)[int(each.worst)]
-                size = f"by {each.change:.2g} of itself"
-                size = size if np.isfinite(each.change) else "without end"
+        for name, loop in loops.items():
+            if not loop.good:
+                text = entry_words(self.case, name)[int(loop.worst)]
+                size = f"by {loop.change:.2g} of itself"
+                size = size if np.isfinite(loop.change) else "without end"
                 return (
-                    f"the loop {name} has not come to a steady state after {each.rounds} rounds: "
-                    f"{words} changes most, {size} in a turn; is there an outlet for it?"
+                    f"the loop {name} has not come to a steady state after {loop.rounds} rounds: "
+                    f"{text} changes most, {size} in a turn; is there an outlet for it?"
                 )
         return ""
 
     def _everything(self, inputs, own: bool):
-        found = self.flow(inputs, record=True, own=own)
+        result = self.flow(inputs, record=True, own=own)
         trajectories, times = {}, {}
-        for name, outcome in found.outcomes.items():
+        for name, outcome in result.outcomes.items():
             rough = outcome.duration if outcome.rough is None else outcome.rough
             times[name] = outcome.duration, outcome.reached, rough, outcome.error
             track, states = outcome.track, outcome.states
             if track is not None and states is not None:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))
                 trajectories[name] = {"time": track.time} | rows(track.state, track.controls)
-        attributes = self.of_measures(found.measures)
-        return found.streams, found.measures, attributes, trajectories, times, found.loops
+        attributes = self.of_measures(result.measures)
+        return result.streams, result.measures, attributes, trajectories, times, result.loops
 
     def shifted(self, changes, entries: Sequence[Entry], inputs) -> dict:
         """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, to be traced."""
-        found = {name: jnp.asarray(each) for name, each in inputs.items()}
+        table = {name: jnp.asarray(item) for name, item in inputs.items()}
         for i, (name, position) in enumerate(entries):
-            found[name] = found[name].at[position].set(changes[i])
-        return found
+            table[name] = table[name].at[position].set(changes[i])
+        return table
 
     def at(self, entries: Sequence[Entry], inputs=None) -> np.ndarray:
         """[E] the numbers at `entries`."""
-        found = self.given(inputs)
-        return np.array([found[name][position] for name, position in entries])
+        result = self.given(inputs)
+        return np.array([result[name][position] for name, position in entries])
 
     def batch(
         self,
@@ -225,7 +229,7 @@ class Process:
             rows = draws[start : start + chunk]
             short = min(chunk, len(draws)) - len(rows)
             filled = np.concatenate([rows, np.repeat(rows[:1], short, 0)])
-            return [each[: len(rows)] for each in call(filled, nominal)]
+            return [item[: len(rows)] for item in call(filled, nominal)]
 
         try:
             if engine != "xla":
@@ -241,7 +245,7 @@ class Process:
             for part in threads.map(run, range(chunk, len(draws), chunk)):
                 parts.append(part)
                 say(f"{min(chunk * len(parts), len(draws)):,} of {len(draws):,} batches")
-        values, jacobian = (np.concatenate(each) for each in zip(*parts))
+        values, jacobian = (np.concatenate(entry) for entry in zip(*parts))
         if self.case.numerics.held:
             self._on_own_steps(key, draws, nominal, values, jacobian)
         ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
@@ -276,13 +280,13 @@ class Process:
                 return self.attributes(drawn, not alone, alone), jnp.zeros((len(self.names), 0))
 
             def moved(numbers):
-                found = self.attributes(self.shifted(numbers, by, drawn), not alone, alone)
-                return found, found
+                attributes = self.attributes(self.shifted(numbers, by, drawn), not alone, alone)
+                return attributes, attributes
 
             numbers = jnp.stack([drawn[name][position] for name, position in by])
             derivative = of_method(self.case.numerics.method)
-            jacobian, found = derivative(moved, has_aux=True)(numbers)
-            return found, jacobian
+            jacobian, result = derivative(moved, has_aux=True)(numbers)
+            return result, jacobian
 
         return one
 
@@ -306,12 +310,12 @@ class Process:
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
         within = (times >= 0) & (times <= grid[-1] * (1 + ROUND_OFF))
-        found = jnp.stack([rows[name][i] for i, name in enumerate(states)])
-        return jnp.where(within, found, jnp.nan)
+        result = jnp.stack([rows[name][i] for i, name in enumerate(states)])
+        return jnp.where(within, result, jnp.nan)
 
 
-def _finite(found: np.ndarray) -> bool:
-    return bool(np.isfinite(found).all())
+def _finite(result: np.ndarray) -> bool:
+    return bool(np.isfinite(result).all())
 
 
 def _status(times: dict[str, Any]) -> str:

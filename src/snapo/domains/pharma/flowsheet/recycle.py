@@ -45,13 +45,13 @@ class Closed(NamedTuple):
 
 def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[str, ...]):
     """Words for every entry of the guess."""
-    found = []
+    results = []
     for name, stream in zip(names, streams):
         for field in GUESSED:
             size = jnp.size(getattr(stream, field))
             of = species if field in TOGETHER else [""] if size == 1 else range(size)
-            found += [f"{field} {each}".rstrip() + f" of {name}" for each in of]
-    return found
+            results += [f"{field} {item}".rstrip() + f" of {name}" for item in of]
+    return results
 
 
 def close(
@@ -78,17 +78,17 @@ def close(
     def at_rest(u: Array) -> Array:
         return gap(u, carried, fixed)
 
-    u, slope, found, worst, rounds = _search(at_rest, _vector(carried) / size, numerics)
+    u, slope, result, worst, rounds = _search(at_rest, _vector(carried) / size, numerics)
     precise = ROUND_OFF * jnp.finfo(u.dtype).eps
-    good = found <= jnp.maximum(numerics.loop_tolerance, precise)
+    valid = result <= jnp.maximum(numerics.loop_tolerance, precise)
 
     def polished(u, _):
         """Its last digits, and the derivatives."""
         return u - jnp.linalg.solve(slope, gap(u, first, around)), None
 
-    u, slope = still((jnp.where(good, u, jnp.nan), slope))
+    u, slope = still((jnp.where(valid, u, jnp.nan), slope))
     u, _ = jax.lax.scan(polished, u, length=2)
-    return _streams(u * size, first), Closed(found, rounds, worst, good)
+    return _streams(u * size, first), Closed(result, rounds, worst, valid)
 
 
 def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
@@ -102,25 +102,27 @@ def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
 
     def further(state):
         *_, left, rounds = state
-        least = jnp.maximum(numerics.loop_tolerance, jnp.finfo(start.dtype).eps)
-        return (left > least) & (rounds < numerics.loop_rounds)
+        minimum = jnp.maximum(numerics.loop_tolerance, jnp.finfo(start.dtype).eps)
+        return (left > minimum) & (rounds < numerics.loop_rounds)
 
     def better(state):
         u, off, slope, _, _, rounds = state
         move = -jnp.linalg.solve(slope, off)
-        tried = jnp.concatenate([u + jnp.asarray(SHARES, u.dtype)[:, None] * move, (u + off)[None]])
-        left, worst = jax.vmap(change)(tried, jax.vmap(gap)(tried))
+        bumped = jnp.concatenate(
+            [u + jnp.asarray(SHARES, u.dtype)[:, None] * move, (u + off)[None]]
+        )
+        left, worst = jax.vmap(change)(bumped, jax.vmap(gap)(bumped))
         best = jnp.argmin(left)
         # Without any that is possible substitution goes on, and will not be believed.
         best = jnp.where(jnp.isfinite(left[best]), best, len(SHARES))
-        u = tried[best]
+        u = bumped[best]
         slope, off = jax.jacfwd(lambda at: (gap(at),) * 2, has_aux=True)(u)
         return u, off, slope, worst[best], left[best], rounds + 1
 
     # The first round looks at the start itself: without a change all that is tried is there.
-    place = jnp.argmax(start)
-    state = (start, jnp.zeros_like(start), jnp.eye(len(start), dtype=start.dtype), place)
-    infinite, before = jnp.full((), jnp.inf, start.dtype), jnp.full((), -1, place.dtype)
+    position = jnp.argmax(start)
+    state = (start, jnp.zeros_like(start), jnp.eye(len(start), dtype=start.dtype), position)
+    infinite, before = jnp.full((), jnp.inf, start.dtype), jnp.full((), -1, position.dtype)
     u, _, slope, worst, left, rounds = jax.lax.while_loop(
         further, better, (*state, infinite, before)
     )
@@ -133,30 +135,30 @@ def _vector(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
 
 def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stream, ...]:
     """The streams that `_vector` made one of, with what is carried as in `like`."""
-    found, start = [], 0
-    for each in like:
+    results, start = [], 0
+    for item in like:
         fields = {}
         for name in GUESSED:
-            shape = jnp.shape(getattr(each, name))
+            shape = jnp.shape(getattr(item, name))
             end = start + int(np.prod(shape))
             fields[name] = vector[start:end].reshape(shape)
             start = end
-        found.append(each.replace(**fields))
-    return tuple(found)
+        results.append(item.replace(**fields))
+    return tuple(results)
 
 
 def _scales(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
     """Of every entry its order of magnitude; 1 where all of its kind are zero."""
-    found = []
-    for each in streams:
-        amount = jnp.max(each.species + each.solid)
+    results = []
+    for stream in streams:
+        amount = jnp.max(stream.species + stream.solid)
         for name in GUESSED:
-            value = jnp.ravel(getattr(each, name))
+            value = jnp.ravel(getattr(stream, name))
             if name in TOGETHER:
                 size = jnp.broadcast_to(amount, value.shape)
             elif name == "numbers":
                 size = jnp.broadcast_to(jnp.max(value, initial=0.0), value.shape)
             else:
                 size = value
-            found.append(jnp.where(size > 0, size, 1.0))
-    return jnp.concatenate(found)
+            results.append(jnp.where(size > 0, size, 1.0))
+    return jnp.concatenate(results)

@@ -47,7 +47,7 @@ def with_steps(case: PharmaCase) -> PharmaCase:
     if numerics.method != "mesh" or not doubtful:
         return settled
     steps, here = numerics.steps, _attributes(settled, numerics.steps)
-    floor = np.array([each.margin for each in case.attributes])
+    floor = np.array([attribute.margin for attribute in case.attributes])
     while steps < MOST * numerics.steps:
         finer = _attributes(settled, 2 * steps)
         if (np.abs(finer - here) <= STILL * np.maximum(np.abs(finer), floor)).all():
@@ -94,8 +94,8 @@ def longest_step(case: PharmaCase, unit: Timed) -> float:
 def fastest(case: PharmaCase, unit: Timed) -> float:
     """1/s: a bound on the rates at which the unit's states answer, from the numbers of the case
     alone; infinite where another unit feeds it."""
-    into = {each.source for each in case.connections if each.target == unit.name}
-    feeds = tuple(each for each in case.feeds if each.name in into)
+    into = {connection.source for connection in case.connections if connection.target == unit.name}
+    feeds = tuple(feed for feed in case.feeds if feed.name in into)
     return inf if len(feeds) < len(into) else unit.fastest(case.network, feeds)
 
 
@@ -108,25 +108,25 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
         made["event"] = problem.event is not None
         if made["event"]:
             return None
-        chosen = choose(problem, case.numerics.stiff_tolerance, case.numerics.max_steps)
-        return chosen, chosen.fastest * _longest(problem, case.numerics.steps)
+        choice = choose(problem, case.numerics.stiff_tolerance, case.numerics.max_steps)
+        return choice, choice.fastest * _longest(problem, case.numerics.steps)
 
-    inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+    inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
     with jax.enable_x64(True):
-        found = jax.tree.map(np.asarray, jax.jit(nominal)(inputs))
-    if found is None:
+        result = jax.tree.map(np.asarray, jax.jit(nominal)(inputs))
+    if result is None:
         return None
-    chosen, stiffness = found
+    selected, stiffness = result
     if case.numerics.stiff == "measured" and stiffness <= STABLE and not _controlled(case, unit):
         return None
-    return times_of(chosen)
+    return times_of(selected)
 
 
 def _longest(problem: Dynamics, steps: int):
     """Seconds of the longest explicit step."""
-    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
-    within = steps_per_piece(steps, len(pieces.source))
-    return problem.duration * jnp.max(jnp.diff(pieces.breaks)) / within
+    segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    within = steps_per_piece(steps, len(segments.source))
+    return problem.duration * jnp.max(jnp.diff(segments.breaks)) / within
 
 
 def _doubtful(case: PharmaCase, unit: Timed) -> bool:
@@ -142,9 +142,11 @@ def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
     finer = replace(case, numerics=replace(case.numerics, steps=steps))
 
     def nominal(inputs):
-        found = flow(finer, inputs).measures
-        return jnp.stack([each.scale * found[each.measure] for each in case.attributes])
+        measures = flow(finer, inputs).measures
+        return jnp.stack(
+            [attribute.scale * measures[attribute.measure] for attribute in case.attributes]
+        )
 
-    inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+    inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
     with jax.enable_x64(True):
         return np.asarray(jax.jit(nominal)(inputs))

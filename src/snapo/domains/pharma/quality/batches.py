@@ -17,9 +17,9 @@ CHUNK = 128  # batches side by side; few rows are filled up to it, so that nothi
 
 def varied(case: PharmaCase) -> tuple[Entry, ...]:
     """What varies from batch to batch, and after it the parameters that hold exactly."""
-    known = all_entries(case)
-    every = [(each.input, each.entry) for each in case.parameters]
-    return known + tuple(entry for entry in every if entry not in known)
+    available = all_entries(case)
+    every = [(parameter.input, parameter.entry) for parameter in case.parameters]
+    return available + tuple(entry for entry in every if entry not in available)
 
 
 def moved(
@@ -28,8 +28,8 @@ def moved(
     about: Mapping[str, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
     """The process's inputs, or those `about`, with some entries replaced."""
-    known = process.inputs if about is None else about
-    inputs = {name: np.array(values, np.float64) for name, values in known.items()}
+    available = process.inputs if about is None else about
+    inputs = {name: np.array(values, np.float64) for name, values in available.items()}
     for (name, entry), value in changes.items():
         inputs[name][entry] = value
     return inputs
@@ -56,5 +56,5 @@ def attributes(process: "Process", rows: np.ndarray) -> np.ndarray:
     count = len(rows)
     if count < CHUNK:
         rows = np.concatenate([rows, np.repeat(rows[:1], CHUNK - count, 0)])
-    found = process.batch(varied(process.case), rows, chunk=CHUNK)
-    return np.where(found.ok[:, None], found.values, np.nan)[:count]
+    batch = process.batch(varied(process.case), rows, chunk=CHUNK)
+    return np.where(batch.ok[:, None], batch.values, np.nan)[:count]

@@ -46,7 +46,7 @@ class Boundary:
 
 def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.ndarray, "*n Q"]:
     """Of every value to the nearest of its limits, in margins; below 0 beyond it."""
-    limits, margins = Limits.of(case), np.array([each.margin for each in case.attributes])
+    limits, margins = Limits.of(case), np.array([attribute.margin for attribute in case.attributes])
     room = np.minimum(limits.distance(values), values - limits.least) / margins
     return np.clip(np.nan_to_num(room, nan=-FAR), -FAR, FAR)
 
@@ -55,46 +55,46 @@ def boundaries(
     rooms: Float[np.ndarray, "*n draws Q"], grid: Sequence[np.ndarray], required: float
 ) -> list[Boundary]:
     """All ends of the space along all lines of the map; `rooms`: `distances` at its points."""
-    found = []
-    for axis, places in enumerate(grid):
+    results = []
+    for axis, positions in enumerate(grid):
         lines = np.moveaxis(rooms, axis, 0)
         others = lines.shape[1:-2]
         for where in np.ndindex(*others):
             at = (*where[:axis], -1, *where[axis:])
             line = lines[(slice(None), *where)]
-            found += [Boundary(axis, at, *each) for each in _of_line(line, places, required)]
-    return found
+            results += [Boundary(axis, at, *item) for item in _of_line(line, positions, required)]
+    return results
 
 
-def _of_line(rooms: np.ndarray, places: np.ndarray, required: float) -> list[tuple]:
+def _of_line(rooms: np.ndarray, positions: np.ndarray, required: float) -> list[tuple]:
     """(side, place, inner, outer, binding) of every end along one line; `rooms` [n, draws, Q]."""
-    fine, share, worst = _shares(rooms, places)
+    fine, share, worst = _shares(rooms, positions)
     low, high = interval(share, rooms.shape[1], LEVEL)
-    good, found = share >= required, []
-    for k in np.flatnonzero(good[:-1] != good[1:]).tolist():
-        side = 1 if good[k] else -1
-        inside, outside = (k, k + 1) if good[k] else (k + 1, k)
-        place = _between(fine, share - required, inside, outside)
-        inner = _end(fine, low - required, inside, -side, False, good)
-        outer = _end(fine, high - required, outside, side, True, ~good)
-        found.append((side, place, inner, outer, int(worst[outside])))
-    return found
+    valid, rows = share >= required, []
+    for k in np.flatnonzero(valid[:-1] != valid[1:]).tolist():
+        side = 1 if valid[k] else -1
+        inside, outside = (k, k + 1) if valid[k] else (k + 1, k)
+        position = _between(fine, share - required, inside, outside)
+        inner = _end(fine, low - required, inside, -side, False, valid)
+        outer = _end(fine, high - required, outside, side, True, ~valid)
+        rows.append((side, position, inner, outer, int(worst[outside])))
+    return rows
 
 
-def _shares(rooms: np.ndarray, places: np.ndarray):
+def _shares(rooms: np.ndarray, positions: np.ndarray):
     """Places [m] along the line, the share of draws that keep all limits there, and the attribute
     that most often breaks them."""
     part = np.arange(PARTS) / PARTS
-    fine, kept, worst = [], [], []
-    for k in range(len(places) - 1):
+    fine, selected, worst = [], [], []
+    for k in range(len(positions) - 1):
         inside = rooms[k] + part[:, None, None] * (rooms[k + 1] - rooms[k])
-        fine.append(places[k] + part * (places[k + 1] - places[k]))
-        kept.append((inside >= 0).all(-1).mean(-1))
+        fine.append(positions[k] + part * (positions[k + 1] - positions[k]))
+        selected.append((inside >= 0).all(-1).mean(-1))
         worst.append((inside < 0).sum(1).argmax(-1))
-    fine.append(places[-1:])
-    kept.append([(rooms[-1] >= 0).all(-1).mean()])
+    fine.append(positions[-1:])
+    selected.append([(rooms[-1] >= 0).all(-1).mean()])
     worst.append([(rooms[-1] < 0).sum(0).argmax()])
-    return np.concatenate(fine), np.concatenate(kept), np.concatenate(worst)
+    return np.concatenate(fine), np.concatenate(selected), np.concatenate(worst)
 
 
 def _between(fine: np.ndarray, excess: np.ndarray, one: int, other: int) -> float:

@@ -57,19 +57,19 @@ class Capability:
 def capability(process: "Process", count: int, seed: int) -> Capability:
     """Draws of everything uncertain and of parameters that vary, at the set point."""
     rows = batches.drawn(process, {}, count, seed)
-    found = from_values(process.case, batches.attributes(process, rows))
-    return replace(found, **_apart(process, seed))
+    values = from_values(process.case, batches.attributes(process, rows))
+    return replace(values, **_apart(process, seed))
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
     """The same from attributes [n, Q]; rows that are not finite broke down and break all limits."""
     limits, count = Limits.of(case), len(values)
-    kept = limits.hold(values)
-    good = np.isfinite(values).all(-1)
-    finite = values[good]
+    selected = limits.hold(values)
+    valid = np.isfinite(values).all(-1)
+    finite = values[valid]
     mean, deviation = finite.mean(0), finite.std(0, ddof=1)
     sigmas, unknown = 3 * _cpk(limits, finite), np.full(len(mean), np.nan)
-    outside, joint = 1 - kept.mean(0), float(1 - kept.all(-1).mean())
+    outside, joint = 1 - selected.mean(0), float(1 - selected.all(-1).mean())
     return Capability(
         mean=mean,
         deviation=deviation,
@@ -81,7 +81,7 @@ def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
         joint=joint,
         joint_error=float(proportion(count * joint, count)[1]),
         batches=count,
-        failed=int(count - good.sum()),
+        failed=int(count - valid.sum()),
         cpk_batches=unknown,
         cpk_low=unknown,
         cpk_high=unknown,
@@ -109,8 +109,8 @@ def _apart(process: "Process", seed: int) -> dict[str, np.ndarray]:
 
     inner = batches.drawn(process, {}, NOMINAL, seed + 1)
     nominal = in_worlds(batches.nominally(process, {}), inner)[0]
-    ends = np.full((2, len(nominal)), np.nan)
+    endpoints = np.full((2, len(nominal)), np.nan)
     if uncertain.any():
         worlds = batches.drawn(process, {}, WORLDS, seed + 2)
-        ends = np.quantile(in_worlds(worlds, inner[:INNER]), [0.05, 0.95], axis=0)
-    return {"cpk_batches": nominal, "cpk_low": ends[0], "cpk_high": ends[1]}
+        endpoints = np.quantile(in_worlds(worlds, inner[:INNER]), [0.05, 0.95], axis=0)
+    return {"cpk_batches": nominal, "cpk_low": endpoints[0], "cpk_high": endpoints[1]}

@@ -58,18 +58,18 @@ def probability_map(process: "Process", seed: int) -> Map:
     space = case.design_space
     if space is None:
         raise ValueError("the case has no [design_space]")
-    chosen = tuple(parameter(case, name) for name in space.axes)
-    grid = [np.linspace(each.low, each.high, n) for each, n in zip(chosen, space.points)]
+    selected = tuple(parameter(case, name) for name in space.axes)
+    grid = [np.linspace(item.low, item.high, n) for item, n in zip(selected, space.points)]
     points = np.stack([x.ravel() for x in np.meshgrid(*grid, indexing="ij")], -1)
-    entries = [(each.input, each.entry) for each in chosen]
+    entries = [(entry.input, entry.entry) for entry in selected]
     changes = [dict(zip(entries, point)) for point in points]
     values = drawn_values(process, changes, space.samples, seed)
     shape = tuple(space.points)
-    found = Point(*(x.reshape(shape + x.shape[1:]) for x in judge(case, values)))
-    own = tuple(owners(each, x) for each, x in zip(chosen, grid))
+    result = Point(*(x.reshape(shape + x.shape[1:]) for x in judge(case, values)))
+    local = tuple(owners(value, x) for value, x in zip(selected, grid))
     rooms = distances(case, values).reshape(shape + values.shape[1:])
-    ends = boundaries(rooms, own, space.required)
-    return Map(space.axes, own, found, space.samples, tuple(ends))
+    endpoints = boundaries(rooms, local, space.required)
+    return Map(space.axes, local, result, space.samples, tuple(endpoints))
 
 
 def at_points(
@@ -83,16 +83,16 @@ def drawn_values(
     process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> np.ndarray:
     """[n, samples, Q] attributes of the same batches at every set point."""
-    rows = np.concatenate([batches.drawn(process, each, samples, seed) for each in changes])
+    rows = np.concatenate([batches.drawn(process, item, samples, seed) for item in changes])
     return batches.attributes(process, rows).reshape(len(changes), samples, -1)
 
 
 def judge(case: PharmaCase, values: np.ndarray) -> Point:
     """Counts over the draws of `values` [n, samples, Q]."""
     samples = values.shape[1]
-    kept = Limits.of(case).hold(values)
-    all_kept = kept.all(-1).mean(-1)
-    broken = (~kept).sum(1)
+    selected = Limits.of(case).hold(values)
+    all_kept = selected.all(-1).mean(-1)
+    broken = (~selected).sum(1)
     finite = np.asarray(np.isfinite(values).all(-1))
     total = np.where(finite[..., None], values, 0.0).sum(1)
     with np.errstate(invalid="ignore"):
@@ -101,7 +101,7 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
     return Point(
         probability=all_kept,
         error=proportion(samples * all_kept, samples)[1],
-        each=kept.mean(1),
+        each=selected.mean(1),
         mean=mean,
         binding=np.where(broken.max(-1) > 0, broken.argmax(-1), -1),
         failed=1 - finite.mean(1),
@@ -112,12 +112,12 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
 
 def parameter(case: PharmaCase, name: str) -> Parameter:
     """The parameter of that name."""
-    return next(each for each in case.parameters if each.name == name)
+    return next(item for item in case.parameters if item.name == name)
 
 
-def owners(each: Parameter, value):
+def owners(item: Parameter, value):
     """A number of the domain in the owner's unit."""
-    return (value - each.offset) / each.scale
+    return (value - item.offset) / item.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,25 +129,27 @@ class Box:
     volume: Number
 
 
-def largest_box(found: Map, nominal: Sequence[float], required: float) -> Box | None:
+def largest_box(result: Map, nominal: Sequence[float], required: float) -> Box | None:
     """The largest box between grid points that holds the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (owner's units),
     points counted by a summed-area table. None where the set point's own cell is not good.
     """
-    bad = np.pad((found.at.probability < required).astype(np.int64), [(1, 0)] * len(found.axes))
-    for axis in range(bad.ndim):
-        bad = bad.cumsum(axis)
+    invalid = np.pad(
+        (result.at.probability < required).astype(np.int64), [(1, 0)] * len(result.axes)
+    )
+    for axis in range(invalid.ndim):
+        invalid = invalid.cumsum(axis)
     pairs = []
-    for grid, here in zip(found.grid, nominal):
+    for grid, here in zip(result.grid, nominal):
         low = np.flatnonzero(grid <= here + 1e-9 * np.ptp(grid))
         high = np.flatnonzero(grid >= here - 1e-9 * np.ptp(grid))
         both = [(i, j) for i in low for j in high if i < j]
         pairs.append(np.array(both))
-    count = _inside(bad, pairs)
-    sides = [grid[pair[:, 1]] - grid[pair[:, 0]] for grid, pair in zip(found.grid, pairs)]
+    count = _inside(invalid, pairs)
+    sides = [grid[pair[:, 1]] - grid[pair[:, 0]] for grid, pair in zip(result.grid, pairs)]
     volume = np.ones(count.shape)
-    for axis, (side, grid) in enumerate(zip(sides, found.grid)):
+    for axis, (side, grid) in enumerate(zip(sides, result.grid)):
         shape = [1] * volume.ndim
         shape[axis] = len(side)
         volume = volume * (side / np.ptp(grid)).reshape(shape)
@@ -155,9 +157,9 @@ def largest_box(found: Map, nominal: Sequence[float], required: float) -> Box | 
     best = np.unravel_index(int(volume.argmax()), volume.shape)
     if volume[best] < 0:
         return None
-    ends = [pair[i] for pair, i in zip(pairs, best)]
-    low = np.array([grid[end[0]] for grid, end in zip(found.grid, ends)])
-    high = np.array([grid[end[1]] for grid, end in zip(found.grid, ends)])
+    endpoints = [pair[i] for pair, i in zip(pairs, best)]
+    low = np.array([grid[end[0]] for grid, end in zip(result.grid, endpoints)])
+    high = np.array([grid[end[1]] for grid, end in zip(result.grid, endpoints)])
     return Box(low, high, float(volume[best]))
 
 

@@ -24,7 +24,11 @@ def entries(case: PharmaCase) -> tuple[Entry, ...]:
 
 def process_entries(case: PharmaCase) -> tuple[Entry, ...]:
     """(input, entry) of the process parameters that vary about their set point."""
-    return tuple((each.input, each.entry) for each in case.parameters if each.distribution)
+    return tuple(
+        (parameter.input, parameter.entry)
+        for parameter in case.parameters
+        if parameter.distribution
+    )
 
 
 def all_entries(case: PharmaCase) -> tuple[Entry, ...]:
@@ -36,27 +40,29 @@ def unknown(case: PharmaCase) -> np.ndarray:
     """[E] of `batches.varied`: whether an entry is one number that is not known, the same in every
     batch."""
     between = case.uncertainty.between or tuple(w == "step" for w in case.uncertainty.when)
-    rest = {(each.input, each.entry) for each in case.parameters} - set(entries(case))
-    return np.array([not each for each in between] + [False] * len(rest), bool)
+    rest = {(parameter.input, parameter.entry) for parameter in case.parameters} - set(
+        entries(case)
+    )
+    return np.array([not item for item in between] + [False] * len(rest), bool)
 
 
 def draw(
     case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:
     """[n, U] values of `entries(case)` in the domain's units, about the inputs `about`."""
-    found = entries(case)
-    return values(case.uncertainty.distributions, normals(case, n, seed)[:, : len(found)],
-                  nominal(case, found, about))  # fmt: skip
+    result = entries(case)
+    return values(case.uncertainty.distributions, normals(case, n, seed)[:, : len(result)],
+                  nominal(case, result, about))  # fmt: skip
 
 
 def process_draws(
     case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:
     """[n, P] values of `process_entries(case)`, about the inputs `about`."""
-    found = process_entries(case)
-    kinds = [each.distribution for each in case.parameters if each.distribution]
-    given = normals(case, n, seed)[:, len(entries(case)) :]
-    return values(kinds, given, nominal(case, found, about))
+    result = process_entries(case)
+    kinds = [parameter.distribution for parameter in case.parameters if parameter.distribution]
+    inputs = normals(case, n, seed)[:, len(entries(case)) :]
+    return values(kinds, inputs, nominal(case, result, about))
 
 
 def all_draws(
@@ -70,8 +76,8 @@ def nominal(
     case: PharmaCase, which: Iterable[Entry], about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:
     """Values of some entries, in `about` where it has them and else as the case gives them."""
-    given = {each.name: each.values for each in _givens(case)} | dict(about or {})
-    return np.array([given[name][entry] for name, entry in which], np.float64)
+    inputs = {item.name: item.values for item in _givens(case)} | dict(about or {})
+    return np.array([inputs[name][entry] for name, entry in which], np.float64)
 
 
 def _givens(case: PharmaCase):
@@ -84,9 +90,11 @@ def normals(case: PharmaCase, n: int, seed: int) -> np.ndarray:
     uniform = np.random.Generator(np.random.Philox(key=seed)).random((n, size))
     # Half of the generator's last digit keeps the inverse normal away from minus infinity.
     free = ndtri(uniform + 2.0**-54)
-    known = len(entries(case))
-    if known:
-        free[:, :known] = free[:, :known] @ np.linalg.cholesky(case.uncertainty.correlation).T
+    available = len(entries(case))
+    if available:
+        free[:, :available] = (
+            free[:, :available] @ np.linalg.cholesky(case.uncertainty.correlation).T
+        )
     return free
 
 
@@ -94,10 +102,10 @@ def values(
     distributions: Sequence[Distribution], normal: np.ndarray, centre: np.ndarray
 ) -> np.ndarray:
     """[n, V] values from standard normals [n, V] and nominal values [V]."""
-    found = np.empty(normal.shape)
-    for i, each in enumerate(distributions):
-        found[:, i] = value(each, normal[:, i], centre[i])
-    return found
+    result = np.empty(normal.shape)
+    for i, distribution in enumerate(distributions):
+        result[:, i] = value(distribution, normal[:, i], centre[i])
+    return result
 
 
 def value(distribution: Distribution, z: np.ndarray, centre) -> np.ndarray:

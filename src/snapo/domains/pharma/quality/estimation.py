@@ -82,44 +82,44 @@ def fit(process: "Process", estimation: Estimation) -> Fit:
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
-    own = np.array([
+    local = np.array([
         process.inputs[name][entry] for name, entry in zip(estimation.inputs, estimation.entries)
     ])  # fmt: skip
-    error = np.concatenate([each.error for each in estimation.experiments])
-    measured = np.concatenate([each.value for each in estimation.experiments])
+    error = np.concatenate([experiment.error for experiment in estimation.experiments])
+    measured = np.concatenate([item.value for item in estimation.experiments])
 
     residual = jax.jit(lambda x: (model(numbers_of(x, log)) - measured) / error)
     slope = jax.jit(jax.jacfwd(residual))
-    shares = qmc.Halton(len(own), scramble=False).random(estimation.starts)[1:]
-    begins = [variables_of(own, log), *(low + shares * (high - low))]
+    shares = qmc.Halton(len(local), scramble=False).random(estimation.starts)[1:]
+    begins = [variables_of(local, log), *(low + shares * (high - low))]
     searched = []
     with jax.enable_x64(True):
-        for begin in begins:
-            first = np.asarray(residual(begin))
+        for start in begins:
+            first = np.asarray(residual(start))
             if np.isfinite(first).all():
-                searched.append(_searched(residual, slope, begin, low, high))
+                searched.append(_searched(residual, slope, start, low, high))
             elif not searched:
                 at = int(np.argmin(np.isfinite(first)))
                 raise ArithmeticError(
                     f"the model has no value for measurement {at + 1} at the case's own numbers"
                 )
-    lowest = min(each.cost for each in searched)
+    lowest = min(value.cost for value in searched)
     # Of equal ones the first: that of the case's own numbers, where it is among them.
-    found = next(each for each in searched if each.cost <= lowest + SAME * max(lowest, 1.0))
+    result = next(each for each in searched if each.cost <= lowest + SAME * max(lowest, 1.0))
     names = tuple(
         entry_name(process.case, *each) for each in zip(estimation.inputs, estimation.entries)
     )
-    fitted = found.fun * error + measured
-    others = _others(found, searched, estimation)
-    judged = _judged(found, others, measured, fitted, low, high, names, estimation)
+    resolved = result.fun * error + measured
+    others = _others(result, searched, estimation)
+    judged = _judged(result, others, measured, resolved, low, high, names, estimation)
     return replace(judged, starts=len(searched))
 
 
-def _searched(residual, slope, begin, low, high) -> OptimizeResult:
+def _searched(residual, slope, start, low, high) -> OptimizeResult:
     """The minimum to which a search from one point comes."""
     return least_squares(
         lambda x: np.asarray(residual(x)),
-        begin,
+        start,
         jac=lambda x: np.asarray(slope(x)),  # pyright: ignore[reportArgumentType]
         bounds=(low, high),
         x_scale=high - low,
@@ -130,18 +130,18 @@ def _searched(residual, slope, begin, low, high) -> OptimizeResult:
     )
 
 
-def _others(found, searched, estimation: Estimation) -> list[OptimizeResult]:
+def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
     """Minima that fit as well as the best, and that its own quadratic does not reach: one that the
     quadratic joins to it is the same, or lies along a direction that the data leave free."""
-    count, size = found.jac.shape
-    scale = _scale(2 * found.cost, count - size, estimation.errors)
+    count, size = result.jac.shape
+    scale = _scale(2 * result.cost, count - size, estimation.errors)
     room = chi_squared.ppf(estimation.level, size) * scale
-    kept = [found]
-    for each in sorted(searched, key=lambda one: one.cost):
-        good = each.status > 0 and 2 * (each.cost - found.cost) <= room
-        if good and all(np.sum((one.jac @ (each.x - one.x)) ** 2) > room for one in kept):
-            kept.append(each)
-    return kept[1:]
+    selected = [result]
+    for item in sorted(searched, key=lambda one: one.cost):
+        valid = item.status > 0 and 2 * (item.cost - result.cost) <= room
+        if valid and all(np.sum((one.jac @ (item.x - one.x)) ** 2) > room for one in selected):
+            selected.append(item)
+    return selected[1:]
 
 
 def _scale(chi2: float, freedom: int, errors: str) -> float:
@@ -169,19 +169,19 @@ def _numbers(variables: np.ndarray, log: np.ndarray) -> np.ndarray:
 
 def model_of(process: "Process", estimation: Estimation, experiments: Sequence[Experiment]):
     """[P] fitted numbers -> [n] the model's values of the measurements, by experiment."""
-    fitted = tuple(zip(estimation.inputs, estimation.entries))
+    resolved = tuple(zip(estimation.inputs, estimation.entries))
 
     def run(numbers):
-        found = []
+        results = []
         for experiment in experiments:
             changed = tuple((name, entry) for name, entry, _ in experiment.settings)
-            given = jnp.array([value for *_, value in experiment.settings])
+            values = jnp.array([value for *_, value in experiment.settings])
             inputs = {name: jnp.asarray(value) for name, value in process.inputs.items()}
             if changed:
-                inputs = process.shifted(given, changed, inputs)
-            inputs = process.shifted(numbers, fitted, inputs)
-            found.append(_observed(process, inputs, experiment))
-        return jnp.concatenate(found)
+                inputs = process.shifted(values, changed, inputs)
+            inputs = process.shifted(numbers, resolved, inputs)
+            results.append(_observed(process, inputs, experiment))
+        return jnp.concatenate(results)
 
     return run
 
@@ -189,53 +189,57 @@ def model_of(process: "Process", estimation: Estimation, experiments: Sequence[E
 def _observed(process: "Process", inputs, experiment):
     """[n] states at their times, unit by unit, back in the order of the data."""
     units = [state.partition(".")[0] for state in experiment.state]
-    found = jnp.zeros(len(units))
+    result = jnp.zeros(len(units))
     for unit in dict.fromkeys(units):
-        at = np.array([i for i, each in enumerate(units) if each == unit])
+        at = np.array([i for i, item in enumerate(units) if item == unit])
         states = tuple(experiment.state[i].partition(".")[2] for i in at)
-        found = found.at[at].set(process.observe(inputs, unit, states, experiment.time[at]))
-    return found
+        result = result.at[at].set(process.observe(inputs, unit, states, experiment.time[at]))
+    return result
 
 
-def _judged(found, others, measured, fitted, low, high, names, estimation) -> Fit:
+def _judged(result, others, measured, resolved, low, high, names, estimation) -> Fit:
     """The covariance where the data identify all numbers, and words where they do not."""
     log, width = np.array(estimation.logarithm), high - low
-    count, size = found.jac.shape
-    chi2, freedom = 2 * float(found.cost), count - size
+    count, size = result.jac.shape
+    chi2, freedom = 2 * float(result.cost), count - size
     scale = _scale(chi2, freedom, estimation.errors)
-    _, singular, right = np.linalg.svd(found.jac * width, full_matrices=False)
+    _, singular, right = np.linalg.svd(result.jac * width, full_matrices=False)
     # One standard deviation along a direction as a share of the bounds: beyond 1 it says nothing.
     loose = singular < 1
     unidentified = tuple(_direction(right[i], names) for i in np.flatnonzero(loose))
     free = (np.abs(right[loose]) > NOTABLE).any(0) if loose.any() else np.zeros(size, bool)
-    at_low, at_high = (found.x - low) / width < AT_BOUND, (high - found.x) / width < AT_BOUND
+    at_low, at_high = (result.x - low) / width < AT_BOUND, (high - result.x) / width < AT_BOUND
     inside = ~(at_low | at_high)
-    whole = _covariance(found.jac, width)
+    complete = _covariance(result.jac, width)
     covariance = np.zeros((size, size))
     if inside.any():
         covariance[np.ix_(inside, inside)] = scale * _covariance(
-            found.jac[:, inside], width[inside]
+            result.jac[:, inside], width[inside]
         )
     deviation = np.sqrt(np.diag(covariance))
     half = student.ppf((1 + estimation.level) / 2, max(freedom, 1)) * deviation
-    ends = [found.x - half, found.x + half]
+    endpoints = [result.x - half, result.x + half]
     # At a bound chi^2 rises from the start: to where it is larger by t^2, one-sided.
-    gradient = np.abs(found.jac.T @ found.fun)
-    most = scale * student.ppf(estimation.level, max(freedom, 1)) ** 2
-    variance = np.maximum(np.diag(whole), 1e-300)
-    reach = variance * (np.sqrt(gradient**2 + most / variance) - gradient)
-    ends[0] = np.where(at_low, low, np.where(at_high, np.maximum(high - reach, low), ends[0]))
-    ends[1] = np.where(at_high, high, np.where(at_low, np.minimum(low + reach, high), ends[1]))
-    lowest, highest = (_numbers(x, log) for x in ends)
-    known = deviation > 0
-    sizes = np.where(known, deviation, 1.0)
+    gradient = np.abs(result.jac.T @ result.fun)
+    maximum = scale * student.ppf(estimation.level, max(freedom, 1)) ** 2
+    variance = np.maximum(np.diag(complete), 1e-300)
+    reach = variance * (np.sqrt(gradient**2 + maximum / variance) - gradient)
+    endpoints[0] = np.where(
+        at_low, low, np.where(at_high, np.maximum(high - reach, low), endpoints[0])
+    )
+    endpoints[1] = np.where(
+        at_high, high, np.where(at_low, np.minimum(low + reach, high), endpoints[1])
+    )
+    lowest, highest = (_numbers(x, log) for x in endpoints)
+    available = deviation > 0
+    sizes = np.where(available, deviation, 1.0)
     correlation = np.where(
-        np.outer(known, known), covariance / np.outer(sizes, sizes), np.eye(size)
+        np.outer(available, available), covariance / np.outer(sizes, sizes), np.eye(size)
     )
     tail = np.nan if estimation.errors == "relative" else chi_squared.sf(chi2, max(freedom, 1))
     return Fit(
         names=names,
-        values=_numbers(found.x, log),
+        values=_numbers(result.x, log),
         low=np.where(free, np.nan, lowest),
         high=np.where(free, np.nan, highest),
         at_bound=tuple(
@@ -244,18 +248,18 @@ def _judged(found, others, measured, fitted, low, high, names, estimation) -> Fi
         covariance=covariance,
         correlation=correlation,
         scale=scale,
-        residuals=found.fun,
+        residuals=result.fun,
         measured=measured,
-        fitted=fitted,
+        fitted=resolved,
         chi2=chi2,
         freedom=freedom,
         tail=float(tail),
         condition=float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),
         unidentified=unidentified,
-        converged=found.status > 0,
-        message=str(found.message),
-        minima=np.array([_numbers(each.x, log) for each in others]).reshape(-1, size),
-        minima_chi2=np.array([2 * float(each.cost) for each in others]),
+        converged=result.status > 0,
+        message=str(result.message),
+        minima=np.array([_numbers(item.x, log) for item in others]).reshape(-1, size),
+        minima_chi2=np.array([2 * float(entry.cost) for entry in others]),
         starts=1,
     )
 
@@ -263,13 +267,13 @@ def _judged(found, others, measured, fitted, low, high, names, estimation) -> Fi
 def _covariance(jacobian: np.ndarray, width: np.ndarray) -> np.ndarray:
     """(J^T J)^-1 along the directions that the data narrow."""
     _, singular, right = np.linalg.svd(jacobian * width, full_matrices=False)
-    known = np.where(singular < 1, 0.0, 1 / np.maximum(singular, 1.0) ** 2)
-    return (right.T * known) @ right * np.outer(width, width)
+    available = np.where(singular < 1, 0.0, 1 / np.maximum(singular, 1.0) ** 2)
+    return (right.T * available) @ right * np.outer(width, width)
 
 
 def _direction(row: np.ndarray, names: tuple[str, ...]) -> str:
     """The numbers that move together along a direction that the data leave free."""
-    chosen = [names[i] for i in np.flatnonzero(np.abs(row) > NOTABLE)]
-    if len(chosen) == 1:
-        return f"{chosen[0]} is not identified by these data"
-    return f"only a combination of {', '.join(chosen)} is identified by these data"
+    selected = [names[i] for i in np.flatnonzero(np.abs(row) > NOTABLE)]
+    if len(selected) == 1:
+        return f"{selected[0]} is not identified by these data"
+    return f"only a combination of {', '.join(selected)} is identified by these data"

@@ -34,10 +34,10 @@ def goods(process: "Process", required: float, samples: int, seed: int) -> tuple
     a parameter with a distribution varying about its point."""
     case = process.case
     limits = Limits.of(case)
-    margins = np.array([each.margin for each in case.attributes])
+    margins = np.array([attribute.margin for attribute in case.attributes])
 
     def nominally(changes: Sequence[Changes]) -> Found:
-        rows = [batches.nominally(process, each) for each in changes]
+        rows = [batches.nominally(process, item) for item in changes]
         values = batches.attributes(process, np.concatenate(rows))
         room = np.where(limits.any(), limits.distance(values), np.inf) / margins
         worst = np.argmin(np.nan_to_num(room, nan=-np.inf, posinf=np.inf), -1)
@@ -45,9 +45,9 @@ def goods(process: "Process", required: float, samples: int, seed: int) -> tuple
         return Found(fine, worst, fine, fine)
 
     def probably(changes: Sequence[Changes]) -> Found:
-        found = at_points(process, changes, samples, seed)
-        grades = (each >= required for each in (found.probability, found.low, found.high))
-        fine, sure, possible = grades
-        return Found(fine, found.binding, sure, possible)
+        points = at_points(process, changes, samples, seed)
+        grades = (entry >= required for entry in (points.probability, points.low, points.high))
+        fine, certain, possible = grades
+        return Found(fine, points.binding, certain, possible)
 
     return nominally, probably

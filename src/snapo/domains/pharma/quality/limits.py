@@ -18,16 +18,16 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Limits":
-        low = [-np.inf if each.low is None else each.low for each in case.attributes]
-        high = [np.inf if each.high is None else each.high for each in case.attributes]
-        possible = [each.scale * least(each.measure) for each in case.attributes]
+        low = [-np.inf if attribute.low is None else attribute.low for attribute in case.attributes]
+        high = [np.inf if item.high is None else item.high for item in case.attributes]
+        possible = [entry.scale * least(entry.measure) for entry in case.attributes]
         return cls(np.array(low), np.array(high), np.array(possible))
 
     def hold(self, values: np.ndarray) -> np.ndarray:
         """[…, Q] whether each limit holds; a value that is not finite breaks a limit."""
-        kept = (values >= self.low) & (values <= self.high)
-        kept = kept | ~self.any() & np.isfinite(values)
-        return np.asarray(kept & (values >= self.least))
+        selected = (values >= self.low) & (values <= self.high)
+        selected = selected | ~self.any() & np.isfinite(values)
+        return np.asarray(selected & (values >= self.least))
 
     def any(self) -> np.ndarray:
         """[Q] whether an attribute has a limit."""

@@ -86,8 +86,8 @@ def pairs(
     fixed, drawn = goods(process, required, samples, seed)
     plain = _together(process, both, nominal, fixed, NOMINAL)
     order = sorted(range(len(both)), key=lambda i: _room(plain[i]))[:MOST]
-    chosen = _together(process, [both[i] for i in order], probable, drawn, PROBABLE)
-    drawn_of = dict(zip(order, chosen))
+    selected = _together(process, [both[i] for i in order], probable, drawn, PROBABLE)
+    drawn_of = dict(zip(order, selected))
     effects = _interactions(process, both)
     return [
         Pair((x.name, y.name), plain[i], drawn_of.get(i), *effects[i])
@@ -95,8 +95,8 @@ def pairs(
     ]
 
 
-def _room(found: Together | None) -> float:
-    return 1.0 if found is None else found.share
+def _room(together: Together | None) -> float:
+    return 1.0 if together is None else together.share
 
 
 class _Way(NamedTuple):
@@ -116,74 +116,76 @@ class _Way(NamedTuple):
 
 
 def _ways(process: "Process", both, ranges: Ranges) -> list[_Way]:
-    found = []
+    ways = []
     for i, (x, y) in enumerate(both):
-        sides = [ends for ends in (ranges.get(x.name), ranges.get(y.name)) if ends is not None]
+        sides = [
+            bounds for bounds in (ranges.get(x.name), ranges.get(y.name)) if bounds is not None
+        ]
         if len(sides) < 2:
             continue
         here = [float(process.inputs[p.input][p.entry]) for p in (x, y)]
         for corner in CORNERS:
-            ends = [side[sign > 0] for side, sign in zip(sides, corner)]
-            found.append(_Way(i, corner, (here[0], here[1]), (ends[0], ends[1]), (x, y)))
-    return found
+            endpoints = [side[sign > 0] for side, sign in zip(sides, corner)]
+            ways.append(_Way(i, corner, (here[0], here[1]), (endpoints[0], endpoints[1]), (x, y)))
+    return ways
 
 
 def _together(
-    process: "Process", both: Sequence, ranges: Ranges, good: Good, search: tuple[int, int, int]
+    process: "Process", both: Sequence, ranges: Ranges, valid: Good, search: tuple[int, int, int]
 ) -> list[Together | None]:
     ways = _ways(process, both, ranges)
     if not ways:
         return [None] * len(both)
-    ends = _search(ways, good, search)
-    found: list[Together | None] = []
+    endpoints = _search(ways, valid, search)
+    togethers: list[Together | None] = []
     for i in range(len(both)):
-        own = [(end, way) for end, way in zip(ends, ways) if way.pair == i]
-        if not own:
-            found.append(None)
+        local = [(end, key_path) for end, key_path in zip(endpoints, ways) if key_path.pair == i]
+        if not local:
+            togethers.append(None)
             continue
-        (share, fails, *_), way = min(own, key=lambda each: each[0][0])
-        sure, possible = (min(end[k] for end, _ in own) for k in (2, 3))
-        found.append(Together(share, way.corner, fails, sure, possible))
-    return found
+        (share, fails, *_), path = min(local, key=lambda item: item[0][0])
+        certain, possible = (min(end[k] for end, _ in local) for k in (2, 3))
+        togethers.append(Together(share, path.corner, fails, certain, possible))
+    return togethers
 
 
-def _search(ways: list[_Way], good: Good, search: tuple[int, int, int]) -> list[tuple]:
+def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:
     """(share, attribute that fails, sure, possible) of every way; all are looked at together."""
     count, within, times = search
-    seen = [{0.0: (True, -1, True, True)} for _ in ways]
+    observed = [{0.0: (True, -1, True, True)} for _ in ways]
 
     def look(shares: list[np.ndarray]) -> None:
-        wanted = [(i, float(s)) for i, each in enumerate(shares) for s in each]
-        if wanted:
-            found = good([ways[i].at(s) for i, s in wanted])
-            rows = zip(*(each.tolist() for each in found))
-            for (i, s), row in zip(wanted, rows):
-                seen[i][s] = row
+        requested = [(i, float(s)) for i, share in enumerate(shares) for s in share]
+        if requested:
+            result = valid([ways[i].at(s) for i, s in requested])
+            rows = zip(*(item.tolist() for item in result))
+            for (i, s), row in zip(requested, rows):
+                observed[i][s] = row
 
     look([np.arange(1, count + 1) / count] * len(ways))
     for _ in range(times):
-        brackets = [_bracket(each) for each in seen]
+        brackets = [_bracket(entry) for entry in observed]
         look([np.linspace(a, b, within + 2)[1:-1] if b > a else np.array([]) for a, b in brackets])
-    return [_ends(each) for each in seen]
+    return [_ends(value) for value in observed]
 
 
-def _bracket(seen: dict[float, tuple]) -> Ends:
+def _bracket(observed: dict[float, tuple]) -> Ends:
     """The last share before the first failure, and that of the failure; equal where none fails."""
     last = 0.0
-    for share in sorted(seen):
-        if not seen[share][0]:
+    for share in sorted(observed):
+        if not observed[share][0]:
             return last, share
         last = share
     return last, last
 
 
-def _ends(seen: dict[float, tuple]) -> tuple[float, int, float, float]:
-    last, failed = _bracket(seen)
-    fails = -1 if failed == last else int(seen[failed][1])
-    shares = sorted(seen)
-    sure = next((a for a, b in pairwise(shares) if not seen[b][2]), shares[-1])
-    possible = next((share for share in shares if not seen[share][3]), shares[-1])
-    return last, fails, sure, possible
+def _ends(observed: dict[float, tuple]) -> tuple[float, int, float, float]:
+    last, failed = _bracket(observed)
+    fails = -1 if failed == last else int(observed[failed][1])
+    shares = sorted(observed)
+    certain = next((a for a, b in pairwise(shares) if not observed[b][2]), shares[-1])
+    possible = next((share for share in shares if not observed[share][3]), shares[-1])
+    return last, fails, certain, possible
 
 
 def _interactions(process: "Process", both: Sequence) -> list[tuple]:
@@ -193,18 +195,18 @@ def _interactions(process: "Process", both: Sequence) -> list[tuple]:
     rows = [batches.nominally(process, {})]
     for pair in both:
         for corner in CORNERS:
-            ends = [(p.normal_low, p.normal_high)[sign > 0] for p, sign in zip(pair, corner)]
-            changes = {(p.input, p.entry): end for p, end in zip(pair, ends)}
+            endpoints = [(p.normal_low, p.normal_high)[sign > 0] for p, sign in zip(pair, corner)]
+            changes = {(p.input, p.entry): end for p, end in zip(pair, endpoints)}
             rows.append(batches.nominally(process, changes))
     values = batches.attributes(process, np.concatenate(rows))
     limits = Limits.of(process.case)
     room = np.where(limits.any(), limits.distance(values[0]), np.nan)
-    found = []
+    interactions = []
     for corners in values[1:].reshape(len(both), 4, -1):
         effect = np.array([a * b for a, b in CORNERS]) @ corners / 4
         with np.errstate(divide="ignore", invalid="ignore"):
             used = np.where(room > 0, np.abs(effect) / room, np.nan)
-        most = int(np.nanargmax(used)) if np.isfinite(used).any() else -1
-        largest = float(used[most]) if most >= 0 else float("nan")
-        found.append((effect, largest, most, bool(limits.hold(corners).all())))
-    return found
+        maximum = int(np.nanargmax(used)) if np.isfinite(used).any() else -1
+        largest = float(used[maximum]) if maximum >= 0 else float("nan")
+        interactions.append((effect, largest, maximum, bool(limits.hold(corners).all())))
+    return interactions

@@ -66,13 +66,13 @@ def proven_ranges(
     """
     case: PharmaCase = process.case
     nominally, probably = goods(process, required, samples, seed)
-    found = [
-        _ranges(process, good, search)
-        for good, search in ((nominally, NOMINAL), (probably, PROBABLE))
+    ranges = [
+        _ranges(process, valid, search)
+        for valid, search in ((nominally, NOMINAL), (probably, PROBABLE))
     ]
     return [
         ProvenRange(p.name, p.unit, required, samples, *both)
-        for p, *both in zip(case.parameters, *found)
+        for p, *both in zip(case.parameters, *ranges)
     ]
 
 
@@ -81,9 +81,9 @@ def changes(points: Points) -> list[Changes]:
     return [{(p.input, p.entry): x} for p, x in points]
 
 
-def set_point(process: "Process", chosen: Parameter) -> float:
+def set_point(process: "Process", parameter: Parameter) -> float:
     """The parameter's set point in the domain's unit."""
-    return float(process.inputs[chosen.input][chosen.entry])
+    return float(process.inputs[parameter.input][parameter.entry])
 
 
 class _Edge(NamedTuple):
@@ -95,30 +95,32 @@ class _Edge(NamedTuple):
     fails: int
 
 
-def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> list[AcceptableRange]:
+def _ranges(process: "Process", valid: Good, search: tuple[int, int, int]) -> list[AcceptableRange]:
     case = process.case
     scans = []
-    for chosen in case.parameters:
-        grid = np.linspace(chosen.low, chosen.high, search[0])
-        scans.append(np.unique(np.append(grid, set_point(process, chosen))))
+    for selected in case.parameters:
+        grid = np.linspace(selected.low, selected.high, search[0])
+        scans.append(np.unique(np.append(grid, set_point(process, selected))))
     first = [(p, x) for p, scan in zip(case.parameters, scans) for x in scan]
-    found = good(changes(first))
-    fine, fails, seen = found.fine, found.fails, _Seen()
-    seen.add(first, found)
+    result = valid(changes(first))
+    fine, fails, observed = result.fine, result.fails, _Seen()
+    observed.add(first, result)
     edges: list[_Edge] = []
     start = 0
-    for chosen, scan in zip(case.parameters, scans):
+    for selected, scan in zip(case.parameters, scans):
         part = slice(start, start + len(scan))
         start += len(scan)
-        here = int(np.flatnonzero(scan == set_point(process, chosen))[0])
+        here = int(np.flatnonzero(scan == set_point(process, selected))[0])
         for step in (-1, +1):
-            edges.append(_bracket(chosen, scan, fine[part], fails[part], here, step))
+            edges.append(_bracket(selected, scan, fine[part], fails[part], here, step))
     for _ in range(search[2]):
-        edges = _zoom(edges, good, search[1], seen)
-    names = [each.name for each in case.attributes]
+        edges = _zoom(edges, valid, search[1], observed)
+    names = [attribute.name for attribute in case.attributes]
     return [
-        _range(chosen, low, high, names, _reach(seen.of(chosen.name), set_point(process, chosen)))
-        for chosen, low, high in zip(case.parameters, edges[::2], edges[1::2])
+        _range(
+            choice, low, high, names, _reach(observed.of(choice.name), set_point(process, choice))
+        )
+        for choice, low, high in zip(case.parameters, edges[::2], edges[1::2])
     ]
 
 
@@ -128,9 +130,11 @@ class _Seen:
     def __init__(self):
         self.points: dict[str, list[tuple[float, bool, bool]]] = {}
 
-    def add(self, points: Points, found: Found) -> None:
-        for (chosen, x), sure, possible in zip(points, found.sure, found.possible):
-            self.points.setdefault(chosen.name, []).append((float(x), bool(sure), bool(possible)))
+    def add(self, points: Points, result: Found) -> None:
+        for (selected, x), certain, possible in zip(points, result.sure, result.possible):
+            self.points.setdefault(selected.name, []).append(
+                (float(x), bool(certain), bool(possible))
+            )
 
     def of(self, name: str) -> list[tuple[float, bool, bool]]:
         return sorted(self.points[name])
@@ -145,67 +149,69 @@ def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[Ends, E
     values = [x for x, *_ in points]
     at = values.index(here)
 
-    def ends(grade: int, beyond: int) -> Ends:
-        good = [point[grade] for point in points]
-        if not good[at]:
+    def ends(grade: int, outside: int) -> Ends:
+        valid = [point[grade] for point in points]
+        if not valid[at]:
             return None
         low, high = at, at
-        while low > 0 and good[low - 1]:
+        while low > 0 and valid[low - 1]:
             low -= 1
-        while high < len(good) - 1 and good[high + 1]:
+        while high < len(valid) - 1 and valid[high + 1]:
             high += 1
-        return values[max(0, low - beyond)], values[min(len(values) - 1, high + beyond)]
+        return values[max(0, low - outside)], values[min(len(values) - 1, high + outside)]
 
     return ends(1, 0), ends(2, 1)
 
 
-def _bracket(chosen, scan, fine, fails, here: int, step: int) -> _Edge:
+def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
     """The first failure seen from the set point; not a number where that fails itself."""
     if not fine[here]:
-        return _Edge(chosen, float("nan"), float("nan"), int(fails[here]))
+        return _Edge(selected, float("nan"), float("nan"), int(fails[here]))
     end = here
     while 0 <= end + step < len(scan) and fine[end + step]:
         end += step
     if not 0 <= end + step < len(scan):
-        return _Edge(chosen, float(scan[end]), float(scan[end]), -1)
-    return _Edge(chosen, float(scan[end]), float(scan[end + step]), int(fails[end + step]))
+        return _Edge(selected, float(scan[end]), float(scan[end]), -1)
+    return _Edge(selected, float(scan[end]), float(scan[end + step]), int(fails[end + step]))
 
 
-def _zoom(edges: list[_Edge], good: Good, count: int, seen: _Seen) -> list[_Edge]:
+def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[_Edge]:
     """Every bracket made smaller by `count` points within it."""
     open_ones = [i for i, edge in enumerate(edges) if edge.fails >= 0 and edge.inner == edge.inner]
     if not open_ones:
         return edges
     inside = [np.linspace(edges[i].inner, edges[i].outer, count + 2)[1:-1] for i in open_ones]
-    wanted = [(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs]
-    looked = good(changes(wanted))
+    requested = [(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs]
+    looked = valid(changes(requested))
     fine, fails = looked.fine, looked.fails
-    seen.add(wanted, looked)
-    found = list(edges)
+    observed.add(requested, looked)
+    zoom = list(edges)
     for k, (i, points) in enumerate(zip(open_ones, inside)):
         part = slice(k * count, (k + 1) * count)
         broken = np.flatnonzero(~fine[part])
         first = int(broken[0]) if len(broken) else count
-        whole = [edges[i].inner, *points.tolist(), edges[i].outer]
+        complete = [edges[i].inner, *points.tolist(), edges[i].outer]
         fault = int(fails[part][first]) if first < count else edges[i].fails
-        found[i] = _Edge(edges[i].chosen, whole[first], whole[first + 1], fault)
-    return found
+        zoom[i] = _Edge(edges[i].chosen, complete[first], complete[first + 1], fault)
+    return zoom
 
 
 def _range(
-    chosen: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
+    parameter: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
 ) -> AcceptableRange:
     below, above = ("" if edge.fails < 0 else names[edge.fails] for edge in (low, high))
     if low.inner != low.inner:
         return AcceptableRange(None, None, below, above, False)
-    inside = low.inner <= chosen.normal_low and high.inner >= chosen.normal_high
-    start, end = (float(owners(chosen, edge.inner)) for edge in (low, high))
-    sure, possible = (
-        None if ends is None else (float(owners(chosen, ends[0])), float(owners(chosen, ends[1])))
-        for ends in reach
+    inside = low.inner <= parameter.normal_low and high.inner >= parameter.normal_high
+    start, end = (float(owners(parameter, edge.inner)) for edge in (low, high))
+    certain, possible = (
+        None
+        if endpoints is None
+        else (float(owners(parameter, endpoints[0])), float(owners(parameter, endpoints[1])))
+        for endpoints in reach
     )
     first = reach[0]
     firmly = first is not None and (
-        first[0] <= chosen.normal_low and first[1] >= chosen.normal_high
+        first[0] <= parameter.normal_low and first[1] >= parameter.normal_high
     )
-    return AcceptableRange(start, end, below, above, inside, sure, possible, firmly)
+    return AcceptableRange(start, end, below, above, inside, certain, possible, firmly)

@@ -17,9 +17,9 @@ def on_steps(process: Process, steps: int) -> Process:
     case = process.case
     if steps == case.numerics.steps:
         return process
-    found = Process(replace(case, numerics=replace(case.numerics, steps=steps)))
-    found.inputs = process.inputs
-    return found
+    result = Process(replace(case, numerics=replace(case.numerics, steps=steps)))
+    result.inputs = process.inputs
+    return result
 
 
 def sampler(
@@ -37,11 +37,11 @@ def sampler(
         coarse = (made or on_steps)(process, steps)
         moved = np.subtract(
             *(
-                batches.attributes(each, batches.nominally(each, {}))[0]
-                for each in (coarse, process)
+                batches.attributes(item, batches.nominally(item, {}))[0]
+                for item in (coarse, process)
             )
         )
-        gap = float(np.max(np.abs(moved) / [each.margin for each in case.attributes]))
+        gap = float(np.max(np.abs(moved) / [attribute.margin for attribute in case.attributes]))
         if gap <= ENOUGH:
             return coarse, {"steps": steps, "gap": gap}
     return process, {"steps": case.numerics.steps, "gap": 0.0}

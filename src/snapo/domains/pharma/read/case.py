@@ -107,8 +107,10 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
     units = read_units(file, top.units, network.species, notes)
     connections = read_connections(file, top.connections, feeds, units)
     units = ordered(file, units, connections)
-    numbers = Numbers({given.name: given for given in numbers_in((network, feeds, units))}, network)
-    fitted = read_fitted(file, top.fitted, numbers, notes)
+    numbers = Numbers(
+        {values.name: values for values in numbers_in((network, feeds, units))}, network
+    )
+    fit = read_fitted(file, top.fitted, numbers, notes)
     check_amounts(file, feeds, units, connections, notes)
     check_physics(file, feeds, units, network)
     notes += unusual(CaseFiles(file, data), feeds, units, network)
@@ -124,14 +126,12 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
         connections=connections,
         parameters=parameters,
         attributes=attributes,
-        uncertainty=read_uncertainty(
-            file, top.uncertainty, top.correlations, numbers, notes, fitted
-        ),
+        uncertainty=read_uncertainty(file, top.uncertainty, top.correlations, numbers, notes, fit),
         control=read_control(file, top.control, numbers, network.species, units, notes),
         goal=read_goal(file, top.goal, attributes),
         design_space=read_design_space(file, top.design_space, parameters, attributes),
         estimation=read_estimation(file, top.estimation, numbers, network.species, units, notes),
-        pairs=_read_pairs(file, top.pairs, [each.name for each in parameters]),
+        pairs=_read_pairs(file, top.pairs, [parameter.name for parameter in parameters]),
         held=_read_held(file, top.held, numbers, parameters),
         numerics=_read_numerics(file, top.numerics, units),
         training=read_training({**TRAINING, **top.training}, str(file)),
@@ -141,7 +141,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
         parts=known_parts(file, parse(ReportTable, top.report, str(file), "report").parts, PARTS),
         optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
-    spans = [(each.input, each.low, each.high) for each in parameters]
+    spans = [(item.input, item.low, item.high) for item in parameters]
     spans += [(m.input, m.low, m.high) for m in (case.control.manipulated if case.control else ())]
     spans += [(d.input, d.low, d.high) for d in (case.optimise.decisions if case.optimise else ())]
     more = dict.fromkeys(check_moved_solubility(units, spans, numbers))
@@ -155,18 +155,24 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
 
 def _highest(case: PharmaCase) -> list[tuple[str, str, float]]:
     """Where a number is studied, decided or uncertain, its name, and its highest value."""
-    found = [(f"parameters.{each.name}", each.input, each.high) for each in case.parameters]
+    results = [
+        (f"parameters.{parameter.name}", parameter.input, parameter.high)
+        for parameter in case.parameters
+    ]
     decisions = case.optimise.decisions if case.optimise else ()
-    found += [(f"optimise.decisions.{each.name}", each.input, each.high) for each in decisions]
-    return found + [("uncertainty", name, 0.0) for name in case.uncertainty.inputs]
+    results += [
+        (f"optimise.decisions.{decision.name}", decision.input, decision.high)
+        for decision in decisions
+    ]
+    return results + [("uncertainty", name, 0.0) for name in case.uncertainty.inputs]
 
 
 def _read_pairs(file, raw: list[list[str]], names: list[str]) -> tuple[tuple[str, str], ...]:
     for i, pair in enumerate(raw):
         for name in pair:
             if name not in names:
-                what = f"there is no such parameter; there are {', '.join(names)}"
-                raise CaseError(str(file), f"pairs[{i}]", name, what)
+                message = f"there is no such parameter; there are {', '.join(names)}"
+                raise CaseError(str(file), f"pairs[{i}]", name, message)
     return tuple((one, other) for one, other in raw)
 
 
@@ -174,10 +180,12 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
     section = Section(file, "case", [])
     for name in raw:
         numbers.all(section, "held", name)
-        for each in parameters:
-            if each.input == name:
-                what = f"parameter {each.name} is one of these numbers, and needs a sensitivity"
-                raise CaseError(str(file), "held", name, what)
+        for parameter in parameters:
+            if parameter.input == name:
+                message = (
+                    f"parameter {parameter.name} is one of these numbers, and needs a sensitivity"
+                )
+                raise CaseError(str(file), "held", name, message)
     return frozenset(raw)
 
 
@@ -188,7 +196,7 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
     table = parse(NumericsTable, raw, str(file), "numerics")
     controlled = any(unit.error_controlled and not unit.holds for unit in timed(units))
     adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)
-    found = Numerics(
+    numerics = Numerics(
         "adaptive" if adaptive else "mesh",
         table.steps,
         table.tolerance,
@@ -200,5 +208,5 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
         loop_rounds=table.loop_rounds,
     )
     if "tolerance" in table.model_fields_set:
-        found = replace(found, stiff_tolerance=table.tolerance)
-    return found
+        numerics = replace(numerics, stiff_tolerance=table.tolerance)
+    return numerics

@@ -21,30 +21,30 @@ def read_connections(
     by_name = {unit.name: unit for unit in units}
     for feed in feeds:
         if feed.name in by_name:
-            what = "a unit has this name too"
-            raise CaseError(str(file), f"feeds.{feed.name}", None, what)
+            message = "a unit has this name too"
+            raise CaseError(str(file), f"feeds.{feed.name}", None, message)
     sources = [feed.name for feed in feeds]
     sources += [f"{unit.name}.{port}" for unit in units for port in unit.outlets]
     targets = [f"{unit.name}.{port.name}" for unit in units for port in unit.inlets]
-    found: list[Connection] = []
+    connections: list[Connection] = []
     used: dict[tuple[str, str], str] = {}  # an inlet and an outlet of a unit may share a name
-    for i, each in enumerate(raw):
+    for i, item in enumerate(raw):
         where = Section(file, f"connections[{i}]", [])
-        table = parse(ConnectionTable, each, str(file), where.name)
+        table = parse(ConnectionTable, item, str(file), where.name)
         start, end = getattr(table, "from"), table.to  # pyright: ignore[reportAttributeAccessIssue]
-        for key, port, known in (("from", start, sources), ("to", end, targets)):
-            if port not in known:
-                hint = suggest(port, known, "port")
+        for key, port, available in (("from", start, sources), ("to", end, targets)):
+            if port not in available:
+                hint = suggest(port, available, "port")
                 raise where.error(key, port, f"there is no such port; {hint}")
             if (key, port) in used:
-                what = f"this port is connected already, to {used[key, port]}"
-                raise where.error(key, port, what)
+                message = f"this port is connected already, to {used[key, port]}"
+                raise where.error(key, port, message)
         used |= {("from", start): end, ("to", end): start}
         source, _, outlet = start.partition(".")
         target, _, inlet = end.partition(".")
-        found.append(Connection(source, outlet, target, inlet))
+        connections.append(Connection(source, outlet, target, inlet))
     _check_fed(file, targets, sources, used)
-    return tuple(found)
+    return tuple(connections)
 
 
 def _check_fed(
@@ -53,10 +53,10 @@ def _check_fed(
     open_inlets = [port for port in targets if ("to", port) not in used]
     if open_inlets:
         free = [port for port in sources if ("from", port) not in used]
-        what = f"the inlet {open_inlets[0]} is not fed"
+        message = f"the inlet {open_inlets[0]} is not fed"
         if free:
-            what += f"; free are {', '.join(free)}"
-        raise CaseError(str(file), "connections", None, what)
+            message += f"; free are {', '.join(free)}"
+        raise CaseError(str(file), "connections", None, message)
 
 
 def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Unit, ...]:
@@ -65,17 +65,17 @@ def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> t
     **Raises:** `CaseError` that names the units of a loop which cannot be at a steady state, or a
     unit that is fed with crystals it does not take.
     """
-    found = in_order(units, connections)
-    for group in groups(found, connections):
+    order = in_order(units, connections)
+    for group in groups(order, connections):
         for unit in group.units if group.torn else ():
             if not isinstance(unit, Instant):
-                what = (
+                message = (
                     f"{unit.name} runs over time and stands in a loop, {group.loop}; a loop is "
                     "solved at its steady state, of units that are at theirs all the time"
                 )
-                raise CaseError(str(file), "connections", None, what)
-    _check_crystals(file, found, connections)
-    return found
+                raise CaseError(str(file), "connections", None, message)
+    _check_crystals(file, order, connections)
+    return order
 
 
 def _check_crystals(file, units: Sequence[Unit], connections: Sequence[Connection]) -> None:
@@ -83,20 +83,20 @@ def _check_crystals(file, units: Sequence[Unit], connections: Sequence[Connectio
     fed: dict[tuple[str, str], Sizes] = {(c.source, ""): NO_CRYSTALS for c in connections}
     _, into = settled(units, connections, fed, NO_CRYSTALS, lambda unit, sizes: unit.sizes(sizes))
     for unit in units:
-        for inlet, found in zip(unit.inlets, into[unit.name]):
-            _check_inlet(file, unit, inlet, found)
+        for inlet, result in zip(unit.inlets, into[unit.name]):
+            _check_inlet(file, unit, inlet, result)
 
 
-def _check_inlet(file, unit: Unit, inlet: Inlet, found: Sizes) -> None:
-    what = ""
-    if found == NO_CRYSTALS:
+def _check_inlet(file, unit: Unit, inlet: Inlet, result: Sizes) -> None:
+    message = ""
+    if result == NO_CRYSTALS:
         if inlet.crystals in ("needed", "counted"):
-            what = "no crystals reach this unit: there is no crystalliser before it"
+            message = "no crystals reach this unit: there is no crystalliser before it"
     elif inlet.crystals == "refused":
-        what = f"crystals reach the inlet {inlet.name} of this unit, which takes liquids alone"
-    elif found is None and (inlet.crystals == "counted" or inlet.grid):
-        what = "crystals reach this unit whose sizes are not counted on a grid"
-    elif inlet.grid and found != inlet.grid:
-        what = "crystals reach this unit on another grid of sizes than its own"
-    if what:
-        raise CaseError(str(file), f"units.{unit.name}", None, what)
+        message = f"crystals reach the inlet {inlet.name} of this unit, which takes liquids alone"
+    elif result is None and (inlet.crystals == "counted" or inlet.grid):
+        message = "crystals reach this unit whose sizes are not counted on a grid"
+    elif inlet.grid and result != inlet.grid:
+        message = "crystals reach this unit on another grid of sizes than its own"
+    if message:
+        raise CaseError(str(file), f"units.{unit.name}", None, message)

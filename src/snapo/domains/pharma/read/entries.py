@@ -32,35 +32,35 @@ class Numbers(NamedTuple):
 
     def all(self, section: Place, key: str, text: str) -> list[Entry]:
         """The entries that "name", "name[1]" or "name[label]" stands for."""
-        found = ENTRY.fullmatch(text)
-        name = found[1] if found else text
-        if found is None or name not in self.givens:
+        result = ENTRY.fullmatch(text)
+        name = result[1] if result else text
+        if result is None or name not in self.givens:
             hint = suggest(name, self.givens, "number")
             raise section.error(key, text, f"there is no such number; {hint}")
         labels = self.givens[name].labels
-        if found[2] is None:
+        if result[2] is None:
             return [(name, i) for i in range(len(labels))]
-        if found[2] in labels:
-            return [(name, labels.index(found[2]))]
-        if found[2].isdigit() and int(found[2]) < len(labels):
-            return [(name, int(found[2]))]
-        known = f"0 to {len(labels) - 1}"
-        known += f" or {', '.join(labels)}" if any(labels) else ""
-        raise section.error(key, text, f"its entries are {known}")
+        if result[2] in labels:
+            return [(name, labels.index(result[2]))]
+        if result[2].isdigit() and int(result[2]) < len(labels):
+            return [(name, int(result[2]))]
+        available = f"0 to {len(labels) - 1}"
+        available += f" or {', '.join(labels)}" if any(labels) else ""
+        raise section.error(key, text, f"its entries are {available}")
 
     def one(self, section: Place, key: str, text: str) -> Entry:
         """The one entry that a text stands for."""
-        found = self.all(section, key, text)
-        if len(found) > 1:
-            what = f"{text} has {len(found)} entries; say which, such as {text}[0]"
-            raise section.error(key, text, what)
-        return found[0]
+        result = self.all(section, key, text)
+        if len(result) > 1:
+            message = f"{text} has {len(result)} entries; say which, such as {text}[0]"
+            raise section.error(key, text, message)
+        return result[0]
 
     def check(self, section: Place, key: str, raw: Any, entry: Entry, value: float) -> None:
         """Refuses a `value` that the number may not have."""
-        given = self.givens[entry[0]]
-        if not given.low <= value <= given.high:
-            raise section.error(key, raw, f"{self.said(entry)} is {limits(given)}")
+        values = self.givens[entry[0]]
+        if not values.low <= value <= values.high:
+            raise section.error(key, raw, f"{self.said(entry)} is {limits(values)}")
 
     def said(self, entry: Entry) -> str:
         """An entry as a case names it."""
@@ -72,9 +72,9 @@ class Numbers(NamedTuple):
         return float(self.givens[entry[0]].values[entry[1]])
 
 
-def limits(given: Given) -> str:
+def limits(values: Given) -> str:
     """What a number may be, in words: "above 0", "from 100 to 1000 K"."""
-    unit = "" if given.unit == "1" or "order" in given.unit else f" {given.unit}"
-    if given.high < math.inf:
-        return f"from {given.low:.6g} to {given.high:.6g}{unit}"
-    return "above 0" if 0 < given.low < TINY else f"at least {given.low:.6g}{unit}"
+    unit = "" if values.unit == "1" or "order" in values.unit else f" {values.unit}"
+    if values.high < math.inf:
+        return f"from {values.low:.6g} to {values.high:.6g}{unit}"
+    return "above 0" if 0 < values.low < TINY else f"at least {values.low:.6g}{unit}"

@@ -30,10 +30,10 @@ def read_estimation(
     if raw is None:
         return None
     table = parse(EstimationTable, raw, str(file), "estimation")
-    which, lows, highs, logarithms, own, scales = [], [], [], [], [], []
-    for i, each in enumerate(table.fit):
+    which, lows, highs, logarithms, local, scales = [], [], [], [], [], []
+    for i, item in enumerate(table.fit):
         section = Section(file, f"estimation.fit[{i}]", notes)
-        fit = parse(FitTable, each, str(file), section.name)
+        fit = parse(FitTable, item, str(file), section.name)
         entry = numbers.one(section, "of", fit.of)
         if entry in which:
             raise section.error("of", fit.of, "this number stands there twice")
@@ -50,100 +50,104 @@ def read_estimation(
             raise section.error("low", fit.low, "a logarithm needs bounds above 0")
         start = numbers.value(entry)
         if not low < start < high:
-            what = f"the case's own value, {start:g} {unit}, must lie between low and high"
-            raise section.error("low", fit.low, what)
+            message = f"the case's own value, {start:g} {unit}, must lie between low and high"
+            raise section.error("low", fit.low, message)
         which.append(entry)
         lows.append(low)
         highs.append(high)
         logarithms.append(fit.logarithm)
-        own.append(unit_of(section, "low", fit.low, unit))
-        scales.append(_scale(own[-1], unit))
-    known = {f"{u.name}.{state}": unit for u in units for state, unit in u.states(species).items()}
-    ends = {u.name: (u.time.name, 0) for u in units if u.time is not None}
+        local.append(unit_of(section, "low", fit.low, unit))
+        scales.append(_scale(local[-1], unit))
+    available = {
+        f"{u.name}.{state}": unit for u in units for state, unit in u.states(species).items()
+    }
+    endpoints = {u.name: (u.time.name, 0) for u in units if u.time is not None}
     least_fitted = dict(zip(which, lows))
     experiments = tuple(
-        _experiment(file, each, i, numbers, known, ends, least_fitted, notes)
-        for i, each in enumerate(table.experiments)
+        _experiment(file, experiment, i, numbers, available, endpoints, least_fitted, notes)
+        for i, experiment in enumerate(table.experiments)
     )
-    apart = [bool(each.get("held_out", False)) for each in table.experiments]
-    fitted, held_out = (
-        tuple(each for each, out in zip(experiments, apart) if out == wanted)
-        for wanted in (False, True)
+    apart = [bool(value.get("held_out", False)) for value in table.experiments]
+    resolved, held_out = (
+        tuple(each for each, out in zip(experiments, apart) if out == requested)
+        for requested in (False, True)
     )
-    measured = sum(len(each.time) for each in fitted)
+    measured = sum(len(each.time) for each in resolved)
     if measured <= len(which):
         section = Section(file, "estimation", notes)
-        what = f"{measured} measurements are too few to fit {len(which)} numbers"
-        raise section.error("experiments", None, what)
+        message = f"{measured} measurements are too few to fit {len(which)} numbers"
+        raise section.error("experiments", None, message)
     return Estimation(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(logarithms),
-        tuple(lows), tuple(highs), fitted, table.level, tuple(own), tuple(scales), held_out,
+        tuple(lows), tuple(highs), resolved, table.level, tuple(local), tuple(scales), held_out,
         table.errors, table.starts,
     )  # fmt: skip
 
 
 def _experiment(
-    file, raw, i: int, numbers: Numbers, known, ends: dict[str, Entry], fitted, notes
+    file, raw, i: int, numbers: Numbers, available, endpoints: dict[str, Entry], fit, notes
 ) -> Experiment:
     """`known`: {state: unit}; `ends`: where the duration of a unit stands; `fitted`: {number: its
     lower bound}."""
     section = Section(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)
     settings = []
-    for text, given in table.settings.items():
+    for text, inputs in table.settings.items():
         entry = numbers.one(section, f"settings.{text}", text)
         unit, key = numbers.unit(*entry), f"settings.{text}"
-        value = quantity(section, key, given, unit, basis=own_basis(entry[0]))
-        numbers.check(section, f"settings.{text}", given, entry, value)
+        value = quantity(section, key, inputs, unit, basis=own_basis(entry[0]))
+        numbers.check(section, f"settings.{text}", inputs, entry, value)
         settings.append((*entry, value))
     rows = read_rows(Mention(section, "data", table.data), COLUMNS)
     times = np.array([_cell(row, "time", "s") for row in rows])
     names = []
     for row in rows:
         state = row.cells["state"]
-        if state not in known:
-            hint = suggest(state, known, "state")
+        if state not in available:
+            hint = suggest(state, available, "state")
             raise row.error("state", f"there is no such state; {hint}")
         names.append(state)
-    own = {(name, entry): value for name, entry, value in settings}
+    local = {(name, entry): value for name, entry, value in settings}
     for row, time, state in zip(rows, times, names):
         unit = state.partition(".")[0]
-        end = fitted.get(ends[unit], own.get(ends[unit], numbers.value(ends[unit])))
+        end = fit.get(endpoints[unit], local.get(endpoints[unit], numbers.value(endpoints[unit])))
         if time > end * (1 + ROUND_OFF):
-            what = (
+            message = (
                 f"{unit} ends at {end:.10g} s in this experiment, and after that there is nothing "
-                f"to compare with; a longer batch says so by {ends[unit][0]} in its `settings`"
+                f"to compare with; a longer batch says so by {endpoints[unit][0]} in its `settings`"
             )
-            raise row.error("time", what)
-    values = np.array([_cell(row, "value", known[row.cells["state"]], ANY) for row in rows])
-    errors = np.array([_cell(row, "error", known[row.cells["state"]], POSITIVE) for row in rows])
+            raise row.error("time", message)
+    values = np.array([_cell(row, "value", available[row.cells["state"]], ANY) for row in rows])
+    errors = np.array(
+        [_cell(row, "error", available[row.cells["state"]], POSITIVE) for row in rows]
+    )
     for row, value, error in zip(rows, values, errors):
         lowest = least(row.cells["state"])
         if value < lowest - NOISE * error:
-            what = (
+            message = (
                 f"{(lowest - value) / error:.3g} of its standard deviations below the least value "
                 f"that is possible; allowed are {NOISE:g}"
             )
-            raise row.error("value", what)
-    said = [
-        unit_of(_Cell(row, "value"), "value", row.cells["value"], known[state])
+            raise row.error("value", message)
+    metadata = [
+        unit_of(_Cell(row, "value"), "value", row.cells["value"], available[state])
         for row, state in zip(rows, names)
     ]
-    scales = tuple(_scale(unit, known[state]) for unit, state in zip(said, names))
+    scales = tuple(_scale(unit, available[state]) for unit, state in zip(metadata, names))
     return Experiment(
-        table.name, tuple(settings), times, tuple(names), values, errors, tuple(said), scales
+        table.name, tuple(settings), times, tuple(names), values, errors, tuple(metadata), scales
     )
 
 
-def _scale(own: str, unit: str) -> tuple[float, float]:
-    change = conversion(own, unit)
+def _scale(local: str, unit: str) -> tuple[float, float]:
+    change = conversion(local, unit)
     return change.scale, change.offset
 
 
 def _cell(row: Row, column: str, unit: str, bounds: Bounds = NOT_NEGATIVE) -> float:
     """A quantity in a cell, "600 s"; mistakes name the line."""
-    place, error, own = _Cell(row, column), column == "error", own_basis(row.cells["state"])
-    return quantity(place, column, row.cells[column], unit, bounds, error, own)
+    cell, error, local = _Cell(row, column), column == "error", own_basis(row.cells["state"])
+    return quantity(cell, column, row.cells[column], unit, bounds, error, local)
 
 
 class _Cell(NamedTuple):

@@ -15,26 +15,26 @@ Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[list[Text], Field(min_length=1)]
 
 
-def quantity(what: str, default: Any = ..., words: str | None = None) -> Any:
+def quantity(subject: str, default: Any = ..., words: str | None = None) -> Any:
     """A field for a number with a unit, required without a default. `words`: its meaning."""
-    text = f"a quantity in quotation marks, such as {what}"
+    text = f"a quantity in quotation marks, such as {subject}"
     return Field(default, description=text, title=words)
 
 
-def number(what: str = NUMBER, default: Any = ..., words: str | None = None) -> Any:
+def number(subject: str = NUMBER, default: Any = ..., words: str | None = None) -> Any:
     """A field for a pure number."""
-    return Field(default, description=what, title=words)
+    return Field(default, description=subject, title=words)
 
 
 def profile(default: Any = ..., words: str | None = None) -> Any:
     """A field for a temperature, or any control, over time."""
-    what = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
-    return Field(default, description=what, title=words)
+    message = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
+    return Field(default, description=message, title=words)
 
 
-def word(*words: str, default: Any = ...) -> Any:
+def word(*text: str, default: Any = ...) -> Any:
     """A field for one of a few words."""
-    return Field(default, description=" or ".join(f'"{each}"' for each in words))
+    return Field(default, description=" or ".join(f'"{item}"' for item in text))
 
 
 class ProfileTable(Table):

@@ -37,18 +37,18 @@ def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> F
     section = Section(file, "case", notes)
     rows = read_rows(Mention(section, "fitted", name), COLUMNS)
     for row in rows:
-        place = _Line(row)
-        entry = numbers.one(place, "of", row.cells["of"])
+        line = _Line(row)
+        entry = numbers.one(line, "of", row.cells["of"])
         if entry in entries:
             raise row.error("of", "this number stands there twice")
         unit = numbers.unit(*entry)
-        value = quantity(place, "value", row.cells["value"], unit, ANY)
-        numbers.check(place, "value", row.cells["value"], entry, value)
+        value = quantity(line, "value", row.cells["value"], unit, ANY)
+        numbers.check(line, "value", row.cells["value"], entry, value)
         if row.cells["logarithm"] not in ("true", "false"):
             raise row.error("logarithm", "allowed is true or false")
         log = row.cells["logarithm"] == "true"
-        text, own = row.cells["deviation"], "1" if log else unit
-        spread = quantity(place, "deviation", text, own, NOT_NEGATIVE, difference=True)
+        text, local = row.cells["deviation"], "1" if log else unit
+        spread = quantity(line, "deviation", text, local, NOT_NEGATIVE, difference=True)
         # Nothing has read the number yet: all that is said of it from here on is of the fitted one.
         numbers.givens[entry[0]].values[entry[1]] = value
         distribution = Distribution("lognormal" if log else "normal", spread)
@@ -56,28 +56,30 @@ def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> F
             check_drawn(Section(file, "fitted", notes), text, distribution, numbers, entry)
         entries.append(entry)
         distributions.append(distribution)
-    said = ", ".join(row.cells["of"] for row in rows)
-    notes.append(f"{name} has the values and uncertainties of {said}, as fitted to data.")
+    metadata = ", ".join(row.cells["of"] for row in rows)
+    notes.append(f"{name} has the values and uncertainties of {metadata}, as fitted to data.")
     return Fitted(entries, distributions, _correlation(rows))
 
 
 def _correlation(rows: list[Row]) -> np.ndarray:
-    found = np.eye(len(rows))
+    result = np.eye(len(rows))
     for i, row in enumerate(rows):
         try:
-            numbers = [float(each) for each in row.cells["correlation"].split()]
+            numbers = [float(part) for part in row.cells["correlation"].split()]
         except ValueError:
             numbers = []
         if len(numbers) != len(rows) or not np.isfinite(numbers).all():
-            what = f"allowed are {len(rows)} numbers, one for each line, with spaces between them"
-            raise row.error("correlation", what)
-        found[i] = numbers
-    if not np.allclose(found, found.T, atol=1e-6) or (np.linalg.eigvalsh(found) <= 1e-12).any():
-        what = (
+            message = (
+                f"allowed are {len(rows)} numbers, one for each line, with spaces between them"
+            )
+            raise row.error("correlation", message)
+        result[i] = numbers
+    if not np.allclose(result, result.T, atol=1e-6) or (np.linalg.eigvalsh(result) <= 1e-12).any():
+        message = (
             "these are not the correlations of any numbers (not symmetric, not positive definite)"
         )
-        raise rows[0].error("correlation", what)
-    return (found + found.T) / 2
+        raise rows[0].error("correlation", message)
+    return (result + result.T) / 2
 
 
 class _Line(NamedTuple):

@@ -16,16 +16,16 @@ def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
     """`[goal]`: the probability of keeping all limits, or the mean or tail of an attribute."""
     table = parse(GoalTable, raw, str(file), "goal")
     section = Section(file, "goal", [])
-    names = [each.name for each in attributes]
+    names = [attribute.name for attribute in attributes]
     if table.kind == "probability" and "attribute" in raw:
-        what = 'kind "probability" is of all limits together and has no such key'
-        raise section.error("attribute", table.attribute, what)
+        message = 'kind "probability" is of all limits together and has no such key'
+        raise section.error("attribute", table.attribute, message)
     if table.kind != "probability" and table.attribute not in names:
         hint = suggest(table.attribute, names, "attribute")
         raise section.error("attribute", table.attribute, f"there is no such attribute; {hint}")
     if table.kind == "cvar" and table.sense == "minimise":
-        what = 'kind "cvar" is the mean of the lowest values, which only makes sense to maximise'
-        raise section.error("sense", table.sense, what)
+        message = 'kind "cvar" is the mean of the lowest values, which only makes sense to maximise'
+        raise section.error("sense", table.sense, message)
     sense: Any = 1 if table.sense == "maximise" else -1
     return Goal(table.kind, table.attribute, sense, table.level, table.penalty)
 
@@ -38,16 +38,16 @@ def read_design_space(
         return None
     section = Section(file, "design_space", [])
     table = parse(DesignSpaceTable, raw, str(file), "design_space")
-    names = [each.name for each in parameters]
+    names = [parameter.name for parameter in parameters]
     for i, axis in enumerate(table.axes):
         if axis not in names:
             hint = suggest(axis, names, "parameter")
             raise section.error(f"axes[{i}]", axis, f"there is no such parameter; {hint}")
         if axis in table.axes[:i]:
             raise section.error(f"axes[{i}]", axis, "this parameter stands there twice")
-    if all(each.low is None and each.high is None for each in attributes):
-        what = "no attribute has a limit, so nothing bounds a design space"
-        raise CaseError(str(file), "design_space", None, what)
+    if all(attribute.low is None and attribute.high is None for attribute in attributes):
+        message = "no attribute has a limit, so nothing bounds a design space"
+        raise CaseError(str(file), "design_space", None, message)
     return DesignSpace(
         tuple(table.axes),
         (table.points,) * len(table.axes),

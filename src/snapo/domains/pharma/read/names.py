@@ -14,7 +14,7 @@ RESERVED = ("process", "kinetics")
 def check_name(section: Section, key: str, name: Any) -> str:
     """A name of letters, digits, - and _, so that "unit.measure" can be taken apart."""
     if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
-        what = "a name has letters, digits, - and _, and begins with a letter"
-        reserved = " and ".join(f'"{each}"' for each in RESERVED)
-        raise section.error(key, name, f"{what}; {reserved} are taken")
+        message = "a name has letters, digits, - and _, and begins with a letter"
+        reserved = " and ".join(f'"{item}"' for item in RESERVED)
+        raise section.error(key, name, f"{message}; {reserved} are taken")
     return name

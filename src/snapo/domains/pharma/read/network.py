@@ -27,7 +27,7 @@ def read_network(
 ) -> Network:
     """The reactions of the case; without any, nothing reacts."""
     section = Section(file, "species", notes)
-    names = tuple(check_name(section, each, each) for each in species)
+    names = tuple(check_name(section, specy, specy) for specy in species)
     if not names:
         raise CaseError(str(file), "species", None, "a case needs one species or more")
     masses = []
@@ -37,7 +37,7 @@ def read_network(
         masses.append(quantity(inner, "molar_mass", table.molar_mass, "kg/kmol", POSITIVE))
     molar_mass = np.array(masses)
     read = [_reaction(file, raw, i, names, molar_mass, notes) for i, raw in enumerate(reactions)]
-    labels = tuple(each["name"] for each in read)
+    labels = tuple(item["name"] for item in read)
     for i, label in enumerate(labels):
         if label in labels[:i]:
             where = f"reactions[{i}].name"
@@ -47,15 +47,15 @@ def read_network(
     if reference is not None:
         top = Section(file, "case", notes)
         temperature = quantity(top, "reference_temperature", reference, "K", POSITIVE)
-    units = {each["unit"] for each in read}
+    units = {entry["unit"] for entry in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
 
     def of_all(key: str, measured: str, bounds: Bounds = ANY) -> Given:
         if not count:
             return absent(f"kinetics.{key}", measured)
-        values = np.array([each[key] for each in read])
-        words = ReactionTable.model_fields[key].title or ""
-        return given(f"kinetics.{key}", values, labels, measured, words=words, bounds=bounds)
+        values = np.array([value[key] for value in read])
+        text = ReactionTable.model_fields[key].title or ""
+        return given(f"kinetics.{key}", values, labels, measured, words=text, bounds=bounds)
 
     return Network(
         species=names,
@@ -79,20 +79,20 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     used, made = left @ molar_mass, right @ molar_mass
     gap = abs(made - used) / used
     if gap > MASS_TOLERANCE:
-        what = (
+        message = (
             f"mass is not conserved: the left side weighs {used:.10g} g/mol and the right side "
             f"{made:.10g} g/mol"
         )
-        raise section.error("equation", table.equation, what)
+        raise section.error("equation", table.equation, message)
     if gap > ROUND_OFF:
         notes.append(
             f"Reaction {name} conserves mass to {gap:.1e} only, as its molar masses are given; the "
             "balance of mass shows this as made by the reaction."
         )
     order = left.copy()
-    for each, exponent in table.order.items():
-        at = _species(section, f"order.{each}", each, species)
-        order[at] = quantity(section, f"order.{each}", exponent, "1", NOT_NEGATIVE)
+    for item, exponent in table.order.items():
+        at = _species(section, f"order.{item}", item, species)
+        order[at] = quantity(section, f"order.{item}", exponent, "1", NOT_NEGATIVE)
     total = order.sum()
     unit = prefactor_unit(total)
     return {
@@ -111,48 +111,48 @@ def _sides(section: Section, equation: str, species) -> tuple[np.ndarray, np.nda
     sides = equation.split("->")
     if len(sides) != 2:
         raise section.error("equation", equation, 'allowed is an equation such as "A + 2 B -> C"')
-    found = []
+    results = []
     for side in sides:
         amounts = np.zeros(len(species))
         for term in side.split("+"):
             match = TERM.fullmatch(term.strip())
             if match is None:
-                what = 'allowed is an equation such as "A + 2 B -> C"'
-                raise section.error("equation", equation, what)
+                message = 'allowed is an equation such as "A + 2 B -> C"'
+                raise section.error("equation", equation, message)
             at = _species(section, "equation", match[2], species, equation)
             amounts[at] += float(match[1] or 1)
-        found.append(amounts)
-    if not (found[0] @ found[0] and found[1] @ found[1]):
+        results.append(amounts)
+    if not (results[0] @ results[0] and results[1] @ results[1]):
         raise section.error("equation", equation, "both sides need a species")
-    return found[0], found[1]
+    return results[0], results[1]
 
 
-def _species(section: Section, key: str, name: str, species, shown=None) -> int:
+def _species(section: Section, key: str, name: str, species, displayed=None) -> int:
     if name not in species:
-        what = f"there is no species {name}; {suggest(name, species, 'species')}"
-        raise section.error(key, name if shown is None else shown, what)
+        message = f"there is no species {name}; {suggest(name, species, 'species')}"
+        raise section.error(key, name if displayed is None else displayed, message)
     return species.index(name)
 
 
 def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) -> tuple[Feed, ...]:
     """`[feeds.NAME]`, in the order of the file."""
-    found = []
+    results = []
     for name, raw in feeds.items():
         where = f"feeds.{name}"
         section = Section(file, where, notes)
         check_name(Section(file, "feeds", notes), name, name)
         table = parse(FeedTable, raw, str(file), where)
         amounts = np.zeros(len(species))
-        for each, raw_amount in table.concentration.items():
-            at = _species(section, f"concentration.{each}", each, species)
-            key = f"concentration.{each}"
+        for item, raw_amount in table.concentration.items():
+            at = _species(section, f"concentration.{item}", item, species)
+            key = f"concentration.{item}"
             amounts[at] = quantity(section, key, raw_amount, "kmol/m3", NOT_NEGATIVE)
         duration = None
         if table.duration is not None:
             duration = quantity(section, "duration", table.duration, "s", POSITIVE)
         read = Reader(section, name, table)
-        words = "concentration in the feed"
-        found.append(
+        text = "concentration in the feed"
+        results.append(
             Feed(
                 name=name,
                 volume=read.number("volume", "m3", POSITIVE),
@@ -162,11 +162,11 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                     amounts,
                     species,
                     "kmol/m3",
-                    words=words,
+                    words=text,
                     bounds=NOT_NEGATIVE,
                 ),
                 solvent=read.number("solvent", "kg/m3", LIQUID),
                 duration=duration,
             )
         )
-    return tuple(found)
+    return tuple(results)

@@ -113,7 +113,7 @@ def _example(unit: str) -> str:
 
 def given(
     name: str, values: np.ndarray, labels: Sequence[str], unit: str,
-    index: np.ndarray | None = None, words: str = "", own: str = "", bounds: Bounds = ANY,
+    index: np.ndarray | None = None, words: str = "", local: str = "", bounds: Bounds = ANY,
 ) -> Given:  # fmt: skip
     """Numbers of a case with all that is said about them; used in order unless `index` says else.
 
@@ -128,8 +128,8 @@ def given(
         np.arange(len(values)) if index is None else index,
         bump=1e-5 * size or None,
         move=1.0 if unit == "K" else None,
-        trade_unit=own if own not in PURE else "",
-        trade_factor=1.0 if own in PURE else 1 / conversion(own, unit, difference=True).scale,
+        trade_unit=local if local not in PURE else "",
+        trade_factor=1.0 if local in PURE else 1 / conversion(local, unit, difference=True).scale,
         group=name.partition(".")[0],
         words=words,
         low=TEMPERATURE.low if unit == "K" else bounds.least,
@@ -139,42 +139,42 @@ def given(
 
 def single(
     section: Section, name: str, key: str, raw: Any, unit: str, bounds: Bounds = ANY,
-    words: str = "",
+    text: str = "",
 ) -> Given:  # fmt: skip
     """One number, index [], called `name` in tables of sensitivities."""
     value = quantity(section, key, raw, unit, bounds)
-    own = unit_of(section, key, raw, unit)
-    return given(name, np.array([value]), ("",), unit, np.array(0), words, own, bounds)
+    local = unit_of(section, key, raw, unit)
+    return given(name, np.array([value]), ("",), unit, np.array(0), text, local, bounds)
 
 
 def listed(section: Section, key: str, raw: Any, unit: str, bounds: Bounds = ANY) -> list[float]:
     """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
     if isinstance(raw, dict):
         if set(raw) != {"value", "unit"} or not isinstance(raw["unit"], str):
-            what = f"allowed is {{ value = [1.0, 2.0], unit = {_example(unit)[8:]} }}"
-            raise section.error(key, raw, what)
-        found = raw["value"]
-        numbers = isinstance(found, list) and all(
-            isinstance(each, int | float) and not isinstance(each, bool) for each in found
+            message = f"allowed is {{ value = [1.0, 2.0], unit = {_example(unit)[8:]} }}"
+            raise section.error(key, raw, message)
+        value = raw["value"]
+        numbers = isinstance(value, list) and all(
+            isinstance(item, int | float) and not isinstance(item, bool) for item in value
         )
         if not numbers:
-            raise section.error(f"{key}.value", found, "allowed is a list of numbers")
-        raw = [f"{each!r} {raw['unit']}" for each in found]
+            raise section.error(f"{key}.value", value, "allowed is a list of numbers")
+        raw = [f"{entry!r} {raw['unit']}" for entry in value]
     if not isinstance(raw, list) or not raw:
-        what = f"allowed is a list of quantities, each {_example(unit)}"
-        raise section.error(key, raw, what)
+        message = f"allowed is a list of quantities, each {_example(unit)}"
+        raise section.error(key, raw, message)
     return [quantity(section, f"{key}[{i}]", each, unit, bounds) for i, each in enumerate(raw)]
 
 
 def several(
     section: Section, name: str, key: str, raw: Any, unit: str, labels: Sequence[str] | str = "",
-    bounds: Bounds = ANY, words: str = "",
+    bounds: Bounds = ANY, text: str = "",
 ) -> Given:  # fmt: skip
     """A list of numbers, index [n]; labels are `labels`, or that text with the entry's number."""
     values = np.array(listed(section, key, raw, unit, bounds))
     if isinstance(labels, str):
         labels = tuple(f"{labels}{i}" for i in range(len(values)))
-    return given(name, values, labels, unit, words=words, bounds=bounds)
+    return given(name, values, labels, unit, words=text, bounds=bounds)
 
 
 def absent(name: str, unit: str) -> Given:
@@ -206,19 +206,19 @@ def profile(
 
 
 def _shares(section: Section, raw: Any, count: int) -> np.ndarray:
-    found = np.array(listed(section, "at", raw, "1", SHARE))
-    if len(found) != count:
+    shares = np.array(listed(section, "at", raw, "1", SHARE))
+    if len(shares) != count:
         raise section.error("at", raw, f"allowed are {count} shares of the unit's duration")
-    if found[0] != 0 or found[-1] != 1 or (np.diff(found) <= 0).any():
+    if shares[0] != 0 or shares[-1] != 1 or (np.diff(shares) <= 0).any():
         raise section.error("at", raw, "the shares must rise from 0 to 1")
-    return found
+    return shares
 
 
-def suggest(name: str, known, noun: str) -> str:
+def suggest(name: str, available, noun: str) -> str:
     """The known name nearest to one that is not known, or all that are."""
     plural = noun if noun.endswith("s") else f"{noun}s"
     return (
-        nearest(name, known)
+        nearest(name, available)
         .replace("known keys", f"known {plural}", 1)
         .replace("known key", f"known {noun}", 1)
     )

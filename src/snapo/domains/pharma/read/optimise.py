@@ -61,16 +61,16 @@ def read_optimise(
     sense: Any = 1 if table.sense == "maximise" else -1
 
     def terms(key: str) -> tuple[Term, ...]:
-        found = getattr(table, key)
-        sections = [Section(file, f"optimise.{key}[{i}]", notes) for i in range(len(found))]
-        return tuple(_term(s, each, numbers, measures) for s, each in zip(sections, found))
+        result = getattr(table, key)
+        sections = [Section(file, f"optimise.{key}[{i}]", notes) for i in range(len(result))]
+        return tuple(_term(s, entry, numbers, measures) for s, entry in zip(sections, result))
 
     decisions: list[Decision] = []
-    for i, each in enumerate(table.decisions):
+    for i, item in enumerate(table.decisions):
         section = Section(file, f"optimise.decisions[{i}]", notes)
-        for decision in _decisions(section, each, numbers):
+        for decision in _decisions(section, item, numbers):
             if (decision.input, decision.entry) in [(d.input, d.entry) for d in decisions]:
-                raise section.error("of", each.get("of"), "this number is decided twice")
+                raise section.error("of", item.get("of"), "this number is decided twice")
             decisions.append(decision)
     return Optimise(
         sense, terms("terms"), terms("per"), tuple(decisions), table.reserve, table.starts,
@@ -102,7 +102,7 @@ def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, 
 def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
     """One for each entry that `of` stands for, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
-    found = []
+    decisions = []
     for name, entry in numbers.all(section, "of", table.of):
         unit, start = numbers.unit(name, entry), numbers.value((name, entry))
         low, high = (
@@ -113,16 +113,16 @@ def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
             raise section.error("high", table.high, "high must lie above low")
         numbers.check(section, "low", table.low, (name, entry), low)
         numbers.check(section, "high", table.high, (name, entry), high)
-        own = unit_of(section, "low", table.low, unit)
-        change = conversion(own, unit)
+        local = unit_of(section, "low", table.low, unit)
+        change = conversion(local, unit)
         if not low <= start <= high:
             value = f"{(start - change.offset) / change.scale:.10g}"
-            value += "" if own == "1" else f" {own}"
-            what = f"the case's own number, {value}, must lie within the bounds: it is the start"
-            raise section.error("low", [table.low, table.high], what)
+            value += "" if local == "1" else f" {local}"
+            message = f"the case's own number, {value}, must lie within the bounds: it is the start"
+            raise section.error("low", [table.low, table.high], message)
         several = len(numbers.givens[name].labels) > 1
         label = f"{name}[{entry}]" if several else name
-        found.append(
-            Decision(label, name, entry, own, change.scale, change.offset, low, high, start)
+        decisions.append(
+            Decision(label, name, entry, local, change.scale, change.offset, low, high, start)
         )
-    return found
+    return decisions

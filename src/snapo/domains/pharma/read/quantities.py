@@ -60,10 +60,10 @@ def split(text: str) -> tuple[float, str]:
 
     **Raises:** `UnitError` where there is no such number.
     """
-    found = QUANTITY.fullmatch(text)
-    if found is None:
+    result = QUANTITY.fullmatch(text)
+    if result is None:
         raise UnitError("a quantity is a number and its unit")
-    return float(found[1]), found[2]
+    return float(result[1]), result[2]
 
 
 @cache
@@ -75,21 +75,21 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
     **Raises:** `UnitError` where the unit is unknown, or measures something else.
     """
     domain = _parse(target)
-    own = _exact(_parse(unit), domain)
-    if _gaps(own, domain):
-        wanted = _dimension(domain) + ("" if target in PURE else f", {target}")
-        raise UnitError(f"{shown(unit)} is {_dimension(own)}, and this is {wanted}")
+    local = _exact(_parse(unit), domain)
+    if _gaps(local, domain):
+        requested = _dimension(domain) + ("" if target in PURE else f", {target}")
+        raise UnitError(f"{shown(unit)} is {_dimension(local)}, and this is {requested}")
     registry = _registry()
-    if own.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
-        factors: list[Any] = [registry.get_base_units(each)[0] for each in (own, domain)]
+    if local.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
+        factors: list[Any] = [registry.get_base_units(item)[0] for item in (local, domain)]
         return Conversion(float(f"{factors[0] / factors[1]:.16g}"), 0.0)
-    start = registry.Quantity(0.0, own).to(domain).magnitude
-    if difference and own == registry.degC:
-        own = registry.delta_degC
-    if difference and own == registry.degF:
-        own = registry.delta_degF
-    zero = registry.Quantity(0.0, own).to(domain).magnitude
-    scale = registry.Quantity(1.0, own).to(domain).magnitude - zero
+    start = registry.Quantity(0.0, local).to(domain).magnitude
+    if difference and local == registry.degC:
+        local = registry.delta_degC
+    if difference and local == registry.degF:
+        local = registry.delta_degF
+    zero = registry.Quantity(0.0, local).to(domain).magnitude
+    scale = registry.Quantity(1.0, local).to(domain).magnitude - zero
     # Factors between units have few digits; the rest is rounding on the way.
     return Conversion(float(f"{scale:.16g}"), 0.0 if difference else float(f"{start:.16g}"))
 
@@ -104,9 +104,9 @@ def prefactor_unit(order: float) -> str:
 
 def basis(unit: str) -> str:
     """What a share is of, "w/w", "v/v", "n/n" or "a/a"; "" where its unit does not say."""
-    said = BASIS.search(unit.strip())
-    if said is not None:
-        return "w/w" if said[1] == "m/m" else said[1]
+    metadata = BASIS.search(unit.strip())
+    if metadata is not None:
+        return "w/w" if metadata[1] == "m/m" else metadata[1]
     above, _, below = unit.replace("%", "").strip().partition("/")
     try:
         one, other = dimension(above), dimension(below)
@@ -118,20 +118,21 @@ def basis(unit: str) -> str:
 def own_basis(name: str) -> str:
     """The basis of a number or a measure by its name, "filter.impurity.D"; "" where it has none."""
     parts = name.partition("[")[0].split(".")
-    return next((each for each, names in OWN.items() if set(parts) & {*names}), "")
+    return next((item for item, names in OWN.items() if set(parts) & {*names}), "")
 
 
-def check_basis(unit: str, own: str) -> None:
+def check_basis(unit: str, local: str) -> None:
     """**Raises:** `UnitError` where a unit names another basis than the `own` of its number."""
-    said = basis(unit)
-    if not said or said == own:
+    metadata = basis(unit)
+    if not metadata or metadata == local:
         return
-    if not own:
-        raise UnitError(f"this number has no basis: write it without {said}")
-    more = ", which needs response factors" if said == "a/a" else ""
+    if not local:
+        raise UnitError(f"this number has no basis: write it without {metadata}")
+    more = ", which needs response factors" if metadata == "a/a" else ""
     raise UnitError(
-        f"{unit} is {BASES[said]}{more}, and this is {BASES[own]}; write it by {BASES[own]}, as in "
-        f"% {own}"
+        f"{unit} is {BASES[metadata]}{more}, and this is {BASES[local]}; write it by "
+        f"{BASES[local]}, as in "
+        f"% {local}"
     )
 
 
@@ -167,34 +168,34 @@ def _parse(unit: str) -> pint.Unit:
         raise UnitError(f"there is no unit {unit!r}") from None
 
 
-def _gaps(own: pint.Unit, domain: pint.Unit) -> dict[str, float]:
+def _gaps(unit: pint.Unit, domain: pint.Unit) -> dict[str, float]:
     """By which exponent of each dimension two units differ; without those that agree."""
-    one, other = _powers(own.dimensionality), _powers(domain.dimensionality)
-    found = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
-    return {name: gap for name, gap in found.items() if abs(gap) > EXACT}
+    one, other = _powers(unit.dimensionality), _powers(domain.dimensionality)
+    table = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
+    return {name: gap for name, gap in table.items() if abs(gap) > EXACT}
 
 
-def _powers(found: Any) -> dict[str, float]:
+def _powers(result: Any) -> dict[str, float]:
     """The exponents of units or dimensions, which pint holds as any kind of number."""
-    return {str(name): float(power) for name, power in found.items()}
+    return {str(name): float(power) for name, power in result.items()}
 
 
-def _exact(own: pint.Unit, domain: pint.Unit) -> pint.Unit:
+def _exact(unit: pint.Unit, domain: pint.Unit) -> pint.Unit:
     """`own` with the exponents that `domain` asks for, where those are the same to three digits."""
-    gaps = _gaps(own, domain)
-    parts = _powers(own._units)
+    gaps = _gaps(unit, domain)
+    parts = _powers(unit._units)
     if not gaps or not parts:
-        return own
+        return unit
     every = [_powers(_registry().get_dimensionality(name)) for name in parts]
-    names = sorted({*gaps, *(name for each in every for name in each)})
-    table = np.array([[each.get(name, 0.0) for each in every] for name in names])
+    names = sorted({*gaps, *(name for item in every for name in item)})
+    table = np.array([[entry.get(name, 0.0) for entry in every] for name in names])
     moved = np.linalg.lstsq(table, [gaps.get(name, 0.0) for name in names], rcond=None)[0]
     if np.abs(moved).max() > DIGITS:
-        return own
+        return unit
     moved = {name: power + step for (name, power), step in zip(parts.items(), moved)}
     return _registry().Unit(UnitsContainer(moved))
 
 
 def _dimension(unit: pint.Unit) -> str:
-    found = unit.dimensionality
-    return "a pure number" if not found else str(found)
+    dimensionality = unit.dimensionality
+    return "a pure number" if not dimensionality else str(dimensionality)

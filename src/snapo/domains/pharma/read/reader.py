@@ -40,8 +40,8 @@ class Reader(NamedTuple):
         """One of these `names`."""
         name = getattr(self.table, key)
         if name not in names:
-            what = f"there is no such {noun}; {suggest(name, names, noun)}"
-            raise self.section.error(key, name, what)
+            message = f"there is no such {noun}; {suggest(name, names, noun)}"
+            raise self.section.error(key, name, message)
         return name
 
     def ports(self, key: str) -> tuple[str, ...]:
@@ -56,18 +56,18 @@ class Reader(NamedTuple):
     def inner(self, key: str, table: type[Table]) -> "Reader":
         """The table under `key`."""
         where = f"{self.section.name}.{key}"
-        found = parse(table, getattr(self.table, key), str(self.section.file), where)
+        result = parse(table, getattr(self.table, key), str(self.section.file), where)
         section = Section(self.section.file, where, self.section.notes)
-        return Reader(section, f"{self.name}.{key}", found)
+        return Reader(section, f"{self.name}.{key}", result)
 
     def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
         """Refuses `keys` where `kind` is not one of `kinds`; where it is they may be `needed`."""
         kind = self.table.kind
         for key in keys:
-            given = getattr(self.table, key)
-            if kind not in kinds and given is not None:
-                words = " or ".join(f'"{each}"' for each in kinds)
-                what = f'kind "{kind}" has no such key; it belongs to {words}'
-                raise self.section.error(key, given, what)
-            if kind in kinds and needed and given is None:
+            values = getattr(self.table, key)
+            if kind not in kinds and values is not None:
+                text = " or ".join(f'"{item}"' for item in kinds)
+                message = f'kind "{kind}" has no such key; it belongs to {text}'
+                raise self.section.error(key, values, message)
+            if kind in kinds and needed and values is None:
                 raise self.section.error(key, None, f'kind "{kind}" needs this key')

@@ -73,22 +73,23 @@ def optimise(process: Process, seed: int = 0) -> Optimum:
     count = 1 + len(limits) + 2 * len(steep)
     mode, reason = choose(process, count, len(ask.decisions), "auto")
     traced = Traced(goal_and_room(process, limits, steep), mode)
-    low, high, own = (
-        np.array([getattr(each, key) for each in ask.decisions]) for key in ("low", "high", "start")
+    low, high, local = (
+        np.array([getattr(decision, key) for decision in ask.decisions])
+        for key in ("low", "high", "start")
     )
-    traced.compile(own)
+    traced.compile(local)
     started = time.perf_counter()
-    before = float(traced(own)[0][0])
-    random = np.random.default_rng(seed).uniform(size=(ask.starts - 1, len(own)))
-    found: list[Recipe] = []
-    for start in (own, *(low + (high - low) * random)):
+    before = float(traced(local)[0][0])
+    random = np.random.default_rng(seed).uniform(size=(ask.starts - 1, len(local)))
+    recipes: list[Recipe] = []
+    for start in (local, *(low + (high - low) * random)):
         scale = abs(float(traced(start)[0][0])) or 1.0
-        found.append(optimum(traced, start, low, high, sense=ask.sense, scale=scale))
-    best = max(found, key=lambda each: (each.converged, ask.sense * each.value))
+        recipes.append(optimum(traced, start, low, high, sense=ask.sense, scale=scale))
+    best = max(recipes, key=lambda item: (item.converged, ask.sense * item.value))
     solving = time.perf_counter() - started
-    ends = tuple(each.value for each in found)
+    endpoints = tuple(entry.value for entry in recipes)
     recipe = best._replace(evaluations=traced.evaluations)
-    return Optimum(recipe, limits, steep, before, reason, traced.compiling, solving, ends)
+    return Optimum(recipe, limits, steep, before, reason, traced.compiling, solving, endpoints)
 
 
 def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp, ...]):
@@ -96,8 +97,10 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
     case, nominal = process.case, process.given()
     ask = case.optimise
     assert ask is not None
-    entries = tuple((each.input, each.entry) for each in ask.decisions)
-    held = {each.name: each.values for each in numbers_in((case.network, case.feeds, case.units))}
+    entries = tuple((decision.input, decision.entry) for decision in ask.decisions)
+    held = {
+        number.name: number.values for number in numbers_in((case.network, case.feeds, case.units))
+    }
 
     def function(x):
         inputs = process.shifted(x, entries, nominal)
@@ -108,12 +111,12 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
         if ask.per:
             goal = goal / _sum(ask.per, measures, inputs)
         room = [
-            (each.sign * (attributes[each.which] - each.limit) - each.reserve) / each.size
-            for each in limits
+            (limit.sign * (attributes[limit.which] - limit.limit) - limit.reserve) / limit.size
+            for limit in limits
         ]
-        for each in steep:
-            allowed = each.most * each.share * inputs[each.duration][0]
-            change = inputs[each.input][each.entry + 1] - inputs[each.input][each.entry]
+        for item in steep:
+            allowed = item.most * item.share * inputs[item.duration][0]
+            change = inputs[item.input][item.entry + 1] - inputs[item.input][item.entry]
             room += [1 - change / allowed, 1 + change / allowed]
         return jnp.stack([goal, *room])
 
@@ -123,9 +126,9 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
 def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
     """`inputs` has every number of the case, held ones too."""
     total = jnp.zeros(())
-    for each in terms:
-        value = measures[each.of] if each.entry is None else inputs[each.of][each.entry]
-        total = total + each.weight * each.scale * value
+    for term in terms:
+        value = measures[term.of] if term.entry is None else inputs[term.of][term.entry]
+        total = total + term.weight * term.scale * value
     return total
 
 
@@ -134,41 +137,43 @@ def varies(process: Process) -> np.ndarray:
     attributes' units; zeros where nothing asks for it."""
     case = process.case
     assert case.optimise is not None
-    known = len(all_entries(case))
-    if not (case.optimise.deviations and known):
+    available = len(all_entries(case))
+    if not (case.optimise.deviations and available):
         return np.zeros(len(case.attributes))
     # The run's matrix is of the same function, so that nothing compiles again.
-    found = matrix(process, entries=batches.varied(case)).jacobian[:, :known]
-    return spread(case, found).total
+    jacobian = matrix(process, entries=batches.varied(case)).jacobian[:, :available]
+    return spread(case, jacobian).total
 
 
 def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[Bound, ...]:
     """The limits of all attributes as inequalities, less the reserve; `deviation` [Q]."""
     ask = case.optimise
     assert ask is not None
-    found = []
-    for q, each in enumerate(case.attributes):
-        reserve = ask.reserve * each.margin + ask.deviations * float(deviation[q])
-        for sign, limit in ((1, each.low), (-1, each.high)):
+    results = []
+    for q, attribute in enumerate(case.attributes):
+        reserve = ask.reserve * attribute.margin + ask.deviations * float(deviation[q])
+        for sign, limit in ((1, attribute.low), (-1, attribute.high)):
             if limit is not None:
-                size = abs(limit) or each.margin
-                found.append(Bound(each.name, each.unit, q, sign, limit, reserve, size))
-    return tuple(found)
+                size = abs(limit) or attribute.margin
+                results.append(Bound(attribute.name, attribute.unit, q, sign, limit, reserve, size))
+    return tuple(results)
 
 
 def ramps(case: PharmaCase) -> tuple[Ramp, ...]:
     """Ramps of the profiles that a decision bends or stretches."""
     ask = case.optimise
     assert ask is not None
-    decided = {each.input for each in ask.decisions}
-    found = []
+    decided = {decision.input for decision in ask.decisions}
+    results = []
     for unit in case.units:
         for profile in unit.profiles:
             name, duration = profile.value.name, f"{unit.name}.duration"
-            most = profile.ramp
-            if most is None or profile.kind != "linear" or not decided & {name, duration}:
+            maximum = profile.ramp
+            if maximum is None or profile.kind != "linear" or not decided & {name, duration}:
                 continue
             for i, share in enumerate(np.diff(profile.share).tolist()):
-                said = f"{name}[{i}] to [{i + 1}]"
-                found.append(Ramp(said, profile.value.unit, name, i, duration, share, most))
-    return tuple(found)
+                metadata = f"{name}[{i}] to [{i + 1}]"
+                results.append(
+                    Ramp(metadata, profile.value.unit, name, i, duration, share, maximum)
+                )
+    return tuple(results)

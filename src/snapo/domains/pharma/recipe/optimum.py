@@ -94,11 +94,11 @@ class Traced:
 
         def both(x, *arguments):
             def twice(x):
-                found = function(x, *arguments)
-                return found, found
+                results = function(x, *arguments)
+                return results, results
 
-            slope, found = derivative(twice, has_aux=True)(x)
-            return found, slope
+            slope, result = derivative(twice, has_aux=True)(x)
+            return result, slope
 
         self._function, self._compiled = jax.jit(both), None
         self._key, self._found = None, (np.zeros(0), np.zeros(0))
@@ -113,15 +113,15 @@ class Traced:
         self.compiling += time.perf_counter() - started
 
     def __call__(self, x, *arguments) -> tuple[np.ndarray, np.ndarray]:
-        given = _float64(x, *arguments)
-        key = tuple(each.tobytes() for each in given)
+        values = _float64(x, *arguments)
+        key = tuple(item.tobytes() for item in values)
         if key != self._key:
             if self._compiled is None:
                 self.compile(x, *arguments)
             assert self._compiled is not None
             with jax.enable_x64(True):
-                found = self._compiled(*given)
-                self._found = np.asarray(found[0]), np.asarray(found[1])
+                result = self._compiled(*values)
+                self._found = np.asarray(result[0]), np.asarray(result[1])
             self._key = key
             self.evaluations += 1
         return self._found
@@ -168,7 +168,7 @@ class Watch:
 
 
 def _float64(*arrays) -> tuple[np.ndarray, ...]:
-    return tuple(np.asarray(each, np.float64) for each in arrays)
+    return tuple(np.asarray(array, np.float64) for array in arrays)
 
 
 def best(
@@ -186,11 +186,11 @@ def best(
     `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
     first-order conditions. Where it ends short of that, at one of the `limits` or because the
     function is not a number, it is the best point seen, not `converged`, and `message` says why."""
-    parts, count = [each for each in (function, equality, inequality) if each is not None], 0
+    parts, count = [item for item in (function, equality, inequality) if item is not None], 0
     if equality is not None:
         with jax.enable_x64(True):
             count = jax.eval_shape(lambda x: jnp.ravel(equality(x)), *_float64(start)).size
-    traced = Traced(lambda x: jnp.concatenate([jnp.ravel(each(x)) for each in parts]))
+    traced = Traced(lambda x: jnp.concatenate([jnp.ravel(part(x)) for part in parts]))
     return optimum(
         traced, start, low, high, equalities=count, sense=sense, tolerance=tolerance, limits=limits
     )
@@ -212,8 +212,8 @@ def optimum(
     0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     before = traced.evaluations
-    watch = Watch(traced, limits, equalities)
-    problem = _Scaled(traced, arguments, low, high, sense, scale, equalities, watch)
+    monitor = Watch(traced, limits, equalities)
+    problem = _Scaled(traced, arguments, low, high, sense, scale, equalities, monitor)
     u, iterations = np.clip((np.asarray(start, float) - low) / (high - low), 0.0, 1.0), 0
     stopped = ""
     for _ in range(ROUNDS):
@@ -221,7 +221,7 @@ def optimum(
             u, steps = _solve(problem, u)
             iterations += steps
         except Stopped as stop:
-            u, stopped = watch.best(u), str(stop)
+            u, stopped = monitor.best(u), str(stop)
         conditions = problem.conditions(u)
         if stopped or conditions.residual <= tolerance:
             break
@@ -264,9 +264,9 @@ class _Scaled(NamedTuple):
 
     def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same, watched."""
-        found = self.scaled(u)
-        self.watch.see(u, found[0], -self.sense * self.scale * found[0][0])
-        return found
+        result = self.scaled(u)
+        self.watch.see(u, result[0], -self.sense * self.scale * result[0][0])
+        return result
 
     def scaled(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers [K] and derivatives [K, n]; the goal's with the sign to make it small."""
@@ -282,7 +282,7 @@ class _Scaled(NamedTuple):
         if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
             none, rest = np.full(len(u), np.nan), np.full(len(values) - 1, np.nan)
             few = slice(self.equalities), slice(self.equalities, None)
-            return Conditions(np.inf, np.inf, none, none, *(rest[each] for each in few))
+            return Conditions(np.inf, np.inf, none, none, *(rest[item] for item in few))
         n, k, width = len(u), self.equalities, self.high - self.low
         equal, above = values[1 : 1 + k], values[1 + k :]
         at_low, at_high = u <= ACTIVE, u >= 1 - ACTIVE
@@ -290,14 +290,14 @@ class _Scaled(NamedTuple):
         rows = np.concatenate(
             [np.eye(n)[at_low], -np.eye(n)[at_high], slopes[1 : 1 + k], slopes[1 + k :][tight]]
         )
-        least = np.zeros(len(rows))
+        minimum = np.zeros(len(rows))
         first = int(at_low.sum() + at_high.sum())
-        least[first : first + k] = -np.inf
-        found, rest = np.zeros(0), slopes[0]
+        minimum[first : first + k] = -np.inf
+        result, rest = np.zeros(0), slopes[0]
         if len(rows):
-            fit = lsq_linear(rows.T, slopes[0], (least, np.inf), method="bvls")
-            found, rest = fit.x, fit.fun
-        parts = np.split(found * self.scale, np.cumsum([at_low.sum(), at_high.sum(), k]))
+            fit = lsq_linear(rows.T, slopes[0], (minimum, np.inf), method="bvls")
+            result, rest = fit.x, fit.fun
+        parts = np.split(result * self.scale, np.cumsum([at_low.sum(), at_high.sum(), k]))
         wrong = np.concatenate([[0.0], np.abs(equal), -above])
         return Conditions(
             float(np.max(np.abs(rest))),
@@ -311,9 +311,9 @@ class _Scaled(NamedTuple):
 
 def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     """The values where they belong, zero elsewhere."""
-    found = np.zeros(len(where))
-    found[where] = values
-    return found
+    spread = np.zeros(len(where))
+    spread[where] = values
+    return spread
 
 
 def _solve(problem: _Scaled, u: np.ndarray) -> tuple[np.ndarray, int]:
@@ -328,7 +328,7 @@ def _solve(problem: _Scaled, u: np.ndarray) -> tuple[np.ndarray, int]:
     options: dict[str, Any] = {"maxiter": 500, "ftol": 1e-15}
     if not constraints:
         options |= {"gtol": 1e-10, "maxcor": 30, "maxfun": 5000}
-    found = minimize(
+    result = minimize(
         lambda u: float(problem.at(u)[0][0]),
         u,
         jac=lambda u: problem.at(u)[1][0],
@@ -337,4 +337,4 @@ def _solve(problem: _Scaled, u: np.ndarray) -> tuple[np.ndarray, int]:
         method="SLSQP" if constraints else "L-BFGS-B",
         options=options,
     )
-    return np.clip(found.x, 0.0, 1.0), int(found.nit)
+    return np.clip(result.x, 0.0, 1.0), int(result.nit)

@@ -25,7 +25,7 @@ def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array
     mesh = make_mesh(
         edges_of(tuple(profile for profile, _ in problem.controls)), numerics.steps, problem.event
     )
-    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
+    drive = problem.drive(*(mesh.values(*control) for control in problem.controls))
     step = (problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0]))[:, None]
     state = jnp.asarray(track.state)
     start, end, rate = state[:-1], state[1:], jax.vmap(problem.rate)
@@ -35,8 +35,8 @@ def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array
     lost = jnp.cumsum(jnp.abs(residual), axis=0)
     # The largest value of a state, which is of order one; of what grows without bound the largest
     # so far, so that the time is when it began to.
-    whole = jnp.minimum(1.0, jnp.max(jnp.abs(state), axis=0))
-    size = jnp.maximum(jax.lax.cummax(jnp.abs(end)), whole)
-    bad = jnp.any(~(lost <= LOOSE * size) & (size > 0), axis=1)  # NaN is bad too
-    when = mesh.stages[jnp.argmax(bad), 0]
-    return jnp.where(jnp.any(bad), problem.duration * when, problem.duration)
+    complete = jnp.minimum(1.0, jnp.max(jnp.abs(state), axis=0))
+    size = jnp.maximum(jax.lax.cummax(jnp.abs(end)), complete)
+    invalid = jnp.any(~(lost <= LOOSE * size) & (size > 0), axis=1)  # NaN is bad too
+    when = mesh.stages[jnp.argmax(invalid), 0]
+    return jnp.where(jnp.any(invalid), problem.duration * when, problem.duration)

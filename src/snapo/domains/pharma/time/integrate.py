@@ -49,43 +49,43 @@ def integrate(
     mesh = make_mesh(edges, numerics.steps, problem.event)
     solve = _on_mesh if numerics.method == "mesh" else _adaptive
     states, final, share = solve(problem, numerics, mesh, record)
-    ends = [value[-1] for _, value in problem.controls]
+    endpoints = [value[-1] for _, value in problem.controls]
     reached = problem.duration * share
     if states is None:
-        return Solved(final, ends, reached, None)
-    controls = jnp.stack([mesh.point_values(*each) for each in problem.controls], -1)
+        return Solved(final, endpoints, reached, None)
+    controls = jnp.stack([mesh.point_values(*control) for control in problem.controls], -1)
     slope = jax.vmap(problem.rate)(states, problem.drive(*controls.T))
     time = problem.duration * mesh.times()
-    return Solved(final, ends, reached, Track(time, states, slope, controls))
+    return Solved(final, endpoints, reached, Track(time, states, slope, controls))
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
     """On the held steps of a stiff unit; where they are refused, on steps of the run's own if
     `numerics.own`."""
     nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
-    ends = [value[-1] for _, value in problem.controls]
-    most = OWN * len(nominal.end) + MORE if numerics.own else len(nominal.end)
+    endpoints = [value[-1] for _, value in problem.controls]
+    maximum = OWN * len(nominal.end) + MORE if numerics.own else len(nominal.end)
 
     def on(steps: Steps) -> tuple[Stepped, Track | None]:
-        found = stepped(problem, steps, limit, record)
-        if found.states is None:
-            return found, None
+        results = stepped(problem, steps, limit, record)
+        if results.states is None:
+            return results, None
         times, controls = course(problem, steps)
-        slope = jax.vmap(problem.rate)(found.states, problem.drive(*controls.T))
-        track = Track(problem.duration * times, found.states, slope, controls)
-        filled = most + 1 - len(times)  # with the end, again and again
-        return found._replace(states=None), jax.tree.map(
-            lambda each: jnp.concatenate([each, jnp.repeat(each[-1:], filled, 0)]), track
+        slope = jax.vmap(problem.rate)(results.states, problem.drive(*controls.T))
+        track = Track(problem.duration * times, results.states, slope, controls)
+        filled = maximum + 1 - len(times)  # with the end, again and again
+        return results._replace(states=None), jax.tree.map(
+            lambda item: jnp.concatenate([item, jnp.repeat(item[-1:], filled, 0)]), track
         )
 
-    found, track = on(nominal)
+    result, track = on(nominal)
     if numerics.own:
-        found, track = jax.lax.cond(
-            found.share < 1.0,
-            lambda: on(own_steps(problem, numerics.stiff_tolerance, most)),
-            lambda: (found._replace(states=None), track),
+        result, track = jax.lax.cond(
+            result.share < 1.0,
+            lambda: on(own_steps(problem, numerics.stiff_tolerance, maximum)),
+            lambda: (result._replace(states=None), track),
         )
-    return Solved(found.final, ends, problem.duration * found.share, track, found.error)
+    return Solved(result.final, endpoints, problem.duration * result.share, track, result.error)
 
 
 def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
@@ -95,7 +95,7 @@ def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
 
 def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     """States [n + 1, m] or None, the last of them, and the share of the time that is finite."""
-    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
+    drive = problem.drive(*(mesh.values(*control) for control in problem.controls))
     step = problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0])
 
     def advance(y, now):
@@ -126,7 +126,7 @@ class _Field(eqx.Module):
 
 def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     def right_hand_side(share, y):
-        controls = [values_at(*each, share) for each in problem.controls]
+        controls = [values_at(*item, share) for item in problem.controls]
         return problem.duration * problem.rate(y, problem.drive(*controls))
 
     closed = eqx.filter_closure_convert(right_hand_side, jnp.zeros(()), problem.start)
@@ -137,7 +137,7 @@ def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     control = diffrax.PIDController(rtol=numerics.tolerance, atol=numerics.tolerance)
     if len(breaks):
         control = diffrax.ClipStepSizeController(control, jump_ts=breaks)
-    course = [diffrax.SubSaveAt(ts=mesh.times())] if record else []
+    trajectory = [diffrax.SubSaveAt(ts=mesh.times())] if record else []
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_Field(closed)),  # pyright: ignore[reportArgumentType]
         diffrax.Kvaerno5() if problem.stiff else diffrax.Dopri8(),
@@ -146,13 +146,13 @@ def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
         dt0=1e-6,
         y0=problem.start,
         stepsize_controller=control,
-        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(t1=True), *course]),
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(t1=True), *trajectory]),
         adjoint=diffrax.RecursiveCheckpointAdjoint(),
         max_steps=numerics.max_steps,
         throw=False,
     )
     assert solution.ys is not None and solution.ts is not None
     final, states = solution.ys[0][-1], solution.ys[1] if record else None
-    good = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(final))
+    valid = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(final))
     # Where the solver gave up, the last time saved is how far it came.
-    return states, final, jnp.where(good, 1.0, jnp.minimum(solution.ts[0][-1], 0.999))
+    return states, final, jnp.where(valid, 1.0, jnp.minimum(solution.ts[0][-1], 0.999))

@@ -29,19 +29,19 @@ def mesh_march(
 def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, Schedule]:
     """`piece`: [T] number of the piece; `local`: [T, 3, 3] start, middle and end of the step within
     the piece, for each grading."""
-    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
-    ends = [pieces.ends(*each) for each in problem.controls]
-    seconds = problem.duration * jnp.diff(pieces.breaks)
+    segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
+    endpoints = [segments.ends(*control) for control in problem.controls]
+    seconds = problem.duration * jnp.diff(segments.breaks)
 
     def advance(y, now):
         k = now["piece"]
-        local = pieces.grading[k] @ now["local"]
-        controls = (first[k] + (last[k] - first[k]) * local for first, last in ends)
+        local = segments.grading[k] @ now["local"]
+        controls = (first[k] + (last[k] - first[k]) * local for first, last in endpoints)
         return runge_kutta(
             problem.rate, y, seconds[k] * (local[2] - local[0]), problem.drive(*controls)
         )
 
-    count = len(pieces.source)
+    count = len(segments.source)
     n = steps_per_piece(numerics.steps, count)
     points = local_points(n)
     start, end = points[:, :-1], points[:, 1:]
@@ -56,14 +56,14 @@ def _stiff(
     """`piece`: [T]; `ends`: [T, 2] start and end of the step within the piece; `width`: [T] of the
     step, a share of the duration. y is not a number after a step that is refused."""
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
-    pieces, steps = break_up(edges, None), steps_of(problem, held)
-    ends = [pieces.ends(*each) for each in problem.controls]
+    segments, steps = break_up(edges, None), steps_of(problem, held)
+    endpoints = [segments.ends(*control) for control in problem.controls]
     limit = limit_of(numerics.stiff_tolerance)
 
     def advance(y, now):
         k = now["piece"]
         start, end = (
-            [first[k] + (last[k] - first[k]) * now["ends"][i] for first, last in ends]
+            [first[k] + (last[k] - first[k]) * now["ends"][i] for first, last in endpoints]
             for i in range(2)
         )
         drive = push(problem.drive, start, end)
@@ -72,7 +72,7 @@ def _stiff(
         )
         return jnp.where(size_of_error(error, y, after) <= limit, after, jnp.nan)
 
-    first, last, number = (np.asarray(each) for each in steps)
+    first, last, number = (np.asarray(step) for step in steps)
     left, width = edges[number], np.diff(edges)[number]
-    local = np.stack([(each - left) / width for each in (first, last)], 1)
+    local = np.stack([(item - left) / width for item in (first, last)], 1)
     return advance, {"piece": number, "ends": local, "width": last - first}

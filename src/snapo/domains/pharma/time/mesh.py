@@ -34,14 +34,14 @@ class Pieces(NamedTuple):
     def of(self, profile: Profile) -> Int[Array, " K"]:
         """The number of the profile's own piece in which each piece lies."""
         middle = (self.edges[:-1] + self.edges[1:]) / 2
-        own = np.searchsorted(profile.share[1:-1], middle, side="right")
-        return jnp.asarray(own)[self.source]
+        local = np.searchsorted(profile.share[1:-1], middle, side="right")
+        return jnp.asarray(local)[self.source]
 
     def ends(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         """The profile where each piece begins and where it ends; in between it is straight."""
-        own = self.of(profile)
-        first = values_in(profile, value, own, self.breaks[:-1])
-        return first, values_in(profile, value, own, self.breaks[1:])
+        local = self.of(profile)
+        first = values_in(profile, value, local, self.breaks[:-1])
+        return first, values_in(profile, value, local, self.breaks[1:])
 
 
 class Mesh(NamedTuple):
@@ -59,25 +59,25 @@ class Mesh(NamedTuple):
 
     def values(self, profile: Profile, value: Float[Array, " N"]) -> Float[Array, "n 3"]:
         """The profile at every stage."""
-        own, steps = self.pieces.of(profile), len(self.stages) // len(self.pieces.source)
-        own = jnp.repeat(own, steps, total_repeat_length=len(self.stages))
-        piece = jnp.broadcast_to(own[:, None], self.stages.shape)
+        local, steps = self.pieces.of(profile), len(self.stages) // len(self.pieces.source)
+        local = jnp.repeat(local, steps, total_repeat_length=len(self.stages))
+        piece = jnp.broadcast_to(local[:, None], self.stages.shape)
         return values_in(profile, value, piece, self.stages)
 
     def point_values(self, profile: Profile, value) -> Float[Array, " n+1"]:
         """The profile at `times`, at a jump the earlier value."""
-        found = self.values(profile, value)
-        return jnp.concatenate([found[:1, 0], found[:, 2]])
+        result = self.values(profile, value)
+        return jnp.concatenate([result[:1, 0], result[:, 2]])
 
 
 def edges_of(profiles: tuple[Profile, ...]) -> np.ndarray:
     """All nodes of the profiles, as shares of the duration."""
-    return np.unique(np.concatenate([[0.0, 1.0], *(each.share for each in profiles)]))
+    return np.unique(np.concatenate([[0.0, 1.0], *(profile.share for profile in profiles)]))
 
 
-def steps_per_piece(steps: int, pieces: int) -> int:
+def steps_per_piece(steps: int, segments: int) -> int:
     """`steps` in each of a few pieces; many pieces share about three times as many."""
-    return steps if pieces <= 4 else max(8, ceil(3 * steps / pieces))
+    return steps if segments <= 4 else max(8, ceil(3 * steps / segments))
 
 
 def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
@@ -105,10 +105,10 @@ def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> Pieces:
 
 def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:
     """The same number of steps in every piece; those of a piece of length zero do no harm."""
-    pieces = break_up(edges, event)
-    n = steps_per_piece(steps, len(pieces.source))
-    local = pieces.grading @ local_points(n)
-    points = pieces.breaks[:-1, None] + jnp.diff(pieces.breaks)[:, None] * local
+    segments = break_up(edges, event)
+    n = steps_per_piece(steps, len(segments.source))
+    local = segments.grading @ local_points(n)
+    points = segments.breaks[:-1, None] + jnp.diff(segments.breaks)[:, None] * local
     start, end = points[:, :-1], points[:, 1:]
     stages = jnp.stack([start, (start + end) / 2, end], -1).reshape(-1, 3)
-    return Mesh(stages, pieces)
+    return Mesh(stages, segments)

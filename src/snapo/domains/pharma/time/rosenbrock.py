@@ -52,8 +52,8 @@ def solve(
 def _solve_tangent(primals, tangents):
     matrix, factors, right = primals
     d_matrix, _, d_right = tangents
-    found = solve(matrix, factors, right)
-    return found, solve(matrix, factors, d_right - d_matrix @ found)
+    result = solve(matrix, factors, right)
+    return result, solve(matrix, factors, d_right - d_matrix @ result)
 
 
 def _apply(factors: Factors, right: Array) -> Array:
@@ -68,9 +68,9 @@ def _inverse(matrix: Float[Array, "m m"]) -> Float[Array, "m m"]:
     table = jnp.concatenate([matrix, jnp.eye(size, dtype=matrix.dtype)], 1)
     for k in range(size):
         below = jnp.abs(table[:, k]) * (jnp.arange(size) >= k)
-        chosen = (jnp.arange(size) == jnp.argmax(below))[:, None]
-        pivot = jnp.sum(jnp.where(chosen, table, 0.0), 0)
-        table = jnp.where(chosen, table[k], table)
+        selected = (jnp.arange(size) == jnp.argmax(below))[:, None]
+        pivot = jnp.sum(jnp.where(selected, table, 0.0), 0)
+        table = jnp.where(selected, table[k], table)
         pivot = pivot / pivot[k]
         here = (jnp.arange(size) == k)[:, None]
         table = jnp.where(here, pivot, table - table[:, k, None] * pivot)
@@ -115,7 +115,7 @@ BY_TIME = (
 )  # fmt: skip
 # The same as square tables, with zeros where nothing stands.
 _TABLES = tuple(
-    np.array([(*row, *[0.0] * (len(AT) - len(row))) for row in each]) for each in (A, C)
+    np.array([(*row, *[0.0] * (len(AT) - len(row))) for row in item]) for item in (A, C)
 )
 ORDER = 5  # of the step; its error estimate falls like the same power of its length
 
@@ -160,17 +160,17 @@ def rosenbrock(
         u = _looped(stage, y, push)
         after = y + jnp.asarray(_TABLES[0][-1], y.dtype) @ u + u[-1]
         return after, u[-1], jacobian
-    found: list[Array] = []
+    stages: list[Array] = []
     for i, node in enumerate(AT):
-        point = y + sum(a * each for a, each in zip(A[i], found))
-        before = sum(c * each for c, each in zip(C[i], found))
-        found.append(stage(point, push.at[node], before, BY_TIME[i]))
-    return y + sum(a * each for a, each in zip(A[-1], found)) + found[-1], found[-1], jacobian
+        point = y + sum(a * item for a, item in zip(A[i], stages))
+        before = sum(c * entry for c, entry in zip(C[i], stages))
+        stages.append(stage(point, push.at[node], before, BY_TIME[i]))
+    return y + sum(a * value for a, value in zip(A[-1], stages)) + stages[-1], stages[-1], jacobian
 
 
 def _looped(stage: Callable, y: Float[Array, " m"], push: Push) -> Float[Array, "8 m"]:
     """All stages, one after the other in one loop."""
-    a, c = (jnp.asarray(each, y.dtype) for each in _TABLES)
+    a, c = (jnp.asarray(table, y.dtype) for table in _TABLES)
     by_time, number = jnp.asarray(BY_TIME, y.dtype), jnp.arange(len(AT))
 
     def one(u, now):

@@ -80,8 +80,8 @@ def _last_tangent(rate, primals, tangents):
     map_, weights, by_step = _linear(lambda y: slopes(y, drive, held), points, step)
     others = jax.jvp(lambda u, held: slopes(points, u, held), (drive, held), (d_drive, d_held))[1]
     moved = by_step * d_step + sum(_times(w, g) for w, g in zip(weights, others))
-    after, whole = _products(map_)
-    return final, whole @ d_start + jnp.sum(_times(after, moved), -1)
+    after, complete = _products(map_)
+    return final, complete @ d_start + jnp.sum(_times(after, moved), -1)
 
 
 def _linear(slopes: Callable, points: Float[Array, "4 m n"], step: Float[Array, " n"]):
@@ -133,6 +133,6 @@ def _products(a: Float[Array, "m m n"]) -> tuple[Float[Array, "m m n"], Float[Ar
 
     first = jnp.broadcast_to(eye[:, :, None], (m, m, blocks))
     block, within = jax.lax.scan(before, first, jnp.moveaxis(parts, 3, 0), reverse=True)
-    whole, later = jax.lax.scan(before, eye, jnp.moveaxis(block, 2, 0), reverse=True)
-    found = _product(jnp.moveaxis(later, 0, 2)[..., None], jnp.moveaxis(within, 0, 3))
-    return found.reshape(m, m, blocks * long)[:, :, :n], whole
+    complete, later = jax.lax.scan(before, eye, jnp.moveaxis(block, 2, 0), reverse=True)
+    result = _product(jnp.moveaxis(later, 0, 2)[..., None], jnp.moveaxis(within, 0, 3))
+    return result.reshape(m, m, blocks * long)[:, :, :n], complete

@@ -25,7 +25,7 @@ class Chosen(NamedTuple):
     fastest: Float[Array, ""]
 
 
-def choose(problem: Dynamics, tolerance: float, most: int) -> Chosen:
+def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
     """Steps of which each has an error of at most `tolerance`; `most` are tried.
 
     Where they do not reach the end, the last is where they came to. Without derivatives.
@@ -33,7 +33,7 @@ def choose(problem: Dynamics, tolerance: float, most: int) -> Chosen:
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
 
     def attempt(now):
-        share, width, y, count, tried, end, fastest = now
+        share, width, y, count, bumped, end, fastest = now
         number = jnp.clip(jnp.searchsorted(nodes, share, side="right") - 1, 0, len(nodes) - 2)
         node, to = nodes[number + 1], share + width
         to = jnp.where(to > node - 1e-3 * width, node, to)
@@ -42,46 +42,48 @@ def choose(problem: Dynamics, tolerance: float, most: int) -> Chosen:
             problem.rate, y, step, pushed(problem, number, share, to)
         )
         size = size_of_error(error, y, after) / tolerance
-        good = size <= 1.0
+        valid = size <= 1.0
         factor = SAFETY * jnp.maximum(size, 1e-12) ** (-1 / ORDER)
         factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, LEAST, MOST), LEAST)
-        wanted = factor * (to - share)
+        requested = factor * (to - share)
         # A step cut short at a node says little about the one after it.
-        width = jnp.where(good & (to == node), jnp.maximum(wanted, width), wanted)
+        width = jnp.where(valid & (to == node), jnp.maximum(requested, width), requested)
         norms = [jnp.max(jnp.sum(jnp.abs(jacobian), axis)) for axis in (0, 1)]
-        fastest = jnp.where(good, jnp.maximum(fastest, jnp.minimum(*norms)), fastest)
-        end = end.at[count].set(jnp.where(good, to, end[count]))
-        share, y = jnp.where(good, to, share), jnp.where(good, after, y)
-        return share, width, y, count + good, tried + 1, end, fastest
+        fastest = jnp.where(valid, jnp.maximum(fastest, jnp.minimum(*norms)), fastest)
+        end = end.at[count].set(jnp.where(valid, to, end[count]))
+        share, y = jnp.where(valid, to, share), jnp.where(valid, after, y)
+        return share, width, y, count + valid, bumped + 1, end, fastest
 
     def more(now):
         share, width, _, _, tried, *_ = now
-        return (share < 1.0) & (tried < most) & (share + width > share)
+        return (share < 1.0) & (tried < maximum) & (share + width > share)
 
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
-    now = (zero, zero + FIRST, problem.start, none, none, jnp.ones(most + 1), zero)
+    now = (zero, zero + FIRST, problem.start, none, none, jnp.ones(maximum + 1), zero)
     *_, count, _, end, fastest = jax.lax.while_loop(more, attempt, now)
     return Chosen(end, count, fastest)
 
 
-def own_steps(problem: Dynamics, tolerance: float, most: int) -> Steps:
+def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
     """`most` steps for the problem at hand, in a trace; those that are not needed have no length.
     Where they do not reach the end, one does that its error estimate refuses. No derivatives."""
 
     def ends(start, duration):
-        return choose(problem._replace(start=start, duration=duration), tolerance, most - 1).end
+        return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end
 
     # The numbers that rate and drive close over become arguments, so that theirs can be stopped.
     converted, held = jax.closure_convert(ends, problem.start, problem.duration)
-    given = jax.lax.stop_gradient((problem.start, problem.duration, *held))
-    end = jax.lax.stop_gradient(converted(*given))
+    values = jax.lax.stop_gradient((problem.start, problem.duration, *held))
+    end = jax.lax.stop_gradient(converted(*values))
     start = jnp.append(0.0, end[:-1])
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
     number = jnp.searchsorted(jnp.asarray(edges), start, side="right") - 1
     return Steps(start, end, jnp.clip(number, 0, len(edges) - 2))
 
 
-def times_of(chosen: Chosen) -> Float[np.ndarray, " n+1"]:
+def times_of(selected: Chosen) -> Float[np.ndarray, " n+1"]:
     """Shares of the duration between which to step. Where the steps did not reach the end, one
     more does, which its error estimate refuses."""
-    return np.unique(np.concatenate([[0.0], np.asarray(chosen.end)[: int(chosen.count)], [1.0]]))
+    return np.unique(
+        np.concatenate([[0.0], np.asarray(selected.end)[: int(selected.count)], [1.0]])
+    )

@@ -41,13 +41,13 @@ def steps_of(problem: Dynamics, times: Float[np.ndarray, " n+1"]) -> Steps:
 
 def pushed(problem: Dynamics, number, start, end) -> Push:
     """The drive over one step, from share `start` to `end` within piece `number`."""
-    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
-    own = [pieces.of(profile)[number] for profile, _ in problem.controls]
-    ends = [
-        [values_in(*each, piece, share) for each, piece in zip(problem.controls, own)]
+    segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    local = [segments.of(profile)[number] for profile, _ in problem.controls]
+    endpoints = [
+        [values_in(*control, piece, share) for control, piece in zip(problem.controls, local)]
         for share in (start, end)
     ]
-    return push(problem.drive, *ends)
+    return push(problem.drive, *endpoints)
 
 
 def size_of_error(error: Array, y: Array, after: Array) -> Float[Array, ""]:
@@ -73,7 +73,7 @@ class Stepped(NamedTuple):
 
 def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Stepped:
     """The problem on held steps; a step with an error above `limit` is refused."""
-    start, end, number = (jnp.asarray(each) for each in steps)
+    start, end, number = (jnp.asarray(item) for item in steps)
     pushes = jax.vmap(lambda *now: pushed(problem, *now))(number, start, end)
 
     def advance(y, now):
@@ -82,17 +82,19 @@ def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Step
 
     step = problem.duration * (end - start)
     final, (sizes, later) = jax.lax.scan(advance, problem.start, (step, pushes))
-    good = sizes <= limit  # not where it is not a number
-    every = jnp.all(good)
-    share = jnp.where(every, 1.0, start[jnp.argmin(good)])
+    valid = sizes <= limit  # not where it is not a number
+    every = jnp.all(valid)
+    share = jnp.where(every, 1.0, start[jnp.argmin(valid)])
     states = None if later is None else jnp.concatenate([problem.start[None], later])
     return Stepped(jnp.where(every, final, jnp.nan), states, share, jnp.max(sizes))
 
 
 def course(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
     """Shares of the duration [n + 1] and the controls [n + 1, C] there, at a jump the earlier."""
-    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
     times = jnp.append(jnp.asarray(steps.start), jnp.asarray(steps.end)[-1])
     number = jnp.append(jnp.asarray(steps.number)[:1], jnp.asarray(steps.number))
-    found = [values_in(*each, pieces.of(each[0])[number], times) for each in problem.controls]
-    return times, jnp.stack(found, -1)
+    values = [
+        values_in(*control, segments.of(control[0])[number], times) for control in problem.controls
+    ]
+    return times, jnp.stack(values, -1)

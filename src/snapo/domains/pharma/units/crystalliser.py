@@ -142,10 +142,10 @@ class Crystalliser(Timed):
     @property
     def inlets(self):
         grid = None if self.edges is None else Grid.of(self.edges)
-        found = (Inlet("feed", "allowed", grid=grid),)
+        inlets = (Inlet("feed", "allowed", grid=grid),)
         if self.dosing is None:
-            return found
-        return (*found, Inlet("antisolvent", "refused", dosed=self.dosing))
+            return inlets
+        return (*inlets, Inlet("antisolvent", "refused", dosed=self.dosing))
 
     @property
     def outlets(self):
@@ -165,27 +165,27 @@ class Crystalliser(Timed):
             return ""
         volume = use(inputs, self.shape) * track["mu3"]
         speed = kinetics(self.kinetics, inputs, track["supersaturation"], volume)
-        said = disappeared(track, speed, float(use(inputs, self.nuclei_size)))
-        return said and f"{self.name}: {said}"
+        metadata = disappeared(track, speed, float(use(inputs, self.nuclei_size)))
+        return metadata and f"{self.name}: {metadata}"
 
     def finer(self):
         return self if self.edges is None else replace(self, edges=halved(self.edges))
 
     def measures(self, species):
         sizes = {"d32": "m", "d43": "m"}
-        found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
+        table = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
         if self.separate:
-            found |= {"seed_volume": "m3/m3", "nuclei_volume": "m3/m3"}
+            table |= {"seed_volume": "m3/m3", "nuclei_volume": "m3/m3"}
         if self.edges is not None:
             sizes |= QUANTILES | {"span": "1", "at_largest": "1"}
-        return found | sizes
+        return table | sizes
 
     def states(self, species):
         """ "mu0" to "mu5" are m^k per m3."""
-        found = {"concentration": "kg/m3", "supersaturation": "1", "temperature": "K"}
+        table = {"concentration": "kg/m3", "supersaturation": "1", "temperature": "K"}
         moments = {f"mu{k}": "1/m3" if k == 0 else f"m^{k}/m3" for k in range(MOMENTS)}
         sizes = {"d43": "m", "d32": "m"} | (QUANTILES if self.edges is not None else {})
-        return found | sizes | moments
+        return table | sizes | moments
 
     def equations(self):
         return [
@@ -283,10 +283,10 @@ class Crystalliser(Timed):
             moments, size = scaled(y)
             moments = moments * units / size
             saturated = solubility(self.solubility, inputs, control)
-            found = {f"mu{k}": moments[k] for k in range(MOMENTS)} | mean_sizes(moments)
-            found |= crystals.states(y[:count])
-            found["concentration"] = liquid(y)[0]
-            return found | {
+            result = {f"mu{k}": moments[k] for k in range(MOMENTS)} | mean_sizes(moments)
+            result |= crystals.states(y[:count])
+            result["concentration"] = liquid(y)[0]
+            return result | {
                 "supersaturation": supersaturation(y, saturated),
                 "temperature": control,
             }
@@ -328,7 +328,7 @@ class Crystalliser(Timed):
                 inner_size=jnp.zeros(()),
                 inner_density=jnp.zeros(()),
                 numbers=crystals.numbers(y[:count]) * NUMBER * volume,
-                grid=self.sizes(tuple(each.grid for each in inlets))[0],
+                grid=self.sizes(tuple(inlet.grid for inlet in inlets))[0],
             )
             added = seeded + (charge - feed.concentration()) * volume
             book = ledger(len(mass), added=added, left=left, solvent_left=solvent_left)
@@ -350,20 +350,20 @@ def _edges(read: Reader, seed: Seed) -> np.ndarray | None:
     table, method = read.table, read.table.method
     if method == "moments":
         if table.sizes is not None:
-            what = 'method "moments" has no such key; it belongs to "finite-volumes"'
-            raise read.section.error("sizes", table.sizes, what)
+            message = 'method "moments" has no such key; it belongs to "finite-volumes"'
+            raise read.section.error("sizes", table.sizes, message)
         return None
     if table.sizes is None:
         raise read.section.error("sizes", None, f'method "{method}" needs this key')
     for key, owned in (("separate", "keeps no moments apart"),
                        ("nuclei_size", "has nuclei of the smallest size")):  # fmt: skip
         if key in table.model_fields_set:
-            what = f'method "{method}" {owned} and has no such key'
-            raise read.section.error(key, getattr(table, key), what)
+            message = f'method "{method}" {owned} and has no such key'
+            raise read.section.error(key, getattr(table, key), message)
     if seed.spread is None:
         seeded = Section(read.section.file, f"{read.section.name}.seed", read.section.notes)
-        what = f'method "{method}" needs a seed with loading, size and spread'
-        raise seeded.error("spread", None, what)
+        message = f'method "{method}" needs a seed with loading, size and spread'
+        raise seeded.error("spread", None, message)
     inner = read.inner("sizes", SizesTable)
     edges = read_edges(inner)
     check_seed(inner, edges, seed)

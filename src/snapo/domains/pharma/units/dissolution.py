@@ -93,4 +93,4 @@ class Dissolution(Instant):
         """1 - (1 - D Cs t / (rho h r))^3, 1 once they are gone, over all sizes 2 r of the crystals;
         they fall out of granules at once."""
         time = use(inputs, self.test_time)
-        return over_sizes(lambda whole: gone(time, whole), lasting(self, product, inputs))
+        return over_sizes(lambda complete: gone(time, complete), lasting(self, product, inputs))

@@ -119,7 +119,7 @@ class Dryer(Unit):
         rate = rate * use(inputs, self.reference_size) / size
         step = duration * (mesh.stages[:, 2] - mesh.stages[:, 0])
         integral = jnp.cumsum(step / 6 * (rate[:, 0] + 4 * rate[:, 1] + rate[:, 2]))
-        course = loading(cake) * jnp.exp(-jnp.append(0.0, integral))
+        trajectory = loading(cake) * jnp.exp(-jnp.append(0.0, integral))
         share = jnp.exp(-integral[-1])
         product = cake.replace(
             solvent=cake.solvent * share,
@@ -129,10 +129,12 @@ class Dryer(Unit):
         vapour = clear(
             jnp.zeros_like(cake.species), cake.solvent * (1 - share), jnp.zeros(()), value[-1]
         ).replace(antisolvent=cake.antisolvent * (1 - share))
-        measures = {"solvent": course[-1], "temperature": value[-1]}
-        slope = -jnp.append(rate[:1, 0], rate[:, 2]) * course
+        measures = {"solvent": trajectory[-1], "temperature": value[-1]}
+        slope = -jnp.append(rate[:1, 0], rate[:, 2]) * trajectory
         controls = mesh.point_values(profile, value)
-        track = Track(duration * mesh.times(), course[:, None], slope[:, None], controls[:, None])
+        track = Track(
+            duration * mesh.times(), trajectory[:, None], slope[:, None], controls[:, None]
+        )
         return Finish((product, vapour), measures, ledger(len(cake.species))), track
 
 

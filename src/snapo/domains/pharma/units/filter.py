@@ -105,8 +105,8 @@ class Filter(Instant):
         return (inlets[0], NO_CRYSTALS, NO_CRYSTALS)
 
     def measures(self, species):
-        found = {"time": "s", "resistance": "m/kg", "liquor": "m3/kg"}
-        return found | {f"impurity.{s}": "1" for s in species}
+        table = {"time": "s", "resistance": "m/kg", "liquor": "m3/kg"}
+        return table | {f"impurity.{s}": "1" for s in species}
 
     def equations(self):
         wash = "exp(−η W)" if self.wash == "exponential" else "Lapidus–Amundson in W and Pe"
@@ -124,11 +124,11 @@ class Filter(Instant):
         crystals = slurry.crystals()
         measures = self.flow(slurry, crystals, porosity, inputs)
         voids = porosity / ((1 - porosity) * density)  # m3 per kg of crystals
-        kept = use(inputs, self.saturation) * voids
+        selected = use(inputs, self.saturation) * voids
         stay, ratio = self.remaining(inputs), use(inputs, self.wash_ratio)
-        liquor = slurry.species / volume * kept * crystals  # kmol held before the wash
+        liquor = slurry.species / volume * selected * crystals  # kmol held before the wash
         solvent, other = slurry.solvent / volume, slurry.antisolvent / volume
-        held, wash_volume = kept * crystals, ratio * voids * crystals
+        held, wash_volume = selected * crystals, ratio * voids * crystals
         replaced = other * held * (1 - stay)
         cake = slurry.replace(
             species=liquor * stay,
@@ -145,9 +145,9 @@ class Filter(Instant):
         washings = clear(
             liquor * (1 - stay), solvent * wash_volume - replaced, wash_volume, slurry.temperature
         ).replace(antisolvent=replaced)
-        measures["liquor"] = kept
+        measures["liquor"] = selected
         for s, name in enumerate(network.species):
-            measures[f"impurity.{name}"] = mass[s] * slurry.species[s] / volume * kept * stay
+            measures[f"impurity.{name}"] = mass[s] * slurry.species[s] / volume * selected * stay
         book = ledger(len(mass), solvent_added=solvent * wash_volume)
         return Finish((cake, filtrate, washings), measures, book)
 
@@ -207,12 +207,12 @@ def filtration(read, pressure: str) -> dict[str, Any]:
     """
     table = read.table
     for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
-        given = getattr(table, key)
-        if table.wash == wash and given is None:
+        values = getattr(table, key)
+        if table.wash == wash and values is None:
             raise read.section.error(key, None, f'wash "{wash}" needs this key')
-        if table.wash != wash and given is not None:
-            what = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
-            raise read.section.error(key, given, what)
+        if table.wash != wash and values is not None:
+            message = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
+            raise read.section.error(key, values, message)
     return {
         "area": read.number("area", "m2", POSITIVE),
         "pressure": read.number(pressure, "Pa", POSITIVE),

@@ -70,21 +70,21 @@ class Nutsche(Filter):
         if self.efficiency is not None or self.peclet is not None:
             return super().remaining(inputs)
         assert self.washes is not None
-        kept = use(inputs, self.saturation)
-        share = kept / (kept + use(inputs, self.wash_ratio))
+        selected = use(inputs, self.saturation)
+        share = selected / (selected + use(inputs, self.wash_ratio))
         return share ** use(inputs, self.washes)
 
     def deliver(self, network, inlets, inputs):
         """All of the washes' liquid, as often as there are washes."""
-        found = super().deliver(network, inlets, inputs)
+        deliver = super().deliver(network, inlets, inputs)
         if self.washes is None:
-            return found
-        cake, filtrate, washings = found.outlets
-        times, once = use(inputs, self.washes), found.ledger.solvent_added
+            return deliver
+        cake, filtrate, washings = deliver.outlets
+        times, once = use(inputs, self.washes), deliver.ledger.solvent_added
         volume = washings.volume * times
         washings = washings.replace(solvent=washings.solvent + once * (times - 1), volume=volume)
-        book = found.ledger._replace(solvent_added=once * times)
-        return Finish((cake, filtrate, washings), found.measures, book)
+        book = deliver.ledger._replace(solvent_added=once * times)
+        return Finish((cake, filtrate, washings), deliver.measures, book)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,10 @@ class FilterDryer(TrayDryer):
     title = "agitated filter-dryer"
     table = FilterDryerTable
     reacts = False
-    symbols = (*Filter.symbols, *(each for each in TrayDryer.symbols if each[0] not in "Aρₛd₃₂"))
+    symbols = (
+        *Filter.symbols,
+        *(symbol for symbol in TrayDryer.symbols if symbol[0] not in "Aρₛd₃₂"),
+    )
     assumptions = ("The stirred cake is ideally mixed, and crystals neither grow nor break.",)
 
     @classmethod
@@ -106,8 +109,8 @@ class FilterDryer(TrayDryer):
         table = read.table
         cake = filtration(read, "filter_pressure")
         if table.wash != "reslurry" and "washes" in table.model_fields_set:
-            what = f'wash "{table.wash}" has no such key; it belongs to "reslurry"'
-            raise read.section.error("washes", table.washes, what)
+            message = f'wash "{table.wash}" has no such key; it belongs to "reslurry"'
+            raise read.section.error("washes", table.washes, message)
         nutsche = Nutsche(
             name=read.name,
             wash="dispersion" if table.wash == "dispersion" else "exponential",
@@ -128,8 +131,8 @@ class FilterDryer(TrayDryer):
         return (inlets[0], NO_CRYSTALS, NO_CRYSTALS, NO_CRYSTALS)
 
     def measures(self, species):
-        found = self.nutsche.measures(species) | super().measures(species)
-        return found | {"wash_time": "s", "cycle": "s"}
+        measures = self.nutsche.measures(species) | super().measures(species)
+        return measures | {"wash_time": "s", "cycle": "s"}
 
     def equations(self):
         wash = self.nutsche.equations()
@@ -148,10 +151,10 @@ class FilterDryer(TrayDryer):
 
         def finish(y, *controls):
             dried = problem.finish(y, *controls)
-            found = measures | dried.measures | {"wash_time": wash_time, "cycle": cycle}
+            result = measures | dried.measures | {"wash_time": wash_time, "cycle": cycle}
             added = filtered.ledger.solvent_added
             book = dried.ledger._replace(solvent_added=added)
-            return Finish((*dried.outlets, filtrate, washings), found, book)
+            return Finish((*dried.outlets, filtrate, washings), result, book)
 
         return problem._replace(finish=finish)
 

@@ -124,8 +124,8 @@ class Hydrogenation(Timed):
 
     def states(self, species):
         """ "uptake" is kmol of gas per m3 of liquid so far, "saturation" c / c*."""
-        found = {f"concentration.{s}": "kmol/m3" for s in species}
-        return found | {"uptake": "kmol/m3", "saturation": "1", "temperature": "K"}
+        texts = {f"concentration.{s}": "kmol/m3" for s in species}
+        return texts | {"uptake": "kmol/m3", "saturation": "1", "temperature": "K"}
 
     def equations(self):
         balance = "c' = νᵀ r + kLa (c* − c)"
@@ -146,9 +146,9 @@ class Hydrogenation(Timed):
 
         def drive(temperature, pressure):
             inverse = 1 / temperature - 1 / self.reference
-            most = pressure / henry * jnp.exp(-energy * inverse)
+            maximum = pressure / henry * jnp.exp(-energy * inverse)
             constants = rate_constants(network, inputs, temperature)
-            return jnp.concatenate([constants, most[..., None]], -1)
+            return jnp.concatenate([constants, maximum[..., None]], -1)
 
         def composition(y, driven) -> list[Array]:
             c = extended(network, charge, y)
@@ -161,25 +161,25 @@ class Hydrogenation(Timed):
             return jnp.stack([*slope, transfer * (driven[count] - c[gas])][: len(y)])
 
         def states(y, *controls):
-            driven = drive(*(jnp.asarray(each) for each in controls))
+            driven = drive(*(jnp.asarray(control) for control in controls))
             c = composition(y, driven)
-            found = {f"concentration.{s}": each for s, each in zip(network.species, c)}
+            table = {f"concentration.{s}": item for s, item in zip(network.species, c)}
             taken = y[count] if dynamic else c[gas] - extended(network, charge, y)[gas]
             share = c[gas] / jnp.where(driven[count] > 0, driven[count], 1.0)
             warm = jnp.asarray(controls[0])
-            return found | {"uptake": taken, "saturation": share, "temperature": warm}
+            return table | {"uptake": taken, "saturation": share, "temperature": warm}
 
         def finish(y, *controls):
-            found, volume = states(y, *controls), feed.volume
-            c = jnp.stack([found[f"concentration.{s}"] for s in network.species])
-            product = clear(c * volume, feed.solvent, volume, found["temperature"])
+            result, volume = states(y, *controls), feed.volume
+            c = jnp.stack([result[f"concentration.{s}"] for s in network.species])
+            product = clear(c * volume, feed.solvent, volume, result["temperature"])
             made = jnp.stack(extended(network, jnp.zeros_like(charge), y)) * volume
-            added = jnp.zeros_like(charge).at[gas].set(found["uptake"] * volume)
+            added = jnp.zeros_like(charge).at[gas].set(result["uptake"] * volume)
             book = ledger(len(charge), made=made, added=added)
-            return Finish((product.replace(antisolvent=feed.antisolvent),), found, book)
+            return Finish((product.replace(antisolvent=feed.antisolvent),), result, book)
 
         both = self.temperature, self.pressure
-        controls = tuple((each, use(inputs, each.value)) for each in both)
+        controls = tuple((entry, use(inputs, entry.value)) for entry in both)
         duration, start = use(inputs, self.duration), jnp.zeros(count + dynamic)
         return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
 
@@ -189,18 +189,18 @@ class Hydrogenation(Timed):
         By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1
         and it does not run out. Where it does, steps that lead below 0 end there.
         """
-        order, most = network.order[:, self.gas], driven[-1]
+        order, maximum = network.order[:, self.gas], driven[-1]
         taken = network.stoichiometry[:, self.gas]
 
         def gap(now):
             speed = rates(network, driven, [*c[: self.gas], now, *c[self.gas + 1 :]])
             used = sum(-float(nu) * r for nu, r in zip(taken, speed) if nu)
-            return transfer * (now - most) + used
+            return transfer * (now - maximum) + used
 
         spent = bool(network.runs_out[:, self.gas].any())
-        found, linear = most, bool(np.isin(order, (0, 1)).all()) and not spent
+        result, linear = maximum, bool(np.isin(order, (0, 1)).all()) and not spent
         for _ in range(1 if linear else NEWTON):
-            value, slope = jax.jvp(gap, (found,), (jnp.ones_like(found),))
-            found = found - value / slope
-            found = jnp.where(found > 0, found, 0.0) if spent else found
-        return found
+            value, slope = jax.jvp(gap, (result,), (jnp.ones_like(result),))
+            result = result - value / slope
+            result = jnp.where(result > 0, result, 0.0) if spent else result
+        return result

@@ -164,9 +164,9 @@ class Msmpr(Instant):
         return self if self.edges is None else replace(self, edges=halved(self.edges))
 
     def measures(self, species):
-        found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
-        found |= {"growth": "m/s", "nucleation": "1/m3/s", "residence_time": "s"}
-        return found | {"d32": "m", "d43": "m"}
+        table = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
+        table |= {"growth": "m/s", "nucleation": "1/m3/s", "residence_time": "s"}
+        return table | {"d32": "m", "d43": "m"}
 
     def equations(self):
         return [
@@ -187,10 +187,10 @@ class Msmpr(Instant):
         volume = feed.volume + apart * shape * feed.moments[3]
         residence = use(inputs, self.volume) * feed.duration / volume
         fed = feed.moments / volume
-        found = self.steady(entering, saturated, residence, fed, inputs)
-        per_volume = self.moments(found, residence, fed)
-        change = found.crystals - density * shape * fed[3]
-        solids = apart * found.crystals / density  # of the suspension
+        result = self.steady(entering, saturated, residence, fed, inputs)
+        per_volume = self.moments(result, residence, fed)
+        change = result.crystals - density * shape * fed[3]
+        solids = apart * result.crystals / density  # of the suspension
         left = (entering * feed.volume / volume - change) / (1 - solids)
         grown = change * volume / mass  # kmol
         slurry = feed.replace(
@@ -202,16 +202,16 @@ class Msmpr(Instant):
             moments=per_volume * volume,
             density=density,
             shape=shape,
-            numbers=self.counted(found, per_volume, residence, feed.numbers / volume, feed.grid)
+            numbers=self.counted(result, per_volume, residence, feed.numbers / volume, feed.grid)
             * volume,
             grid=self.sizes((feed.grid,))[0],
         )
         measures = {
             "concentration": left,
-            "crystals": found.crystals,
+            "crystals": result.crystals,
             "supersaturation": left / saturated - 1,
-            "growth": found.growth,
-            "nucleation": found.nucleation,
+            "growth": result.growth,
+            "nucleation": result.nucleation,
             "residence_time": residence,
         } | mean_sizes(per_volume)
         return Finish((slurry,), measures, ledger(len(network.species)))
@@ -221,11 +221,11 @@ class Msmpr(Instant):
         excess, weight = entering - saturated, use(inputs, self.density) * use(inputs, self.shape)
         above, solution = excess > 0, self.basis == "solution"
         room = 1 - use(inputs, self.shape) * fed[3] if solution else 1.0
-        most = jnp.where(above, excess, saturated) / saturated  # supersaturation of the feed
+        maximum = jnp.where(above, excess, saturated) / saturated  # supersaturation of the feed
 
         def rates(level) -> tuple[Array, Array, Array]:
             growth = use(inputs, self.growth) * level ** use(inputs, self.growth_order)
-            new = room * (most - level) * saturated
+            new = room * (maximum - level) * saturated
             if solution:
                 new = new / (1 - (1 + level) * saturated / use(inputs, self.density))
             crystals = weight * fed[3] + new
@@ -240,9 +240,9 @@ class Msmpr(Instant):
             grown = self.moments(Steady(level, growth, born, crystals), residence, fed)[3]
             return jnp.log(weight * grown) - jnp.log(crystals)
 
-        low, high = most * EDGE, most * (1 - EDGE)
+        low, high = maximum * EDGE, maximum * (1 - EDGE)
         grows = above & (jax.lax.stop_gradient(gap(high)) > 0)
-        level = jnp.where(grows, _root(gap, low, high), most / 2)
+        level = jnp.where(grows, _root(gap, low, high), maximum / 2)
         growth, born, crystals = rates(level)
         none = jnp.where((excess < 0) & (fed[3] > 0), jnp.nan, 0.0)  # what would dissolve
         return Steady(
@@ -252,14 +252,14 @@ class Msmpr(Instant):
             jnp.where(grows, crystals, weight * fed[3] + none),
         )
 
-    def moments(self, found: Steady, residence, fed) -> Float[Array, " 6"]:
+    def moments(self, result: Steady, residence, fed) -> Float[Array, " 6"]:
         """mu_0 = mu_0,in + B tau, mu_k = mu_k,in + k G tau mu_(k-1), m^k/m3."""
-        moments = [fed[0] + found.nucleation * residence]
+        moments = [fed[0] + result.nucleation * residence]
         for k in range(1, MOMENTS):
-            moments.append(fed[k] + k * found.growth * residence * moments[-1])
+            moments.append(fed[k] + k * result.growth * residence * moments[-1])
         return jnp.stack(moments)
 
-    def counted(self, found: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
+    def counted(self, result: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
         """Crystals in each cell per m3, with the third moment of all of them.
 
         Nuclei fall off as exp(-L / (G tau)). Those `fed`, per m3 on their `grid`, are as many at
@@ -268,13 +268,13 @@ class Msmpr(Instant):
         """
         if self.edges is None:
             return jnp.zeros(0)
-        scale = found.growth * residence
+        scale = result.growth * residence
         some = scale > 0
         edges = fixed(self.edges) / jnp.where(some, scale, 1.0)
         # Cells far out hold few crystals: no difference of two numbers that are nearly 1.
         width = jnp.diff(edges)
         lost = -jnp.expm1(-width)
-        numbers = found.nucleation * residence * jnp.exp(-edges[:-1]) * lost
+        numbers = result.nucleation * residence * jnp.exp(-edges[:-1]) * lost
         if grid != NO_CRYSTALS:
 
             def cell(before, here):
@@ -294,8 +294,8 @@ def _root(gap, low, high) -> Array:
     """Where a rising function is zero, with its first and second derivatives."""
     still = jax.lax.stop_gradient
 
-    def halve(_, ends):
-        below, above = ends
+    def halve(_, endpoints):
+        below, above = endpoints
         middle = jnp.sqrt(below * above)
         under = still(gap(middle)) < 0
         return jnp.where(under, middle, below), jnp.where(under, above, middle)

@@ -221,7 +221,7 @@ class Instant(Unit):
 
 def timed(units: Iterable[Unit]) -> tuple[Timed, ...]:
     """Those that are integrated over time, in order."""
-    return tuple(each for each in units if isinstance(each, Timed))
+    return tuple(unit for unit in units if isinstance(unit, Timed))
 
 
 def _profiles(record: Any) -> Iterator[Profile]:

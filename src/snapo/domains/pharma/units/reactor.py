@@ -93,11 +93,11 @@ class Reactor(Timed):
         read.only(("semi-batch",), ("dosing",), needed=True)
         table = read.table
         if table.kind != "plug-flow" and table.cells is not None:
-            what = f'kind "{table.kind}" has no such key; it belongs to "plug-flow"'
-            raise read.section.error("cells", table.cells, what)
+            message = f'kind "{table.kind}" has no such key; it belongs to "plug-flow"'
+            raise read.section.error("cells", table.cells, message)
         if table.kind not in ("stirred", "plug-flow") and "filled" in table.model_fields_set:
-            what = f'kind "{table.kind}" has no such key; it belongs to "stirred" or "plug-flow"'
-            raise read.section.error("filled", table.filled, what)
+            message = f'kind "{table.kind}" has no such key; it belongs to "stirred" or "plug-flow"'
+            raise read.section.error("filled", table.filled, message)
         return cls(
             name=read.name,
             kind=table.kind,
@@ -159,12 +159,12 @@ class Reactor(Timed):
         """By mass, no species is more concentrated than all that enters would be as this one."""
         if self.jacket is not None:
             return np.inf
-        mass = max(network.molar_mass @ each.concentration.used() for each in feeds)
-        found = fastest_rate(network, self.temperature.value.used(), mass / network.molar_mass)
+        mass = max(network.molar_mass @ feed.concentration.used() for feed in feeds)
+        result = fastest_rate(network, self.temperature.value.used(), mass / network.molar_mass)
         if self.volume is not None:
-            flow = max(each.volume.used() / (each.duration or 1.0) for each in feeds)
-            found += self.along().fastest * flow / self.volume.used()
-        return float(found)
+            flow = max(item.volume.used() / (item.duration or 1.0) for item in feeds)
+            result += self.along().fastest * flow / self.volume.used()
+        return float(result)
 
     def along(self) -> Along:
         """The points along the reactor."""
@@ -205,14 +205,14 @@ def _controls(unit: Reactor, inputs):
 
 def extended(network: Network, base, extents) -> list[Array]:
     """[S] base + nu^T extents, species by species."""
-    found = []
+    totals = []
     for s in range(len(network.species)):
         total = base[..., s]
         for i, factor in enumerate(network.stoichiometry[:, s]):
             if factor:
                 total = total + float(factor) * extents[i]
-        found.append(total)
-    return found
+        totals.append(total)
+    return totals
 
 
 def _drive(network: Network, inputs, jacketed: bool):
@@ -220,7 +220,7 @@ def _drive(network: Network, inputs, jacketed: bool):
 
     def drive(temperature, *dosing):
         first = temperature[..., None] if jacketed else rate_constants(network, inputs, temperature)
-        return jnp.concatenate([first, *(each[..., None] for each in dosing)], -1)
+        return jnp.concatenate([first, *(item[..., None] for item in dosing)], -1)
 
     return drive
 
@@ -245,7 +245,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
             return extended(network, charge, y), 1.0
         size = 1 + y[count]
         amounts = extended(network, charge + more * y[count], y)
-        return [each / size for each in amounts], size
+        return [amount / size for amount in amounts], size
 
     def temperature(y, size, control):
         return control if heat is None else y[-2] / size
@@ -256,7 +256,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
             constants = drive[:count]
         else:
             constants = rate_constants(network, inputs, temperature(y, size, None))
-        speed = [each * size for each in rates(network, constants, c)]
+        speed = [item * size for item in rates(network, constants, c)]
         slope = speed + ([drive[-1] / volume] if dosed else [])
         if heat is not None:
             ua = heat.conductance / (heat.capacity * volume)
@@ -268,8 +268,8 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
 
     def states(y, control, *_):
         c, size = composition(y)
-        found = {f"concentration.{s}": each for s, each in zip(network.species, c)}
-        return found | {"temperature": jnp.asarray(temperature(y, size, control))}
+        table = {f"concentration.{s}": entry for s, entry in zip(network.species, c)}
+        return table | {"temperature": jnp.asarray(temperature(y, size, control))}
 
     def finish(y, control, *_):
         c, size = composition(y)
@@ -313,16 +313,16 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
     entering, first = feed.concentration(), use(inputs, unit.temperature.value)[0]
     inside = entering if unit.filled == "feed" else jnp.zeros(species)
     turnover, size = flow / volume, points * species
-    ends = [size, size + species, size + species + count, size + species + count + points]
+    endpoints = [size, size + species, size + species + count, size + species + count + points]
 
     def rate(y, drive):
         c = y[:size].reshape(points, species)
-        warm = y[ends[2] : ends[3]]
+        warm = y[endpoints[2] : endpoints[3]]
         constants = drive if heat is None else rate_constants(network, inputs, warm)
         speed = rates(network, constants, [c[:, s] for s in range(species)])
         made = jnp.stack(extended(network, jnp.zeros((points, species)), speed), -1)
         slope = (made + turnover * along.carried(c, entering)).ravel()
-        extent = jnp.stack([along.mean(each) for each in speed])
+        extent = jnp.stack([along.mean(item) for item in speed])
         parts = [slope, turnover * c[-1], extent]
         if heat is not None:
             ua = heat.conductance / (heat.capacity * volume)
@@ -334,19 +334,19 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         return jnp.concatenate(parts)
 
     def states(y, control, *_):
-        found = {f"concentration.{s}": y[size - species + i] for i, s in enumerate(network.species)}
-        return found | {"temperature": y[ends[3] - 1] if heat is not None else control}
+        table = {f"concentration.{s}": y[size - species + i] for i, s in enumerate(network.species)}
+        return table | {"temperature": y[endpoints[3] - 1] if heat is not None else control}
 
     def finish(y, control, *_):
         ran = flow * duration
-        out = y[size : ends[1]] * volume
-        extent = list(y[ends[1] : ends[2]] * volume)
+        out = y[size : endpoints[1]] * volume
+        extent = list(y[endpoints[1] : endpoints[2]] * volume)
         made = jnp.stack(extended(network, jnp.zeros(species), extent))
         held = (along.mean(y[:size].reshape(points, species)) - inside) * volume
         waiting = 1 - ran / feed.volume
         mean = mean_value(unit.temperature, use(inputs, unit.temperature.value))
         if heat is not None:
-            mean = y[ends[3]] / (turnover * duration)
+            mean = y[endpoints[3]] / (turnover * duration)
         leaving = feed.solvent * ran / feed.volume
         product = clear(out, leaving, ran, mean, duration)
         waits = {"left": waiting * feed.species, "solvent_left": waiting * feed.solvent}
@@ -355,8 +355,8 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
             sensible = heat.capacity * volume
             released = -sum(h * x for h, x in zip(heat.reaction, extent))
             into = sensible * (turnover * duration * feed.temperature + y[-1]) + released
-            kept = sensible * (along.mean(y[ends[2] : ends[3]]) - first)
-            book = book._replace(energy=(into, sensible * y[ends[3]], kept))
+            selected = sensible * (along.mean(y[endpoints[2] : endpoints[3]]) - first)
+            book = book._replace(energy=(into, sensible * y[endpoints[3]], selected))
         return Finish((product,), states(y, control), book)
 
     start = [jnp.tile(inside, points), jnp.zeros(species + count)]

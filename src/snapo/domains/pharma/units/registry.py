@@ -53,17 +53,19 @@ def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
 
     **Raises:** `TypeError` where a class is not complete, or two have the same name.
     """
-    found: dict[str, Variants] = {}
-    for each in operations:
-        missing = sorted(getattr(each, "__abstractmethods__", ()))
-        missing += [name for name in SAID if not hasattr(each, name)]
-        if missing or inspect.isabstract(each):
-            raise TypeError(f"The unit operation {each.__name__} lacks {', '.join(missing)}.")
-        variants = found.setdefault(each.type, {})
-        if each.variant in variants or (variants and "" in (each.variant, *variants)):
-            raise TypeError(f'Two unit operations are of type "{each.type}", {each.variant!r}.')
-        variants[each.variant] = each
-    return found
+    table: dict[str, Variants] = {}
+    for operation in operations:
+        missing = sorted(getattr(operation, "__abstractmethods__", ()))
+        missing += [name for name in SAID if not hasattr(operation, name)]
+        if missing or inspect.isabstract(operation):
+            raise TypeError(f"The unit operation {operation.__name__} lacks {', '.join(missing)}.")
+        variants = table.setdefault(operation.type, {})
+        if operation.variant in variants or (variants and "" in (operation.variant, *variants)):
+            raise TypeError(
+                f'Two unit operations are of type "{operation.type}", {operation.variant!r}.'
+            )
+        variants[operation.variant] = operation
+    return table
 
 
 TYPES = catalogue(OPERATIONS)
@@ -79,14 +81,14 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
     section = Section(file, f"units.{name}", notes)
     kind = raw.get("type") if isinstance(raw, dict) else None
     if not isinstance(kind, str) or kind not in TYPES:
-        words = ", ".join(f'"{each}"' for each in TYPES)
+        text = ", ".join(f'"{item}"' for item in TYPES)
         if kind is None:
-            raise section.error("type", None, f"this key is missing; it is one of {words}")
+            raise section.error("type", None, f"this key is missing; it is one of {text}")
         hint = suggest(str(kind), TYPES, "type")
-        raise section.error("type", kind, f"allowed is one of {words}; {hint}")
-    chosen = _variant(section, raw, TYPES[kind])
-    table = parse(chosen.table, raw, str(file), section.name)
-    return chosen.read(Reader(section, name, table), species)
+        raise section.error("type", kind, f"allowed is one of {text}; {hint}")
+    selected = _variant(section, raw, TYPES[kind])
+    table = parse(selected.table, raw, str(file), section.name)
+    return selected.read(Reader(section, name, table), species)
 
 
 def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
@@ -97,18 +99,18 @@ def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
     kind = raw.get("kind", first)
     record_kinds(raw, section.name, "kind", variants)
     if not isinstance(kind, str) or kind not in variants:
-        words = " or ".join(f'"{each}"' for each in variants)
-        raise section.error("kind", kind, f"allowed is {words}")
-    chosen = variants[kind]
+        text = " or ".join(f'"{variant}"' for variant in variants)
+        raise section.error("kind", kind, f"allowed is {text}")
+    selected = variants[kind]
     for key, value in raw.items():
-        owners = [k for k, each in variants.items() if key in each.table.model_fields]
+        owners = [k for k, item in variants.items() if key in item.table.model_fields]
         if owners and kind not in owners:
-            words = " or ".join(f'"{each}"' for each in owners)
-            what = f'kind "{kind}" has no such key; it belongs to {words}'
-            raise section.error(key, value, what)
-    shared = set.intersection(*(set(each.table.model_fields) for each in variants.values()))
-    if set(raw) <= set(chosen.table.model_fields):
-        for key, field in chosen.table.model_fields.items():
+            text = " or ".join(f'"{user}"' for user in owners)
+            message = f'kind "{kind}" has no such key; it belongs to {text}'
+            raise section.error(key, value, message)
+    shared = set.intersection(*(set(entry.table.model_fields) for entry in variants.values()))
+    if set(raw) <= set(selected.table.model_fields):
+        for key, field in selected.table.model_fields.items():
             if field.is_required() and key not in shared and key not in raw:
                 raise section.error(key, None, f'kind "{kind}" needs this key')
-    return chosen
+    return selected

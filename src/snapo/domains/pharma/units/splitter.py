@@ -56,10 +56,10 @@ class Splitter(Instant):
         raw = table.share if isinstance(table.share, list) else [table.share]
         name = f"{read.name}.share"
         if len(raw) != len(ports) - 1:
-            what = f"allowed are {len(ports) - 1} shares, of all outlets but the last"
-            raise section.error("share", table.share, what)
-        words = "share of the stream"
-        share = several(section, name, "share", raw, "1", ports[:-1], SHARE, words)
+            message = f"allowed are {len(ports) - 1} shares, of all outlets but the last"
+            raise section.error("share", table.share, message)
+        text = "share of the stream"
+        share = several(section, name, "share", raw, "1", ports[:-1], SHARE, text)
         if share.values.sum() > 1:
             raise section.error("share", table.share, "the shares add up to more than 1")
         return cls(read.name, ports, share)

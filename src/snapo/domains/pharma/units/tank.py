@@ -78,10 +78,10 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     Crystals must be of one kind: density and shape are those of the streams that have any. They
     stay counted where all are counted on one grid.
     """
-    total = {name: sum(getattr(each, name) for each in streams) for name in AMOUNTS}
-    times = jnp.stack([each.duration for each in streams])
+    total = {name: sum(getattr(stream, name) for stream in streams) for name in AMOUNTS}
+    times = jnp.stack([item.duration for item in streams])
     duration = jnp.where(jnp.all(times > 0), jnp.max(times), 0.0)
-    warmth = sum(each.suspension() * each.temperature for each in streams)
+    warmth = sum(entry.suspension() * entry.temperature for entry in streams)
 
     def counted(name: str, of: str) -> dict[str, Any]:
         """The `of` grid on which crystals of all streams are counted, and their numbers there."""
@@ -93,11 +93,11 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
         return {name: numbers, of: grid}
 
     def of_crystals(name: str) -> Array:
-        found = jnp.zeros(())
+        crystals = jnp.zeros(())
         for each in reversed(streams):
             value = getattr(each, name)
-            found = jnp.where(value > 0, value, found)
-        return found
+            crystals = jnp.where(value > 0, value, crystals)
+        return crystals
 
     return streams[0].replace(
         **total,

@@ -72,8 +72,8 @@ def read_liquid(read: Reader) -> Liquid:
         raise read.section.error("unit", table.unit, str(error)) from None
     a, b, c = table.antoine
     if b <= 0:
-        what = "allowed is B above 0: vapour pressure rises with temperature"
-        raise read.section.error("antoine", table.antoine, what)
+        message = "allowed is B above 0: vapour pressure rises with temperature"
+        raise read.section.error("antoine", table.antoine, message)
     values = np.array([a + np.log10(scale), b, c - (ZERO_CELSIUS if table.scale == "degC" else 0)])
     name = f"{read.name}.antoine"
     return Liquid(
@@ -165,8 +165,8 @@ class TrayDryer(Timed):
 
     def states(self, species):
         """ "solvent" is kg per kg of crystals, and "rate" its loss."""
-        found = {"solvent": "1", "temperature": "K", "rate": "1/s"}
-        return found | {"shelf": "K", "pressure": "Pa"}
+        table = {"solvent": "1", "temperature": "K", "rate": "1/s"}
+        return table | {"shelf": "K", "pressure": "Pa"}
 
     def equations(self):
         return [
@@ -201,13 +201,13 @@ class TrayDryer(Timed):
         def rate(y, drive):
             shelf, pressure = drive
             warm, left = temperature(y), speed(y, pressure)
-            given = exchange * (shelf - warm)
+            values = exchange * (shelf - warm)
             taken = left * (latent + liquid_heat * warm) / solid_heat
-            return jnp.stack([-left, given - taken, given, taken])
+            return jnp.stack([-left, values - taken, values, taken])
 
         def states(y, shelf, pressure):
-            found = {"solvent": y[0], "temperature": temperature(y), "rate": speed(y, pressure)}
-            return found | {"shelf": jnp.asarray(shelf), "pressure": jnp.asarray(pressure)}
+            table = {"solvent": y[0], "temperature": temperature(y), "rate": speed(y, pressure)}
+            return table | {"shelf": jnp.asarray(shelf), "pressure": jnp.asarray(pressure)}
 
         def finish(y, *_):
             share, end = y[0] / first, temperature(y)
@@ -226,7 +226,7 @@ class TrayDryer(Timed):
         begin = cake.temperature * (1 + first * liquid_heat / solid_heat)
         start = jnp.stack([first, begin, jnp.zeros(()), jnp.zeros(())])
         controls = tuple(
-            (each, use(inputs, each.value)) for each in (self.temperature, self.pressure)
+            (item, use(inputs, item.value)) for item in (self.temperature, self.pressure)
         )
 
         def drive(shelf, pressure):

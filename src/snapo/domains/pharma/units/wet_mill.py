@@ -108,8 +108,8 @@ class WetMill(Timed):
         return inlets
 
     def measures(self, species):
-        found = {"d32": "m", "d43": "m", "number": "1/m3"} | QUANTILES
-        return found | {"span": "1", "at_largest": "1"}
+        quantiles = {"d32": "m", "d43": "m", "number": "1/m3"} | QUANTILES
+        return quantiles | {"span": "1", "at_largest": "1"}
 
     def states(self, species):
         return {"number": "1/m3", "d43": "m", "d32": "m", "speed": "m/s"} | QUANTILES
@@ -143,8 +143,8 @@ class WetMill(Timed):
 
         def states(y, control):
             moments = (powers @ y) * fixed(UNITS)
-            found = {"number": moments[0], "speed": jnp.asarray(control)} | mean_sizes(moments)
-            return found | size_states(y * volumes, edges)
+            result = {"number": moments[0], "speed": jnp.asarray(control)} | mean_sizes(moments)
+            return result | size_states(y * volumes, edges)
 
         def finish(y, control):
             moments = (powers @ y) * fixed(UNITS)

@@ -78,10 +78,10 @@ def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> st
     count = code.index(f"mul nsw i64 %count, {size}")
     rounds = code.index(f"lshr i64 {code.index(f'add nsw i64 {count}, 1')}, 1")
     with code.loop(rounds) as loop:
-        words = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
+        text = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
         unit = np.dtype(dtype).itemsize * lanes
         out = code.pointer("%out", code.index(f"mul nsw i64 {loop.i}, {2 * unit}"))
-        code.store(normal(code, code.load(words, "uint32", 2 * lanes), dtype), out, 2 * lanes)
+        code.store(normal(code, code.load(text, "uint32", 2 * lanes), dtype), out, 2 * lanes)
     code.do("ret void")
     header = (
         f"define internal void @{name}(ptr %key, ptr %paths, i64 %first, i64 %count, "
@@ -111,19 +111,19 @@ def _draw_words(code: Code, size: int, together: int, antithetic: bool) -> None:
     )
     with code.loop(rounds) as loop:
         base = code.index(f"mul nsw i64 {loop.i}, {together}")
-        places = [code.index(f"add nsw i64 {base}, {k}") for k in range(together)]
+        positions = [code.index(f"add nsw i64 {base}, {k}") for k in range(together)]
         counters = []
-        for place in places:
-            counter = code.index(f"add i64 {place}, {start}")
+        for position in positions:
+            counter = code.index(f"add i64 {position}, {start}")
             low = vector(code, code.raw(f"trunc i64 {counter} to i32"))
             counters.append(code.splat(low, lanes))
         x, y = threefry(
             code, (key[0], key[1]), (code.join([number] * together), code.join(counters))
         )
-        for k, place in enumerate(places):
-            row = code.index(f"shl i64 {place}, 1")
+        for k, position in enumerate(positions):
+            row = code.index(f"shl i64 {position}, 1")
             if size % 2:
-                row = code.index(f"sub i64 {row}, {code.index(f'udiv i64 {place}, {pairs}')}")
+                row = code.index(f"sub i64 {row}, {code.index(f'udiv i64 {position}, {pairs}')}")
             to = code.pointer("%words", code.index(f"mul nsw i64 {row}, {4 * lanes}"))
             for word, distance in ((x, 0), (y, 4 * lanes)):
                 part = code.part(word, k, lanes)

@@ -28,8 +28,8 @@ def run(build: Build) -> None:
             with code.loop(segments) as s:
                 sweeps.save(s.i)
                 last = code.index(f"icmp eq i64 {s.i}, {final}")
-                kept = tape if build.adjoint else 0
-                stride = code.index(f"select i1 {last}, i64 {kept}, i64 0")
+                selected = tape if build.adjoint else 0
+                stride = code.index(f"select i1 {last}, i64 {selected}, i64 0")
                 sweeps.call("step_forward", blocks.i, *sweeps.span(s.i), stride)
             sweeps.call("final_forward", blocks.i)
             if build.adjoint:
@@ -62,8 +62,8 @@ class _Sweeps:
         """A reverse sweep of every column, with the column's own table."""
         with self.code.loop(field("columns")) as column:
             distance = self.code.index(f"mul nsw i64 {column.i}, {8 * len(CONTEXT)}")
-            own = self.code.pointer("%context", distance)
-            self.call(name, block, first, last, stride, own)
+            local = self.code.pointer("%context", distance)
+            self.call(name, block, first, last, stride, local)
 
     def span(self, segment: str) -> tuple[str, str]:
         """The first step of a segment, and the one after its last."""

@@ -36,8 +36,8 @@ def forward(
 
 def _inputs(s: Sweep, values: Values, program: Program, read: set[Value]) -> None:
     """Binds the path's arrays that are `read`: carry, noise, actions, given states."""
-    own = program.inputs[len(s.phase.cut.path.reads) :]
-    for value, (key, _) in zip(own, s.phase.inputs):
+    local = program.inputs[len(s.phase.cut.path.reads) :]
+    for value, (key, _) in zip(local, s.phase.inputs):
         if value not in read:
             continue
         if key == "noise":

@@ -58,8 +58,8 @@ def _both(build: Build, phase: Phase) -> None:
     cotangents = program.inputs[len(path.reads) + len(phase.inputs) :]
     gradients = plan_gradients(program, [path.reads[s] for s in slots], reads)
     transposed = Transposed(program, gradients, moving, cotangents, active, back)
-    kept = gradients.kept(dependents(program, cotangents))
-    division = plan(program, cotangents, outputs, transposed.wanted(), kept)
+    selected = gradients.kept(dependents(program, cotangents))
+    division = plan(program, cotangents, outputs, transposed.wanted(), selected)
     forward(build, phase, program, division.forward, outputs, division.tape)
     reverse(build, phase, transposed, division)
 

@@ -27,7 +27,7 @@ def _drawn(s: Sweep, values: Values, value: Value) -> None:
     steps = 1 if s.initial else draw.ahead(size)
     rows = steps * size + draw.SPARE
     out = values.workspace.allocate((rows,), value.dtype, code.lanes)
-    words = values.workspace.allocate((rows,), np.uint32, code.lanes)
+    text = values.workspace.allocate((rows,), np.uint32, code.lanes)
     antithetic = s.build.traced.setup.antithetic
     name = draw.draw_function(code.module, size, value.dtype.name, antithetic)
     key = code.pointer(field("keys"), 8 if s.initial else 0)
@@ -38,7 +38,7 @@ def _drawn(s: Sweep, values: Values, value: Value) -> None:
         code.do(
             f"call void @{name}(ptr {key}, ptr {paths}, i64 {first}, i64 {count}, "
             f"ptr {code.pointer(out.base, out.offset)}, "
-            f"ptr {code.pointer(words.base, words.offset)})"
+            f"ptr {code.pointer(text.base, text.offset)})"
         )
 
     if s.initial:
@@ -55,8 +55,8 @@ def _drawn(s: Sweep, values: Values, value: Value) -> None:
         row = code.index(f"mul nsw i64 {slot}, {size * out.unit}")
         base = code.pointer(out.base, row)
     shape = value.shape
-    place = Place(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
-    values.bind(value, place)
+    position = Place(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
+    values.bind(value, position)
 
 
 def _supplied(s: Sweep, values: Values, value: Value) -> None:
@@ -75,8 +75,8 @@ def _supplied(s: Sweep, values: Values, value: Value) -> None:
         ]
         values.set(value, objects(refs, value.shape))
         return
-    place = values.target(value)
+    location = values.target(value)
     with code.loop(size) as loop:
         here = code.pointer(base, code.index(f"mul nsw i64 {loop.i}, {unit}"))
-        place.write(code, [loop.i], code.gather(here, offsets, value.dtype))
-    values.bind(value, place)
+        location.write(code, [loop.i], code.gather(here, offsets, value.dtype))
+    values.bind(value, location)

@@ -100,10 +100,10 @@ def _pass_back(s: Sweep, values: Values, transposed: Transposed) -> None:
     for value, i in zip(transposed.back, transposed.active):
         key = s.phase.inputs[i][0]
         if key[0] == "start":
-            place = layouts["start_cotangent"].place(key, s.block_row("start_cotangent"))
+            position = layouts["start_cotangent"].place(key, s.block_row("start_cotangent"))
         else:
-            place = layouts["cotangent"].place(key, field("cotangent"))
-        pairs.append((value, place))
+            position = layouts["cotangent"].place(key, field("cotangent"))
+        pairs.append((value, position))
     replace_all(values, pairs)
 
 

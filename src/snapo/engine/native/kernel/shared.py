@@ -50,9 +50,9 @@ def _computed(
     bind(values, program, piece, tables, fixed=False)
     operations.write(values, program.ops, program.outputs)
     for value, leaf in zip(program.outputs, leaves):
-        place = tables.place(leaf)
-        if homes[value].offset != place.offset or value.constant is not None:
-            values.copy(value, place)
+        position = tables.place(leaf)
+        if homes[value].offset != position.offset or value.constant is not None:
+            values.copy(value, position)
     build.used(values.workspace)
 
 
@@ -66,8 +66,8 @@ def finish(build: Build) -> None:
             sums = function.sums(function.row(field("step_sums"), loop.i, "step_sums"))
             _transposed(build, function, step.step, step.step_leaves, tables, sums)
     for phase in reversed(build.traced.phases.values()):
-        given = function.tables(), function.sums()
-        _transposed(build, function, phase.cut.call, phase.cut.call_leaves, *given)
+        values = function.tables(), function.sums()
+        _transposed(build, function, phase.cut.call, phase.cut.call_leaves, *values)
     function.close()
 
 
@@ -91,12 +91,12 @@ def _transposed(
     build.used(values.workspace)
 
 
-def _narrowed(values: Values, place: Place, value: Value) -> Small | Place:
+def _narrowed(values: Values, position: Place, value: Value) -> Small | Place:
     """Sums are kept in float64; the transposes run in the call's precision."""
     if value.dtype == np.float64:
-        return place
+        return position
     wide = Value(value.shape, np.dtype(np.float64))
-    values.bind(wide, place)
+    values.bind(wide, position)
     narrow = Op("convert_element_type", [wide], [value], {"new_dtype": value.dtype})
     operations.write(values, [narrow], [value])
     return values.get(value)

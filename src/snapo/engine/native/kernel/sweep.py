@@ -82,20 +82,20 @@ def _at(build: Build, phase: Phase, function: Function, t: str) -> Sweep:
 
 def replace_all(values: Values, pairs: list[tuple[Value, Place]]) -> None:
     """Writes new values over old ones that some of them may still be views of."""
-    for value, place in pairs:
-        known = values.get(value)
+    for value, position in pairs:
+        available = values.get(value)
         if (
-            isinstance(known, Place)
-            and known.base in (field("carry"), field("cotangent"))
-            and not _same(known, place)
+            isinstance(available, Place)
+            and available.base in (field("carry"), field("cotangent"))
+            and not _same(available, position)
         ):
-            aside = values.workspace.allocate(known.shape, known.dtype, known.lanes)
+            aside = values.workspace.allocate(available.shape, available.dtype, available.lanes)
             values.copy(value, aside)
             values.bind(value, aside)
-    for value, place in pairs:
-        known = values.get(value)
-        if not (isinstance(known, Place) and _same(known, place)):
-            values.copy(value, place)
+    for value, position in pairs:
+        available = values.get(value)
+        if not (isinstance(available, Place) and _same(available, position)):
+            values.copy(value, position)
 
 
 def _same(a: Place, b: Place) -> bool:

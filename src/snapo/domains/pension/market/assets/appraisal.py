@@ -17,15 +17,15 @@ def shown_now(case: PensionCase) -> Array | None:
 
 
 def appraised(
-    case: PensionCase, smoothing: Array, log: Float[Array, " n"], shown: Array | None
+    case: PensionCase, smoothing: Array, log: Float[Array, " n"], displayed: Array | None
 ) -> tuple[Float[Array, " n"], Array | None]:
     """Log returns as shown, and the next `shown`; `smoothing` [q] is a."""
-    if shown is None:
+    if displayed is None:
         return log, None
     # A copy: JAX remembers an array of the case in the type it met first, and training is in
     # 32 bits, evaluation in 64.
     smoothed = np.array(case.assets.smoothed)
-    shown = smoothing * log[smoothed] + (1 - smoothing) * shown
+    displayed = smoothing * log[smoothed] + (1 - smoothing) * displayed
     order = np.arange(len(case.assets.classes))
     order[smoothed] = len(order) + np.arange(len(smoothed))
-    return jnp.concatenate([log, shown])[order], shown
+    return jnp.concatenate([log, displayed])[order], displayed

@@ -124,59 +124,59 @@ class AssetClass(ABC):
 
     @classmethod
     @abstractmethod
-    def prepare(cls, scene: Scene, places: Sequence[int]) -> tuple[Any, Any]:
+    def prepare(cls, scene: Scene, positions: Sequence[int]) -> tuple[Any, Any]:
         """The numbers of these classes that all paths share: throughout, and [T, …] per step."""
 
     @classmethod
     @abstractmethod
     def log_return(
-        cls, case: PensionCase, places: Sequence[int], terms: Any, steps: Any, now: Now
+        cls, case: PensionCase, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> Float[Array, " k"]:
         """Log returns of these classes over a step; `terms`, `steps` are those of `prepare`."""
 
     @classmethod
     @abstractmethod
-    def payments(cls, case: PensionCase, places: Sequence[int]) -> Payments | None:
+    def payments(cls, case: PensionCase, positions: Sequence[int]) -> Payments | None:
         """The payments by which these classes follow the curve; None where they do not."""
 
     @classmethod
-    def ratings(cls, case: PensionCase, places: Sequence[int]) -> np.ndarray:
+    def ratings(cls, case: PensionCase, positions: Sequence[int]) -> np.ndarray:
         """[k] positions of the ratings whose spreads count in their prices, -1 for none."""
-        return np.full(len(places), -1)
+        return np.full(len(positions), -1)
 
     @classmethod
     def mixture(
-        cls, case: PensionCase, places: Sequence[int], terms: Any, steps: Any, now: Now
+        cls, case: PensionCase, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> Mixture | None:
         """The bonds beneath these classes where their log returns are not Gaussian; else None."""
         return None
 
     @classmethod
     def ratio(
-        cls, case: PensionCase, places: Sequence[int], before: Prices, after: Prices
+        cls, case: PensionCase, positions: Sequence[int], before: Prices, after: Prices
     ) -> Float[Array, " k"]:
         """Values over those before, when prices of payments go from `before` to `after`."""
-        due = cls.payments(case, places)
-        return jnp.ones(len(places)) if due is None else ratio(due, cls.linked, before, after)
+        due = cls.payments(case, positions)
+        return jnp.ones(len(positions)) if due is None else ratio(due, cls.linked, before, after)
 
     @classmethod
     def log_price(
-        cls, case: PensionCase, inputs: dict[str, Any], places: Sequence[int]
+        cls, case: PensionCase, inputs: dict[str, Any], positions: Sequence[int]
     ) -> Float[Array, " k"]:
         """ln of prices over those at the case's own numbers: its derivatives are the exposures to
         curves, break-evens and spreads."""
         now = curve_prices(case, {}), curve_prices(case, inputs)
-        return jnp.log(cls.ratio(case, places, *now))
+        return jnp.log(cls.ratio(case, positions, *now))
 
     @classmethod
-    def of(cls, case: PensionCase, places: Sequence[int]) -> list[Self]:
+    def of(cls, case: PensionCase, positions: Sequence[int]) -> list[Self]:
         """The classes at these positions."""
-        return [case.assets.classes[i] for i in places]  # pyright: ignore[reportReturnType]
+        return [case.assets.classes[i] for i in positions]  # pyright: ignore[reportReturnType]
 
     @classmethod
-    def currencies(cls, case: PensionCase, places: Sequence[int]) -> np.ndarray:
+    def currencies(cls, case: PensionCase, positions: Sequence[int]) -> np.ndarray:
         """[k] their currencies."""
-        return np.array([each.currency for each in cls.of(case, places)], int)
+        return np.array([item.currency for item in cls.of(case, positions)], int)
 
 
 KINDS: dict[str, type[AssetClass]] = {}
@@ -204,16 +204,16 @@ def register(kind: AnyKind) -> AnyKind:
 
 def by_kind(case: PensionCase) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
     """The kinds that a case holds, in the order of their first class, with the positions."""
-    found: dict[type[AssetClass], list[int]] = {}
-    for i, each in enumerate(case.assets.classes):
-        found.setdefault(type(each), []).append(i)
-    return [(kind, tuple(places)) for kind, places in found.items()]
+    table: dict[type[AssetClass], list[int]] = {}
+    for i, class_ in enumerate(case.assets.classes):
+        table.setdefault(type(class_), []).append(i)
+    return [(kind, tuple(positions)) for kind, positions in table.items()]
 
 
 def in_order(case: PensionCase, parts: Sequence[Array]) -> Array:
     """[n] one row per class from one array per kind, as `by_kind` divides them."""
-    places = np.concatenate([np.array(each, int) for _, each in by_kind(case)])
-    return jnp.concatenate(parts)[np.argsort(places)]
+    positions = np.concatenate([np.array(item, int) for _, item in by_kind(case)])
+    return jnp.concatenate(parts)[np.argsort(positions)]
 
 
 def log_prices(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " n"]:

@@ -39,14 +39,14 @@ class Maturing(AssetClass):
         return {"maturity": whole_steps(row, "maturity", names.step)}
 
     @classmethod
-    def maturities(cls, case: PensionCase, places) -> np.ndarray:
+    def maturities(cls, case: PensionCase, positions) -> np.ndarray:
         """[k] in steps."""
-        return np.array([each.maturity for each in cls.of(case, places)], int)
+        return np.array([item.maturity for item in cls.of(case, positions)], int)
 
     @classmethod
-    def payments(cls, case: PensionCase, places) -> Payments:
+    def payments(cls, case: PensionCase, positions) -> Payments:
         """The principal at maturity."""
-        return zero_coupon(cls.maturities(case, places), case.step)
+        return zero_coupon(cls.maturities(case, positions), case.step)
 
 
 @register
@@ -63,20 +63,20 @@ class Bond(Maturing):
     collateral: ClassVar[float] = 1.0
 
     @classmethod
-    def held(cls, case, places) -> constant_maturity.Held:
+    def held(cls, case, positions) -> constant_maturity.Held:
         """The bonds at these positions."""
-        given = cls.maturities(case, places), cls.currencies(case, places)
-        return constant_maturity.nominal_bonds(case, *given)
+        values = cls.maturities(case, positions), cls.currencies(case, positions)
+        return constant_maturity.nominal_bonds(case, *values)
 
     @classmethod
-    def prepare(cls, scene, places):
-        held = cls.held(scene.case, places)
+    def prepare(cls, scene, positions):
+        held = cls.held(scene.case, positions)
         drift = constant_maturity.drift(scene, held, constant_maturity.load(scene, held))
         reach = constant_maturity.reach(held, scene.factors, scene.case.step)
         return BondTerms(reach), BondSteps(drift)
 
     @classmethod
-    def log_return(cls, case, places, terms, steps, now):
-        held = cls.held(case, places)
+    def log_return(cls, case, positions, terms, steps, now):
+        held = cls.held(case, positions)
         over = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
         return over + now.cash

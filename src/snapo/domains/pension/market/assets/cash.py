@@ -29,13 +29,13 @@ class Cash(AssetClass):
         return {}
 
     @classmethod
-    def prepare(cls, scene, places):
+    def prepare(cls, scene, positions):
         return None, None
 
     @classmethod
-    def log_return(cls, case, places, terms, steps, now):
-        return jnp.broadcast_to(now.cash, (len(places),))
+    def log_return(cls, case, positions, terms, steps, now):
+        return jnp.broadcast_to(now.cash, (len(positions),))
 
     @classmethod
-    def payments(cls, case, places):
+    def payments(cls, case, positions):
         return None

@@ -46,21 +46,21 @@ class CouponBond(Maturing):
         return super().read(row, names) | {"coupon": coupon}
 
     @classmethod
-    def payments(cls, case: PensionCase, places) -> Payments:
-        coupons = [each.coupon for each in cls.of(case, places)]
-        return payments(cls.maturities(case, places), coupons, case.step)
+    def payments(cls, case: PensionCase, positions) -> Payments:
+        coupons = [item.coupon for item in cls.of(case, positions)]
+        return payments(cls.maturities(case, positions), coupons, case.step)
 
     @classmethod
-    def prepare(cls, scene, places):
+    def prepare(cls, scene, positions):
         case = scene.case
-        return strips.prepare(scene, cls.payments(case, places), cls.currencies(case, places))
+        return strips.prepare(scene, cls.payments(case, positions), cls.currencies(case, positions))
 
     @classmethod
-    def mixture(cls, case, places, terms, steps, now):
-        due, currency = cls.payments(case, places), cls.currencies(case, places)
+    def mixture(cls, case, positions, terms, steps, now):
+        due, currency = cls.payments(case, positions), cls.currencies(case, positions)
         return strips.mixture(case, due, currency, terms, steps, now)
 
     @classmethod
-    def log_return(cls, case, places, terms, steps, now):
-        due, currency = cls.payments(case, places), cls.currencies(case, places)
+    def log_return(cls, case, positions, terms, steps, now):
+        due, currency = cls.payments(case, positions), cls.currencies(case, positions)
         return jnp.log1p(strips.gains(case, due, currency, terms, steps, now)) + now.cash

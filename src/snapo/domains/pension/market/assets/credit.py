@@ -66,19 +66,19 @@ class CreditBond(Maturing):
         return super().read(row, names) | {"rating": names.rating(row)}
 
     @classmethod
-    def ratings(cls, case, places):
-        return np.array([each.rating for each in cls.of(case, places)], int)
+    def ratings(cls, case, positions):
+        return np.array([item.rating for item in cls.of(case, positions)], int)
 
     @classmethod
-    def held(cls, case, places) -> constant_maturity.Held:
+    def held(cls, case, positions) -> constant_maturity.Held:
         """The bonds without their spreads."""
-        given = cls.maturities(case, places), cls.currencies(case, places)
-        return constant_maturity.nominal_bonds(case, *given)
+        values = cls.maturities(case, positions), cls.currencies(case, positions)
+        return constant_maturity.nominal_bonds(case, *values)
 
     @classmethod
-    def prepare(cls, scene, places):
-        case, inputs, held = scene.case, scene.inputs, cls.held(scene.case, places)
-        load, rating = constant_maturity.load(scene, held), cls.ratings(case, places)
+    def prepare(cls, scene, positions):
+        case, inputs, held = scene.case, scene.inputs, cls.held(scene.case, positions)
+        load, rating = constant_maturity.load(scene, held), cls.ratings(case, positions)
         component = slots(case).spread.start + rating
         credit, real_world = case.credit, 0.0 if case.risk_neutral else 1.0
         mean = use(inputs, credit.mean_spread)
@@ -100,8 +100,8 @@ class CreditBond(Maturing):
         return terms, steps
 
     @classmethod
-    def log_return(cls, case, places, terms, steps, now):
-        held, rating = cls.held(case, places), cls.ratings(case, places)
+    def log_return(cls, case, positions, terms, steps, now):
+        held, rating = cls.held(case, positions), cls.ratings(case, positions)
         bond = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
         assert now.spread is not None
         u, zeta = now.spread[rating], now.shock[slots(case).spread][rating]
@@ -113,7 +113,7 @@ class CreditBond(Maturing):
         return bond + extra + now.cash
 
     @classmethod
-    def log_price(cls, case, inputs: dict[str, Any], places):
-        years = cls.maturities(case, places) * case.step
-        spread = use(inputs, case.credit.spread)[cls.ratings(case, places)]
-        return super().log_price(case, inputs, places) - years * spread
+    def log_price(cls, case, inputs: dict[str, Any], positions):
+        years = cls.maturities(case, positions) * case.step
+        spread = use(inputs, case.credit.spread)[cls.ratings(case, positions)]
+        return super().log_price(case, inputs, positions) - years * spread

@@ -28,6 +28,6 @@ class IndexLinked(Bond):
     linked: ClassVar[bool] = True
 
     @classmethod
-    def held(cls, case, places) -> constant_maturity.Held:
-        given = cls.maturities(case, places), cls.currencies(case, places)
-        return constant_maturity.linked_bonds(case, *given)
+    def held(cls, case, positions) -> constant_maturity.Held:
+        values = cls.maturities(case, positions), cls.currencies(case, positions)
+        return constant_maturity.linked_bonds(case, *values)

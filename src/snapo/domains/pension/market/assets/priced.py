@@ -37,9 +37,9 @@ class Priced(AssetClass):
         return {}
 
     @classmethod
-    def prepare(cls, scene, places):
-        case, inputs, rank = scene.case, scene.inputs, _rank(scene.case, places)
-        currency = cls.currencies(case, places)
+    def prepare(cls, scene, positions):
+        case, inputs, rank = scene.case, scene.inputs, _rank(scene.case, positions)
+        currency = cls.currencies(case, positions)
         volatility = use(inputs, case.assets.volatility)[:, rank]
         variance = _variance(scene, rank, volatility, currency)
         drift = _drift(case, inputs, rank, variance)
@@ -49,32 +49,32 @@ class Priced(AssetClass):
         return None, PricedSteps(drift, volatility)
 
     @classmethod
-    def log_return(cls, case, places, terms, steps, now):
-        shock = now.shock[slots(case).asset][_rank(case, places)]
-        own = steps.drift + steps.volatility * shock
+    def log_return(cls, case, positions, terms, steps, now):
+        shock = now.shock[slots(case).asset][_rank(case, positions)]
+        local = steps.drift + steps.volatility * shock
         if now.foreign is not None:
-            own = own + of_currency(now.foreign, cls.currencies(case, places))
+            local = local + of_currency(now.foreign, cls.currencies(case, positions))
         total = case.assets.return_kind == "total" and not case.risk_neutral
-        return own if total else own + now.cash
+        return local if total else local + now.cash
 
     @classmethod
-    def payments(cls, case, places):
+    def payments(cls, case, positions):
         return None
 
 
-def _rank(case: PensionCase, places) -> np.ndarray:
+def _rank(case: PensionCase, positions) -> np.ndarray:
     """[k] positions among the classes with a shock of their own."""
-    return np.array([case.assets.shocks.index(i) for i in places], int)
+    return np.array([case.assets.shocks.index(i) for i in positions], int)
 
 
 def _variance(scene: Scene, rank: np.ndarray, volatility: Array, currency) -> Float[Array, "T k"]:
     """Variance of a step's return, currency included."""
-    place = slots(scene.case)
-    own = np.arange(place.size)[place.asset][rank]
-    foreign = np.where(currency >= 0, place.currency.start + currency, 0)
+    position = slots(scene.case)
+    local = np.arange(position.size)[position.asset][rank]
+    foreign = np.where(currency >= 0, position.currency.start + currency, 0)
     e = of_currency(scene.currencies.exposure, currency)
-    both = 2 * volatility * e * scene.covariance[own, foreign]
-    alone = volatility**2 * scene.covariance[own, own]
+    both = 2 * volatility * e * scene.covariance[local, foreign]
+    alone = volatility**2 * scene.covariance[local, local]
     return alone + both + e**2 * scene.covariance[foreign, foreign]
 
 

@@ -52,7 +52,7 @@ def asset_schedule(
     """The numbers of all classes that paths share; `moments` of nominal bonds."""
     currencies = currency_terms(case, inputs)
     scene = Scene(case, inputs, factors, covariance, currencies, moments)
-    kinds = [kind.prepare(scene, places) for kind, places in by_kind(case)]
+    kinds = [kind.prepare(scene, positions) for kind, positions in by_kind(case)]
     swaps = (None, None) if case.overlay is None else swap_schedule(scene)
     smoothing = use(inputs, case.assets.smoothing)
     terms = AssetTerms(tuple(t for t, _ in kinds), swaps[0], currencies.exposure, smoothing)
@@ -63,15 +63,15 @@ def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> R
     """Log returns of all classes; `now` the step's `MarketSteps`, `market` the state before it,
     `shock` [Z] the Gaussian vector, `cash` the log return of cash."""
     foreign = terms.exposure * shock[slots(case).currency] if case.currencies.names else None
-    seen = Now(
+    observed = Now(
         shock, now.volatility, now.index_volatility, cash, market.factors, market.spread, foreign
     )
     held = list(zip(by_kind(case), terms.kinds, now.assets.kinds))
-    parts = [kind.log_return(case, at, term, step, seen) for (kind, at), term, step in held]
-    beneath = [kind.mixture(case, at, term, step, seen) for (kind, at), term, step in held]
-    log, shown = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
+    parts = [kind.log_return(case, at, term, step, observed) for (kind, at), term, step in held]
+    beneath = [kind.mixture(case, at, term, step, observed) for (kind, at), term, step in held]
+    log, displayed = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
     swaps = None
     if case.buckets:
-        beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, seen))
-        swaps = swap_returns(case, terms.swaps, now.assets.swaps, seen)
-    return Returns(log, swaps, shown, tuple(beneath))
+        beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, observed))
+        swaps = swap_returns(case, terms.swaps, now.assets.swaps, observed)
+    return Returns(log, swaps, displayed, tuple(beneath))

@@ -75,11 +75,11 @@ def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
 
 def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> Mixture:
     """The bonds beneath the b swaps; swaps are in the fund's own currency."""
-    own = now._replace(foreign=None)
-    fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, own)
+    local = now._replace(foreign=None)
+    fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
     if terms.linked is None or steps.linked is None:
         return fixed
-    linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, own)
+    linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, local)
     inflation = np.eye(case.buckets)[:, case.buckets - len(linked) :]
     share = fixed.share * (1 - 2 * inflation.sum(1, keepdims=True))
     share = jnp.concatenate([share, jnp.asarray(inflation, share.dtype)], axis=1)
@@ -90,10 +90,10 @@ def swap_returns(
     case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
 ) -> Float[Array, " b"]:
     """Log returns over cash of a step."""
-    own = now._replace(foreign=None)
-    gain = strips.gains(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, own)
+    local = now._replace(foreign=None)
+    gain = strips.gains(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
     if terms.linked is not None and steps.linked is not None:
-        linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, own)
+        linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, local)
         first = case.buckets - len(linked)
         gain = jnp.concatenate([gain[:first], jnp.expm1(linked) - gain[first:]])
     return jnp.log1p(gain)

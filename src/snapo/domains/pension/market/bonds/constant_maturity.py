@@ -74,26 +74,26 @@ def reach(held: Held, factors: Factors, step: float) -> Float[Array, "k f"]:
 def load(scene: Scene, held: Held) -> Load:
     """The exposure of a step's return to the Gaussian vector, currency included."""
     case, factors = scene.case, scene.factors
-    place, count = slots(case), len(held.loads)
+    position, count = slots(case), len(held.loads)
     steps, k = case.steps, len(held.maturity)
-    foreign = np.where(held.currency >= 0, place.currency.start + held.currency, 0)
+    foreign = np.where(held.currency >= 0, position.currency.start + held.currency, 0)
     which = [
-        np.broadcast_to(place.zeta[:count], (k, count)),
-        np.broadcast_to(place.iota[:count], (k, count)),
+        np.broadcast_to(position.zeta[:count], (k, count)),
+        np.broadcast_to(position.iota[:count], (k, count)),
         foreign[:, None],
     ]
     volatility = factors.volatility[:, None, :count]
-    whole = jnp.broadcast_to(-volatility * held.loads, (steps, k, count))
+    complete = jnp.broadcast_to(-volatility * held.loads, (steps, k, count))
     e = of_currency(scene.currencies.exposure, held.currency)
     size = [
         -volatility * reach(held, factors, case.step),
-        whole,
+        complete,
         jnp.broadcast_to(e[:, None], (steps, k, 1)),
     ]
     if held.linked:
-        own = use(scene.inputs, case.inflation.index_volatility)
-        which.append(np.full((k, 1), place.index))
-        size.append(jnp.broadcast_to(own[:, None, None], (steps, k, 1)))
+        local = use(scene.inputs, case.inflation.index_volatility)
+        which.append(np.full((k, 1), position.index))
+        size.append(jnp.broadcast_to(local[:, None, None], (steps, k, 1)))
     return Load(jnp.concatenate(size, axis=2), np.concatenate(which, axis=1))
 
 
@@ -103,24 +103,24 @@ def drift(scene: Scene, held: Held, load: Load) -> Float[Array, "T k"]:
     exposed = reach(held, factors, case.step) * factors.reach[:count]
     exposed = exposed + held.loads * factors.reached[:count]
     premium = (factors.volatility[:, :count] * factors.price_of_risk[:count]) @ exposed.T
-    found = -load.variance(scene.covariance) / 2 - premium
+    currency = -load.variance(scene.covariance) / 2 - premium
     currencies = scene.currencies
     earned = currencies.hedging + (0.0 if case.risk_neutral else 1.0) * currencies.premium
-    found = found + of_currency(earned, held.currency)
+    currency = currency + of_currency(earned, held.currency)
     if held.linked and not case.risk_neutral:
-        own = use(scene.inputs, case.inflation.index_volatility)
+        local = use(scene.inputs, case.inflation.index_volatility)
         price = use(scene.inputs, case.inflation.index_price_of_risk)
-        found = found + (own * price * case.step)[:, None]
-    return found
+        currency = currency + (local * price * case.step)[:, None]
+    return currency
 
 
 def over_cash(case: PensionCase, held: Held, reach: Array, drift: Array, now: Now) -> Array:
     """[k] log returns over cash; `reach` [k, f] and the step's `drift` [k]."""
-    place, count = slots(case), len(held.loads)
+    position, count = slots(case), len(held.loads)
     volatility = now.volatility[:count]
-    fall = reach @ (volatility * now.shock[place.zeta[:count]])
-    fall = fall + jnp.sum(held.loads * volatility * now.shock[place.iota[:count]])
+    fall = reach @ (volatility * now.shock[position.zeta[:count]])
+    fall = fall + jnp.sum(held.loads * volatility * now.shock[position.iota[:count]])
     if held.linked:
-        fall = fall - now.index_volatility * now.shock[place.index]
-    found = drift - fall
-    return found if now.foreign is None else found + of_currency(now.foreign, held.currency)
+        fall = fall - now.index_volatility * now.shock[position.index]
+    result = drift - fall
+    return result if now.foreign is None else result + of_currency(now.foreign, held.currency)

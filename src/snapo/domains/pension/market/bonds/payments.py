@@ -44,7 +44,7 @@ def payments(maturity: ArrayLike, coupon: ArrayLike, step: float) -> Payments:
         for last, rate in zip(maturity, coupon)
     ]
     steps = np.unique(np.concatenate(dates))
-    due = np.array([np.isin(steps, own) for own in dates])
+    due = np.array([np.isin(steps, local) for local in dates])
     period = due * np.minimum(steps, year) * step * (coupon != 0)[:, None]
     return Payments(steps, coupon, period, (steps == maturity[:, None]).astype(float))
 

@@ -36,9 +36,9 @@ class StripSteps(NamedTuple):
 
 def _held(case: PensionCase, of: Payments, currency: np.ndarray) -> constant_maturity.Held:
     """All dates in the first currency, then all in the next one."""
-    own = np.unique(currency)
+    local = np.unique(currency)
     return constant_maturity.nominal_bonds(
-        case, np.tile(of.steps, len(own)), np.repeat(own, len(of.steps))
+        case, np.tile(of.steps, len(local)), np.repeat(local, len(of.steps))
     )
 
 

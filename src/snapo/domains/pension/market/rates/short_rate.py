@@ -62,7 +62,7 @@ class ShortRate:
         labels = cls.labels()
         names = ("volatility", "mean_reversion", "price_of_risk")
         volatility, reversion, price = (per_factor(section, table, n, cls.count()) for n in names)
-        moving = [stepwise(section, "volatility", each, grid) for each in volatility]
+        moving = [stepwise(section, "volatility", item, grid) for item in volatility]
         return cls(
             mean_reversion=listed("rate_mean_reversion", reversion, labels, MEAN_REVERSION),
             volatility=side_by_side("rate_volatility", moving, labels, VOLATILITY),
@@ -89,7 +89,7 @@ AnyModel = TypeVar("AnyModel", bound=type[ShortRate])
 
 def register(model: AnyModel) -> AnyModel:
     """Makes a model known by its word; one that is incomplete or known already is an error."""
-    missing = [each for each in ("kind", "factors", "words") if not getattr(model, each, None)]
+    missing = [name for name in ("kind", "factors", "words") if not getattr(model, name, None)]
     if missing:
         raise TypeError(f"{model.__name__}: a model of the short rate needs {', '.join(missing)}.")
     if model.kind in MODELS:

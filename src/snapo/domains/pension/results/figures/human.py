@@ -48,38 +48,38 @@ class Human(NamedTuple):
     returns: dict[str, float]
 
 
-def human(case: PensionCase, inputs: dict[str, Any], found: Figures) -> Human:
+def human(case: PensionCase, inputs: dict[str, Any], figures: Figures) -> Human:
     """All of them; `found` are the case's own `reconcile.figures`."""
-    assets, liability = float(case.assets.amount.used()), found.liability
+    assets, liability = float(case.assets.amount.used()), figures.liability
     with jax.enable_x64(True):
-        given = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}
-        held = _parallel(case, given, case.curve)
-        linked = _parallel(case, given, case.inflation.break_even)
-        rates = np.asarray(-log_bond(case.curve, given, np.array(TENORS))) / TENORS
-        volatility = {} if case.scenarios is not None else _rate_volatility(case, given)
-        grown = _supplied(case) if case.scenarios is not None else _median(case, given)
-    owed = float(np.sum(found.key_rate)) / BASIS_POINT
-    promised = found.inflation01 / BASIS_POINT
+        params = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}
+        held = _parallel(case, params, case.curve)
+        linked = _parallel(case, params, case.inflation.break_even)
+        rates = np.asarray(-log_bond(case.curve, params, np.array(TENORS))) / TENORS
+        volatility = {} if case.scenarios is not None else _rate_volatility(case, params)
+        grown = _supplied(case) if case.scenarios is not None else _median(case, params)
+    owed = float(np.sum(figures.key_rate)) / BASIS_POINT
+    promised = figures.inflation01 / BASIS_POINT
     return Human(
         assets=assets,
         liability=liability,
         funding=assets / liability if liability else None,
-        duration=found.duration,
+        duration=figures.duration,
         asset_duration=-held / assets,
         hedge_ratio=held / owed if owed else None,
         inflation_hedge_ratio=linked / promised if promised else None,
         rate=dict(zip(TENORS, rates.tolist())),
         rate_volatility=volatility,
-        returns=dict(zip((each.name for each in case.assets.classes), grown.tolist())),
+        returns=dict(zip((class_.name for class_ in case.assets.classes), grown.tolist())),
     )
 
 
-def _parallel(case: PensionCase, given: dict[str, Any], curve: Curve) -> float:
+def _parallel(case: PensionCase, values: dict[str, Any], curve: Curve) -> float:
     """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
     name, quotes = curve.rate.name, jnp.asarray(curve.rate.values)
 
     def worth(shift):
-        moved = given | {name: quotes + shift}
+        moved = values | {name: quotes + shift}
         held = case.assets.weight.used() * float(case.assets.amount.used())
         total = held @ log_prices(case, moved)
         if case.overlay is not None:
@@ -89,10 +89,10 @@ def _parallel(case: PensionCase, given: dict[str, Any], curve: Curve) -> float:
     return float(jax.jit(jax.grad(worth))(jnp.zeros(())))
 
 
-def _rate_volatility(case: PensionCase, given: dict[str, Any]) -> dict[int, float]:
+def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, float]:
     """Of Gaussian factors: a zero rate of u years moves by B(u) / u times each of them."""
     count = case.rates.count()
-    together = np.asarray(matrix(case, given))[:count, :count]
+    together = np.asarray(matrix(case, values))[:count, :count]
     now = case.rates.volatility.used()[0]
     loads = [
         now * np.asarray(reach(case.rates.mean_reversion.used(), float(u))) / u for u in TENORS
@@ -100,13 +100,13 @@ def _rate_volatility(case: PensionCase, given: dict[str, Any]) -> dict[int, floa
     return {u: float(np.sqrt(load @ together @ load)) for u, load in zip(TENORS, loads)}
 
 
-def _median(case: PensionCase, given: dict[str, Any]) -> np.ndarray:
+def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
     """[n] returns per year along the path on which every shock is zero."""
     # Bases and mortality do not matter to returns.
     market = replace(case, lee_carter=None)
 
-    def roll(given):
-        terms, steps, _ = market_schedule(market, given, np.array([round(1 / case.step)]))
+    def roll(inputs):
+        terms, steps, _ = market_schedule(market, inputs, np.array([round(1 / case.step)]))
         terms, steps = without_empty(terms), without_empty(steps)
         none = jnp.zeros(slots(market).size)
 
@@ -116,7 +116,7 @@ def _median(case: PensionCase, given: dict[str, Any]) -> np.ndarray:
 
         return jax.lax.scan(step, terms.start, steps)[1]
 
-    gross = np.asarray(jax.jit(roll)(given))
+    gross = np.asarray(jax.jit(roll)(values))
     return np.expm1(np.log(gross).mean(0) / case.step)
 
 

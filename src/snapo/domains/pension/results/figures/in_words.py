@@ -54,19 +54,19 @@ def _increases(case: PensionCase) -> str:
     rule, apart = case.plan.indexation, case.plan.revaluation
     if case.pots is not None:
         return "pensions follow the pots"
-    given = _rule(rule)
+    values = _rule(rule)
     if case.members is None:
-        found = f"{given}, of all payments"
+        text = f"{values}, of all payments"
     elif apart is None:
         every = "pensions in payment, deferred rights and rights in service"
-        found = given if rule.kind == "none" else f"{given}, of {every} alike"
+        text = values if rule.kind == "none" else f"{values}, of {every} alike"
     else:
-        found = (
-            f"in payment {given}, deferred rights {_percent(apart.deferred)}, rights in service"
+        text = (
+            f"in payment {values}, deferred rights {_percent(apart.deferred)}, rights in service"
             f" {_percent(apart.active)}"
         )
     yearly = rule.kind != "none" or apart is not None
-    return f"{found}; every {MONTHS[rule.month - 1]}" if yearly and case.step < 1 else found
+    return f"{text}; every {MONTHS[rule.month - 1]}" if yearly and case.step < 1 else text
 
 
 def _rule(rule: Indexation) -> str:
@@ -88,28 +88,28 @@ def _mortality(case: PensionCase) -> str:
     last = law.first_age + law.ages - 1
     if law.kind == "table":
         end = law.first_age + law.table.index.shape[1] - 1
-        found = f"a table from {law.first_age} to {end}"
-        found += f", closed to {last}" if end < last else ""
+        text = f"a table from {law.first_age} to {end}"
+        text += f", closed to {last}" if end < last else ""
     else:
-        found = "a Gompertz-Makeham formula"
+        text = "a Gompertz-Makeham formula"
     if not law.improvement.used().any():
-        return f"{found}, without improvement"
+        return f"{text}, without improvement"
     since = f"{law.since:.3g} years" if law.since else "none"
-    return f"{found}, improvement up to the valuation date: {since}"
+    return f"{text}, improvement up to the valuation date: {since}"
 
 
 def _valuation(case: PensionCase) -> str:
     basis = case.liability
     if basis.basis == "fixed":
-        found = f"at {_both(case)}"
+        text = f"at {_both(case)}"
     else:
-        found = "on the curve"
-        found += f" plus {_both(case)}" if basis.basis == "spread" else ""
+        text = "on the curve"
+        text += f" plus {_both(case)}" if basis.basis == "spread" else ""
     if basis.loading is not None:
-        found += f", with {_percent(basis.loading)} for expenses"
+        text += f", with {_percent(basis.loading)} for expenses"
     elif case.plan.expenses.values.any() and case.pots is None:
-        found += ", with no reserve for expenses"
-    return found
+        text += ", with no reserve for expenses"
+    return text
 
 
 def _both(case: PensionCase) -> str:
@@ -122,5 +122,5 @@ def _both(case: PensionCase) -> str:
     return f"{first:.2%} annual, {second:.2%} continuous"
 
 
-def _percent(given) -> str:
-    return f"{float(given.used()):.2%}"
+def _percent(values) -> str:
+    return f"{float(values.used()):.2%}"

@@ -24,17 +24,17 @@ MONTHS = 12
 WORTH_TELLING = 0.002  # of the liability
 
 
-def against_months(case: PensionCase, found: Figures) -> list[str]:
+def against_months(case: PensionCase, result: Figures) -> list[str]:
     """A remark where payments by month are worth noticeably more or less than those by year.
 
     Only of cohorts: cash flows come at the times that the actuary gives.
     """
-    if case.step != 1 or case.members is None or not found.liability:
+    if case.step != 1 or case.members is None or not result.liability:
         return []
     # One decision will do: the liability today does not depend on the horizon.
     held = replace(case, step=1 / MONTHS, steps=MONTHS, plan=replace(case.plan, accruing=False))
     monthly = figures(held, plain(pension_inputs(case))).liability
-    change = found.liability / monthly - 1
+    change = result.liability / monthly - 1
     if np.abs(change) < WORTH_TELLING:
         return []
     when = "ends" if case.plan.timing == "arrears" else "beginnings"
@@ -66,56 +66,64 @@ def examine(case: PensionCase) -> Examined:
     **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
     """
     inputs = plain(pension_inputs(case))
-    found = figures(case, inputs)
-    known = reconciled(case, found)
-    seen = human(case, inputs, found)
-    return Examined(found, known, seen, [*remarks(case, seen), *against_months(case, found)])
+    result = figures(case, inputs)
+    available = reconciled(case, result)
+    observed = human(case, inputs, result)
+    return Examined(
+        result, available, observed, [*remarks(case, observed), *against_months(case, result)]
+    )
 
 
 def lines(case: PensionCase) -> list[str]:
     """Horizon, inputs and figures of a case as a human compares them: nothing is trained."""
     inputs = pension_inputs(case)
     numbers = sum(entry.value.size for entry in inputs.values())
-    found = examine(case)
+    result = examine(case)
     return [
         f"{case.title}: {case.steps} decisions over {case.steps * case.step:g} years, "
         f"{len(case.assets.classes)} classes, {case.buckets} swap tenors",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
-        *_human(case, found.human),
-        *_status(case, plain(inputs), found.figures.liability),
+        *_human(case, result.human),
+        *_status(case, plain(inputs), result.figures.liability),
         *in_words(case),
         *_leverage(case),
         *_regulation(case),
         *_funding(case),
-        *_pots(case, found.human),
-        *(_line(case, line) for line in found.lines),
-        *(f"note: {each}" for each in found.remarks),
+        *_pots(case, result.human),
+        *(_line(case, line) for line in result.lines),
+        *(f"note: {remark}" for remark in result.remarks),
     ]
 
 
-def _human(case: PensionCase, found: Human) -> list[str]:
+def _human(case: PensionCase, result: Human) -> list[str]:
     """The figures that a human recognises, a line for each kind."""
     size = [
-        f"assets {readable(found.assets, case.currency)}",
-        f"liability {readable(found.liability, case.currency)}",
+        f"assets {readable(result.assets, case.currency)}",
+        f"liability {readable(result.liability, case.currency)}",
     ]
-    if found.funding is not None:
-        size.append(f"funding ratio {found.funding:.1%}")
-    lengths = [f"liability {found.duration:.1f} years", f"assets {found.asset_duration:.1f} years"]
-    if found.hedge_ratio is not None:
-        lengths.append(f"hedge ratio {found.hedge_ratio:.0%}")
-    if found.inflation_hedge_ratio is not None:
-        lengths.append(f"of inflation {found.inflation_hedge_ratio:.0%}")
-    annual = {tenor: float(np.expm1(each)) for tenor, each in found.rate.items()}
-    told = [", ".join(size), f"duration: {', '.join(lengths)}"]
-    told += [f"rates, annual: {_by_tenor(annual)}", f"rates, continuous: {_by_tenor(found.rate)}"]
-    if found.rate_volatility:
-        told.append(f"volatility of rates, a year: {_by_tenor(found.rate_volatility)}")
-    grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())
-    told.append(f"returns a year, without shocks: {grown}")
-    return told
+    if result.funding is not None:
+        size.append(f"funding ratio {result.funding:.1%}")
+    lengths = [
+        f"liability {result.duration:.1f} years",
+        f"assets {result.asset_duration:.1f} years",
+    ]
+    if result.hedge_ratio is not None:
+        lengths.append(f"hedge ratio {result.hedge_ratio:.0%}")
+    if result.inflation_hedge_ratio is not None:
+        lengths.append(f"of inflation {result.inflation_hedge_ratio:.0%}")
+    annual = {tenor: float(np.expm1(item)) for tenor, item in result.rate.items()}
+    summary = [", ".join(size), f"duration: {', '.join(lengths)}"]
+    summary += [
+        f"rates, annual: {_by_tenor(annual)}",
+        f"rates, continuous: {_by_tenor(result.rate)}",
+    ]
+    if result.rate_volatility:
+        summary.append(f"volatility of rates, a year: {_by_tenor(result.rate_volatility)}")
+    grown = ", ".join(f"{name} {entry:.1%}" for name, entry in result.returns.items())
+    summary.append(f"returns a year, without shocks: {grown}")
+    return summary
 
 
 def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list[str]:
@@ -156,8 +164,8 @@ def _leverage(case: PensionCase) -> list[str]:
     assets = case.assets
     if not assets.short:
         return []
-    now, named = assets.weight.used(), [each.name for each in assets.classes]
-    owed = [f"{named[i]} {now[i]:.0%} (down to {assets.low[i]:.0%})"
+    now, by_name = assets.weight.used(), [class_.name for class_ in assets.classes]
+    owed = [f"{by_name[i]} {now[i]:.0%} (down to {assets.low[i]:.0%})"
             for i in range(len(now)) if assets.low[i] < 0]  # fmt: skip
     return [f"holdings of {now[now > 0].sum():.0%} of the assets, short or borrowed: "
             f"{', '.join(owed)}"]  # fmt: skip
@@ -167,11 +175,11 @@ def _regulation(case: PensionCase) -> list[str]:
     """The fund before its regulator; nothing where the case names none."""
     if case.regulation is None:
         return []
-    found = stand(case, plain(pension_inputs(case)))
+    result = stand(case, plain(pension_inputs(case)))
     return [
-        f"required own funds {readable(found.required, case.currency)}: required funding ratio"
-        f" {found.required_ratio:.1%}, minimum {found.minimum_ratio:.1%}, policy ratio"
-        f" {found.policy_ratio:.1%} (rules from {case.regulation.rules.since})"
+        f"required own funds {readable(result.required, case.currency)}: required funding ratio"
+        f" {result.required_ratio:.1%}, minimum {result.minimum_ratio:.1%}, policy ratio"
+        f" {result.policy_ratio:.1%} (rules from {case.regulation.rules.since})"
     ]
 
 
@@ -179,39 +187,39 @@ def _funding(case: PensionCase) -> list[str]:
     """The bases of funding side by side; nothing where the case has none."""
     if case.funding is None:
         return []
-    found, currency = bases(case, plain(pension_inputs(case))), case.currency
-    told = [
-        f"{each.name.lower()} (gilts {each.margin:+.2%}): {readable(each.liability, currency)},"
-        f" funded {each.ratio:.1%}"
-        for each in found.bases
+    result, currency = bases(case, plain(pension_inputs(case))), case.currency
+    summary = [
+        f"{base.name.lower()} (gilts {base.margin:+.2%}): {readable(base.liability, currency)},"
+        f" funded {base.ratio:.1%}"
+        for base in result.bases
     ]
-    plan = found.recovery
+    plan = result.recovery
     if plan.deficit:
-        what = f"recovery plan: {readable(plan.each, currency)} a year for {plan.years:g} years"
-        told.append(f"{what} (deficit {readable(plan.deficit, currency)})")
-    return told
+        message = f"recovery plan: {readable(plan.each, currency)} a year for {plan.years:g} years"
+        summary.append(f"{message} (deficit {readable(plan.deficit, currency)})")
+    return summary
 
 
-def _pots(case: PensionCase, found: Human) -> list[str]:
+def _pots(case: PensionCase, result: Human) -> list[str]:
     """The division into pots and reserve; nothing where rights are promised."""
-    if case.pots is None or found.funding is None:
+    if case.pots is None or result.funding is None:
         return []
-    kept = float(case.pots.reserve.used())
-    pots, reserve = (readable(s * found.assets, case.currency) for s in (1 - kept, kept))
+    selected = float(case.pots.reserve.used())
+    pots, reserve = (readable(s * result.assets, case.currency) for s in (1 - selected, selected))
     return [
-        f"personal pots {pots}, pensions {(1 - kept) * found.funding:.1%} of those earned;"
-        f" solidarity reserve {reserve}, {kept:.1%} of at most"
+        f"personal pots {pots}, pensions {(1 - selected) * result.funding:.1%} of those earned;"
+        f" solidarity reserve {reserve}, {selected:.1%} of at most"
         f" {float(case.pots.largest.used()):.0%} (rules from {case.pots.rules.since})"
     ]
 
 
 def _by_tenor(values: dict[int, float]) -> str:
-    return ", ".join(f"{tenor}y {each:.2%}" for tenor, each in values.items())
+    return ", ".join(f"{tenor}y {value:.2%}" for tenor, value in values.items())
 
 
 def readable(amount: float, currency: str) -> str:
     """Money with four digits and its size in words: "EUR 308.3 million"."""
-    size, word = next((each for each in SIZES if abs(amount) >= each[0]), (1.0, ""))
+    size, word = next((item for item in SIZES if abs(amount) >= item[0]), (1.0, ""))
     return f"{currency} {amount / size:,.1f}{word}"
 
 
@@ -221,22 +229,22 @@ def _line(case: PensionCase, line: Line) -> str:
     def shown(value: float) -> str:
         return readable(value, case.currency) if money else f"{value:,.6g}"
 
-    known = "" if line.given is None else f", given {shown(line.given)} ({line.error:+.1e})"
-    return f"{line.name}: {shown(line.own)}{known}"
+    available = "" if line.given is None else f", given {shown(line.given)} ({line.error:+.1e})"
+    return f"{line.name}: {shown(line.own)}{available}"
 
 
-def reconciled(case: PensionCase, known: Figures | None = None) -> list[Line]:
+def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line]:
     """The lines of the reconciliation; `known`: the figures, where they are known already.
 
     **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
     """
-    found = check(case, plain(pension_inputs(case)), known)
-    for line in found:
+    result = check(case, plain(pension_inputs(case)), available)
+    for line in result:
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
-            what = (
+            message = (
                 f"this model's own figure is {line.own:.8g}, which differs by {line.error:.3g}; "
                 f"the tolerance is {tolerance:g}"
             )
-            raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, what)
-    return found
+            raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)
+    return result

@@ -26,37 +26,37 @@ PROMISED = {"people", "curve", "plan"}
 MARKETS = {"curve", "volatility", "premium", "model", "assets", "credit"}
 
 
-def remarks(case: PensionCase, found: Human) -> list[str]:
+def remarks(case: PensionCase, human: Human) -> list[str]:
     """A sentence for each figure outside its range, and for a deficit that nothing will close."""
     slips = {entry.group for entry in every_given(case) if entry.name in case.slips}
-    size = () if slips & PROMISED else _size(case, found)
-    market = () if slips & MARKETS else _market(case, found)
-    return [*size, *market, *_unpaid(case, found), *_rolling(case, found)]
+    size = () if slips & PROMISED else _size(case, human)
+    market = () if slips & MARKETS else _market(case, human)
+    return [*size, *market, *_unpaid(case, human), *_rolling(case, human)]
 
 
 def _outside(value: float, allowed: tuple[float, float]) -> bool:
     return not allowed[0] <= value <= allowed[1]
 
 
-def _size(case: PensionCase, found: Human) -> Iterator[str]:
-    if found.funding is not None and _outside(found.funding, FUNDING):
+def _size(case: PensionCase, human: Human) -> Iterator[str]:
+    if human.funding is not None and _outside(human.funding, FUNDING):
         yield (
-            f"the funding ratio is {found.funding:.4g}, assets of {found.assets:,.6g} against a "
-            f"liability of {found.liability:,.6g} {case.currency}: is fund.assets in the unit of "
+            f"the funding ratio is {human.funding:.4g}, assets of {human.assets:,.6g} against a "
+            f"liability of {human.liability:,.6g} {case.currency}: is fund.assets in the unit of "
             "the members' pensions?"
         )
-    if found.liability and _outside(found.duration, DURATION):
+    if human.liability and _outside(human.duration, DURATION):
         years = f"below {DURATION[0]:g} or above {DURATION[1]:g}"
-        yield f"the duration of the liability is {found.duration:.3g} years, seldom {years}"
-    if found.hedge_ratio is not None and _outside(found.hedge_ratio, HEDGE):
+        yield f"the duration of the liability is {human.duration:.3g} years, seldom {years}"
+    if human.hedge_ratio is not None and _outside(human.hedge_ratio, HEDGE):
         yield (
-            f"assets and swaps move {found.hedge_ratio:.3g} times as far with rates as the "
+            f"assets and swaps move {human.hedge_ratio:.3g} times as far with rates as the "
             "liability: are the notionals of the swaps in the unit of fund.assets?"
         )
 
 
-def _market(case: PensionCase, found: Human) -> Iterator[str]:
-    for tenor, volatility in found.rate_volatility.items():
+def _market(case: PensionCase, human: Human) -> Iterator[str]:
+    for tenor, volatility in human.rate_volatility.items():
         # Mean reversion leaves little of a volatility at 30 years.
         low = RATE_VOLATILITY[0] if tenor <= 10 else 0.0
         if _outside(volatility, (low, RATE_VOLATILITY[1])):
@@ -65,7 +65,7 @@ def _market(case: PensionCase, found: Human) -> Iterator[str]:
                 f"{low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility (0.008 is "
                 "0.8 % a year) and mean_reversion"
             )
-    for name, mean in found.returns.items():
+    for name, mean in human.returns.items():
         if _outside(mean, RETURN):
             yield (
                 f"{name} grows by {mean:.1%} a year where nothing happens, seldom "
@@ -77,11 +77,11 @@ def _percent(allowed: tuple[float, float]) -> str:
     return f"below {allowed[0]:.0%} or above {allowed[1]:.0%}"
 
 
-def _unpaid(case: PensionCase, found: Human) -> Iterator[str]:
+def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     """A deficit that no contribution will ever close."""
     paid = case.plan.contribution
     target = float(paid.target_ratio.used()) if paid.kind == "target" else 1.0
-    if found.funding is None or found.funding >= target or paid.schedule is not None:
+    if human.funding is None or human.funding >= target or paid.schedule is not None:
         return
     closed = not _has_salaries(case)
     responds = CONTRIBUTIONS[paid.kind].responds
@@ -94,19 +94,19 @@ def _unpaid(case: PensionCase, found: Human) -> Iterator[str]:
     else:
         return
     yield (
-        f"the fund is {found.funding:.1%} funded, {target:.0%} is the aim, and nothing is ever "
+        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and nothing is ever "
         f"paid in: {reason}. Payments agreed in money go into plan.contribution.schedule, a limit "
         "in money into sponsor_limit"
     )
 
 
-def _rolling(case: PensionCase, found: Human) -> Iterator[str]:
+def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
     """A gap of which less is paid in every step than its interest."""
     paid = case.plan.contribution
-    if paid.kind != "target" or paid.level_steps is not None or found.funding is None:
+    if paid.kind != "target" or paid.level_steps is not None or human.funding is None:
         return
     target, years = float(paid.target_ratio.used()), float(paid.recovery_years.used())
-    if found.funding >= target:
+    if human.funding >= target:
         return
     with jax.enable_x64(True):
         rate = -float(log_discount(case, {}, np.array([years]))[0]) / years

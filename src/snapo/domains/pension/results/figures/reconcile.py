@@ -55,8 +55,8 @@ class Line:
 def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     """All figures; `inputs` are plain arrays by name."""
     with jax.enable_x64(True):
-        found = _slopes(case)(_with_curves(case, inputs))
-        slopes, (flow, discount) = jax.tree.map(np.asarray, found)
+        result = _slopes(case)(_with_curves(case, inputs))
+        slopes, (flow, discount) = jax.tree.map(np.asarray, result)
         load = float(reserved(case, inputs))
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
@@ -82,31 +82,42 @@ def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
     """
     case = replace(case, scenarios=None)
 
-    def worth(given):
-        both = payments(case, given)
+    def worth(values):
+        both = payments(case, values)
         return jnp.dot(*both), both
 
     return jax.jit(jax.grad(worth, has_aux=True))
 
 
-def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = None) -> list[Line]:
+def check(
+    case: PensionCase, inputs: dict[str, Any], available: Figures | None = None
+) -> list[Line]:
     """The actuary's liability and duration against the model's, then the model against itself;
     `known`: the figures, where they are known already."""
-    found = known or figures(case, inputs)
-    asked = case.reconcile
+    result = available or figures(case, inputs)
+    request = case.reconcile
     lines = [
-        _line("liability", found.liability, asked and asked.liability, asked and asked.tolerance),
-        _line("duration", found.duration, asked and asked.duration, asked and asked.tolerance),
+        _line(
+            "liability",
+            result.liability,
+            request and request.liability,
+            request and request.tolerance,
+        ),
+        _line(
+            "duration", result.duration, request and request.duration, request and request.tolerance
+        ),
     ]
     plain = replace(case, scenarios=None)
     with jax.enable_x64(True):
-        given = _with_curves(plain, inputs)
-        whole = jax.jit(lambda given: people(plain, given, basis_log_bond(plain, given)).accrued[0])
-        split = np.asarray(whole(given)).sum()
-    lines.append(_line("liability on payment nodes", float(split), found.liability, EXACT))
+        values = _with_curves(plain, inputs)
+        complete = jax.jit(
+            lambda params: people(plain, params, basis_log_bond(plain, params)).accrued[0]
+        )
+        split = np.asarray(complete(values)).sum()
+    lines.append(_line("liability on payment nodes", float(split), result.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
-        parallel = -BASIS_POINT * found.duration * found.liability
-        lines.append(_line("sum of key rates", float(found.key_rate.sum()), parallel, EXACT))
+        parallel = -BASIS_POINT * result.duration * result.liability
+        lines.append(_line("sum of key rates", float(result.key_rate.sum()), parallel, EXACT))
     return lines
 
 
@@ -120,8 +131,8 @@ def payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
 def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:
     """The inputs, with both curves in them even where the case holds them fixed."""
     curves = (case.curve.rate, case.inflation.break_even.rate)
-    given = {each.name: each.values for each in curves} | inputs
-    return {name: np.asarray(values, np.float64) for name, values in given.items()}
+    params = {curve.name: curve.values for curve in curves} | inputs
+    return {name: np.asarray(values, np.float64) for name, values in params.items()}
 
 
 def _shifts_as_one(curve: Curve) -> bool:
@@ -129,8 +140,8 @@ def _shifts_as_one(curve: Curve) -> bool:
     return curve.extrapolation == "flat-forward"
 
 
-def _line(name: str, own: float, given: float | None, tolerance: float | None) -> Line:
-    if given is None or tolerance is None:
-        return Line(name, own, None, 0.0, True)
-    error = (own - given) / abs(given) if given else own
-    return Line(name, own, given, error, bool(abs(error) <= tolerance))
+def _line(name: str, local: float, values: float | None, tolerance: float | None) -> Line:
+    if values is None or tolerance is None:
+        return Line(name, local, None, 0.0, True)
+    error = (local - values) / abs(values) if values else local
+    return Line(name, local, values, error, bool(abs(error) <= tolerance))

@@ -32,28 +32,31 @@ def read_control(
                 f"steps.{name}", table.steps[name], f"there is no such unit; {hint}"
             )
     # A unit that is not integrated over time has no reading until it is too late to decide.
-    known = {
-        f"{each.name}.{state}": unit
-        for each in timed(units)
-        for state, unit in each.states(species).items()
+    available = {
+        f"{item.name}.{state}": unit
+        for item in timed(units)
+        for state, unit in item.states(species).items()
     }
     margin = table.solubility_margin
     if margin is not None:
         margin = quantity(section, "solubility_margin", margin, "1", POSITIVE)
     manipulated = tuple(
-        _manipulated(file, each, i, numbers, notes) for i, each in enumerate(table.manipulated)
+        _manipulated(file, entry, i, numbers, notes) for i, entry in enumerate(table.manipulated)
     )
     sensors = tuple(
-        _measurement(file, each, i, known, notes) for i, each in enumerate(table.measurements)
+        _measurement(file, measurement, i, available, notes)
+        for i, measurement in enumerate(table.measurements)
     )
-    over_time = {each.name for each in timed(units)}
+    over_time = {value.name for value in timed(units)}
     return Control(
         manipulated=manipulated,
         measurements=sensors,
         steps=tuple(table.steps.items()),
         substeps=table.substeps,
         solubility_margin=margin,
-        rules=read_rules(file, table.rules, numbers, manipulated, sensors, known, over_time, notes),
+        rules=read_rules(
+            file, table.rules, numbers, manipulated, sensors, available, over_time, notes
+        ),
     )
 
 
@@ -77,13 +80,13 @@ def _manipulated(file, raw, i: int, numbers: Numbers, notes) -> Manipulated:
     return Manipulated(name, low, high, ramp)
 
 
-def _measurement(file, raw, i: int, known: dict[str, str], notes) -> Measurement:
+def _measurement(file, raw, i: int, available: dict[str, str], notes) -> Measurement:
     section = Section(file, f"control.measurements[{i}]", notes)
     table = parse(MeasurementTable, raw, str(file), section.name)
-    if table.state not in known:
-        hint = suggest(table.state, known, "state")
+    if table.state not in available:
+        hint = suggest(table.state, available, "state")
         raise section.error("state", table.state, f"there is no such state; {hint}")
-    unit = known[table.state]
+    unit = available[table.state]
     return Measurement(
         table.state,
         quantity(section, "error", table.error, unit, NOT_NEGATIVE, difference=True),

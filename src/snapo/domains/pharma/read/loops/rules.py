@@ -54,20 +54,20 @@ def read_rules(
     sensors: Sequence[Measurement], units: dict[str, str], timed: set[str], notes: list[str],
 ) -> tuple[Rule, ...]:  # fmt: skip
     """`units`: of every state that may be measured. `timed`: names of units with a time."""
-    found: list[Rule] = []
-    for i, each in enumerate(raw):
+    rules: list[Rule] = []
+    for i, item in enumerate(raw):
         section = Section(file, f"control.rules[{i}]", notes)
-        table = parse(RuleTable, each, str(file), section.name)
-        if table.name in [rule.name for rule in found]:
+        table = parse(RuleTable, item, str(file), section.name)
+        if table.name in [rule.name for rule in rules]:
             raise section.error("name", table.name, "this name stands there twice")
         read = _Loops(section, numbers, manipulated, sensors, units, timed)
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):
             if loop.of in [other.of for other in loops[:k]]:
-                what = "one control has one loop in a rule"
-                raise section.error(f"loops[{k}].of", manipulated[loop.of].input, what)
-        found.append(Rule(table.name, table.tuning, loops))
-    return tuple(found)
+                message = "one control has one loop in a rule"
+                raise section.error(f"loops[{k}].of", manipulated[loop.of].input, message)
+        rules.append(Rule(table.name, table.tuning, loops))
+    return tuple(rules)
 
 
 class _Loops:
@@ -75,8 +75,8 @@ class _Loops:
 
     def __init__(self, section: Section, numbers, manipulated, sensors, units, timed):
         self.section, self.numbers, self.units, self.timed = section, numbers, units, timed
-        self.controls = [each.input for each in manipulated]
-        self.states = [each.state for each in sensors]
+        self.controls = [item.input for item in manipulated]
+        self.states = [sensor.state for sensor in sensors]
 
     def loop(self, raw: Any, number_: int) -> Cascade:
         file, notes = self.section.file, self.section.notes
@@ -85,8 +85,8 @@ class _Loops:
         of = _among(section, "of", table.of, self.controls, "control")
         unit = table.of.partition(".")[0]
         if unit not in self.timed:
-            what = "a loop moves what is decided over a unit's time"
-            raise section.error("of", table.of, what)
+            message = "a loop moves what is decided over a unit's time"
+            raise section.error("of", table.of, message)
         moved = self.numbers.unit(table.of, 0)
         if table.inner is None:
             return Cascade(
@@ -95,9 +95,9 @@ class _Loops:
         inside = Section(file, f"{section.name}.inner", notes)
         inner = parse(InnerTable, table.inner, str(file), inside.name)
         below = self._pi(inside, inner, unit, moved, None)
-        own = self.units[inner.measure]  # known, as `below` was read
-        above = self._pi(section, table, unit, own, table.setpoint)
-        low, high = (number(inside, key, getattr(inner, key), own) for key in ("low", "high"))
+        local = self.units[inner.measure]  # known, as `below` was read
+        above = self._pi(section, table, unit, local, table.setpoint)
+        low, high = (number(inside, key, getattr(inner, key), local) for key in ("low", "high"))
         if not low < high:
             raise inside.error("high", inner.high, "high must lie above low")
         return Cascade(of, above, below, low, high)
@@ -105,17 +105,17 @@ class _Loops:
     def _pi(self, section: Section, table, unit: str, moved: str, setpoint: Any) -> PI:
         sensor = _among(section, "measure", table.measure, self.states, "measurement")
         if table.measure.partition(".")[0] != unit:
-            what = f"a loop measures in the unit that it moves, {unit}"
-            raise section.error("measure", table.measure, what)
-        own, gain, integral, nodes = self.units[table.measure], None, None, None
+            message = f"a loop measures in the unit that it moves, {unit}"
+            raise section.error("measure", table.measure, message)
+        local, gain, integral, nodes = self.units[table.measure], None, None, None
         if table.gain is not None:
-            gain = number(section, "gain", table.gain, per(moved, own), difference=True)
+            gain = number(section, "gain", table.gain, per(moved, local), difference=True)
             if gain == 0:
                 raise section.error("gain", table.gain, f"allowed is {NOT_ZERO}")
         if table.integral_time is not None:
             integral = number(section, "integral_time", table.integral_time, "s", POSITIVE)
         if setpoint is not None:
-            nodes = tuple(listed(section, "setpoint", setpoint, own))
+            nodes = tuple(listed(section, "setpoint", setpoint, local))
         return PI(sensor, nodes, gain, integral)
 
 
@@ -130,5 +130,5 @@ def per(unit: str, by: str) -> str:
     if unit == by:
         return "1"
     above, *below = by.split("/")
-    found = unit if above == "1" else f"{unit}/{above}"
-    return found + "".join(f"*{each}" for each in below)
+    result = unit if above == "1" else f"{unit}/{above}"
+    return result + "".join(f"*{item}" for item in below)

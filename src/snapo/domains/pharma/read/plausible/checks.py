@@ -26,21 +26,21 @@ def check_decided(case: PharmaCase) -> None:
     before = ancestors(case.units, case.connections)
     over_time = timed(case.units)
     needed = set().union(*(before[unit.name] for unit in staged(case)))
-    for i, each in enumerate(control.manipulated):
-        name = each.input.partition(".")[0]
+    for i, item in enumerate(control.manipulated):
+        name = item.input.partition(".")[0]
         unit = by_name.get(name)
         if unit is None:
-            what = "a policy decides on units, and this number is none of a unit"
+            message = "a policy decides on units, and this number is none of a unit"
         elif unit in over_time:
             profiles = [profile.value.name for profile in unit.profiles]
-            if each.input in profiles:
+            if item.input in profiles:
                 continue
-            what = f"of {name} a policy decides what may change over time: {', '.join(profiles)}"
+            message = f"of {name} a policy decides what may change over time: {', '.join(profiles)}"
         elif name in needed:
-            what = f"{name} runs before a unit over whose time a policy decides or measures"
+            message = f"{name} runs before a unit over whose time a policy decides or measures"
         else:
             continue
-        raise CaseError(str(case.file), f"control.manipulated[{i}].of", each.input, what)
+        raise CaseError(str(case.file), f"control.manipulated[{i}].of", item.input, message)
 
 
 def check_moved(case: PharmaCase) -> None:
@@ -53,8 +53,8 @@ def check_moved(case: PharmaCase) -> None:
     moved += [("uncertainty", name) for name in case.uncertainty.inputs]
     for where, name in moved:
         if name in case.held:
-            what = "this number is among those `held`, which do not move"
-            raise CaseError(str(case.file), f"{where}.of", name, what)
+            message = "this number is among those `held`, which do not move"
+            raise CaseError(str(case.file), f"{where}.of", name, message)
 
 
 def check_varied_once(case: PharmaCase) -> None:
@@ -62,8 +62,8 @@ def check_varied_once(case: PharmaCase) -> None:
     uncertain = set(zip(case.uncertainty.inputs, case.uncertainty.entries))
     for name, entry in process_entries(case):
         if (name, entry) in uncertain:
-            what = "this number has a distribution under [[parameters]] as well"
-            raise CaseError(str(case.file), "uncertainty", f"{name}[{entry}]", what)
+            message = "this number has a distribution under [[parameters]] as well"
+            raise CaseError(str(case.file), "uncertainty", f"{name}[{entry}]", message)
 
 
 def check_amounts(
@@ -79,11 +79,11 @@ def check_amounts(
     for group in groups(units, connections):
         flows = [lasting[unit.name, port.name] for unit in group.units for port in unit.inlets]
         if group.torn and not all(flows):
-            what = (
+            message = (
                 f"a batch reaches the loop {group.loop}, which is solved at its steady state: "
                 "every feed of it needs a duration, and its units take flows"
             )
-            raise CaseError(str(file), "connections", None, what)
+            raise CaseError(str(file), "connections", None, message)
     for unit in units:
         fed = {c.inlet: by_name.get(c.source) for c in connections if c.target == unit.name}
         for inlet in unit.inlets:
@@ -91,14 +91,14 @@ def check_amounts(
             if feed is not None and inlet.dosed is not None:
                 _check_dose(file, unit, feed, inlet.dosed)
             if feed is not None and inlet.lasting and feed.duration is None:
-                what = f"unit {unit.name} runs continuously and needs to know over which time"
-                raise CaseError(str(file), f"feeds.{feed.name}.duration", None, what)
+                message = f"unit {unit.name} runs continuously and needs to know over which time"
+                raise CaseError(str(file), f"feeds.{feed.name}.duration", None, message)
             if inlet.lasting and not lasting[unit.name, inlet.name]:
-                what = (
+                message = (
                     f"unit {unit.name} runs continuously, and a batch reaches its inlet "
                     f"{inlet.name}: every feed of a flow needs a duration"
                 )
-                raise CaseError(str(file), f"units.{unit.name}", None, what)
+                raise CaseError(str(file), f"units.{unit.name}", None, message)
             if inlet.lasting and unit.time is not None:
                 runs, flows = float(unit.time.used()), lasting[unit.name, inlet.name]
                 _check_end(file, f"units.{unit.name}.duration", unit, inlet, runs, flows, "runs")
@@ -127,20 +127,20 @@ def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> No
 
 def _check_end(file, where: str, unit: Unit, inlet: Inlet, runs: float, flows: float, verb) -> None:
     if runs > flows * (1 + 1e-9):
-        what = (
+        message = (
             f"{unit.name} {verb} {runs:.10g} s, and its inlet {inlet.name} flows for "
             f"{flows:.10g} s; allowed is up to {flows:.10g} s, or a feed that lasts longer"
         )
-        raise CaseError(str(file), where, f"{runs:.10g} s", what)
+        raise CaseError(str(file), where, f"{runs:.10g} s", message)
 
 
 def _check_shape(file, where: str, unit: Unit, dosing: Profile) -> None:
     if dosing.value.values.size == 1:
-        what = (
+        message = (
             "a flow of one value is set by the volume of its feed and the duration of "
             f"{unit.name}, which may vary in its place"
         )
-        raise CaseError(str(file), where, dosing.value.name, what)
+        raise CaseError(str(file), where, dosing.value.name, message)
 
 
 def _lasting(feeds, units, connections) -> dict[tuple[str, str], float]:
@@ -172,11 +172,11 @@ def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:
     dosed = duration * float(weights(dosing) @ dosing.value.used())
     held = float(feed.volume.values[0])
     if abs(dosed - held) > 1e-9 * held:
-        what = (
+        message = (
             f"over {duration:g} s it doses {dosed:.10g} m3, and feed {feed.name} holds "
             f"{held:.10g} m3"
         )
-        raise CaseError(str(file), f"units.{unit.name}.dosing", None, what)
+        raise CaseError(str(file), f"units.{unit.name}.dosing", None, message)
 
 
 def _steep(profile: Profile, duration: float) -> list[str]:

@@ -18,16 +18,16 @@ def check_drawn(
     section: Section, raw: Any, distribution: Distribution, numbers: Numbers, entry: Entry
 ) -> None:
     """Refuses a distribution of which one draw in a thousand is impossible; notes rarer ones."""
-    given = numbers.givens[entry[0]]
-    share = outside(distribution, numbers.value(entry), given.low, given.high)
+    values = numbers.givens[entry[0]]
+    share = outside(distribution, numbers.value(entry), values.low, values.high)
     if share <= NOTED:
         return
-    said = f"{100 * share:.2g} % of its draws are none that {numbers.said(entry)} can have"
-    said += f" ({limits(given)})"
+    metadata = f"{100 * share:.2g} % of its draws are none that {numbers.said(entry)} can have"
+    metadata += f" ({limits(values)})"
     if share > REFUSED:
-        hint = "" if given.low < 0 else '; kind "lognormal" stays above 0'
-        raise section.error("distribution", raw, f"{said}{hint}")
-    section.notes.append(f"{section.name}: {said}.")
+        hint = "" if values.low < 0 else '; kind "lognormal" stays above 0'
+        raise section.error("distribution", raw, f"{metadata}{hint}")
+    section.notes.append(f"{section.name}: {metadata}.")
 
 
 def outside(distribution: Distribution, centre: float, low: float, high: float) -> float:

@@ -59,20 +59,20 @@ def check_moved_solubility(units: Sequence[Unit], spans: Iterable, numbers: Numb
 
     `spans`: (name of a number, its lowest and highest value).
     """
-    found = []
+    messages = []
     for name, low, high in spans:
-        unit = next((each for each in units if name == f"{each.name}.temperature"), None)
+        unit = next((item for item in units if name == f"{item.name}.temperature"), None)
         part = None if unit is None else getattr(unit, "solubility", None)
         if isinstance(part, Solubility):
             at = np.linspace(low, high, POINTS)
             value = nominal_solubility(part, at)
             if (value <= 0).any():
                 worst = int(np.argmin(value))
-                found.append(
+                messages.append(
                     f"{numbers.givens[name].name} may come to {at[worst]:.6g} K, where the "
                     f"solubility is {value[worst]:.4g} kg/m3, which cannot be."
                 )
-    return found
+    return messages
 
 
 def unusual(
@@ -96,25 +96,25 @@ def _check_feed(file, feed: Feed, network: Network) -> None:
     dissolved = float(network.molar_mass @ feed.concentration.values)
     total = dissolved + float(feed.solvent.values[0])
     if total > LIQUID.high:
-        what = (
+        message = (
             f"solvent and what is dissolved weigh {total:.6g} kg in a cubic metre, and at most "
             f"{LIQUID.high:g} are allowed"
         )
-        raise CaseError(str(file), f"feeds.{feed.name}", None, what)
+        raise CaseError(str(file), f"feeds.{feed.name}", None, message)
 
 
 def _check_solubility(file, unit: Unit, part: Solubility) -> None:
     value = getattr(unit, "temperature")  # noqa: B009
     nodes = (value.value if isinstance(value, Profile) else value).values
     at = np.linspace(nodes.min(), nodes.max(), POINTS)
-    found = nominal_solubility(part, at)
-    worst = int(np.argmin(found))
-    if not found[worst] > 0:
-        what = (
-            f"at {at[worst]:.6g} K, which {unit.name} comes to, it is {found[worst]:.4g} kg/m3; "
+    result = nominal_solubility(part, at)
+    worst = int(np.argmin(result))
+    if not result[worst] > 0:
+        message = (
+            f"at {at[worst]:.6g} K, which {unit.name} comes to, it is {result[worst]:.4g} kg/m3; "
             "allowed is above 0"
         )
-        raise CaseError(str(file), f"units.{unit.name}.solubility", None, what)
+        raise CaseError(str(file), f"units.{unit.name}.solubility", None, message)
 
 
 def _check_seed(file, unit: Unit, seed: Seed) -> None:
@@ -126,8 +126,8 @@ def _check_seed(file, unit: Unit, seed: Seed) -> None:
     else:
         return
     if share >= PACKED:
-        what = (
+        message = (
             f"the seed takes {100 * share:.4g} % of the volume; allowed is less than "
             f"{100 * PACKED:g} %"
         )
-        raise CaseError(str(file), f"units.{unit.name}.seed", None, what)
+        raise CaseError(str(file), f"units.{unit.name}.seed", None, message)

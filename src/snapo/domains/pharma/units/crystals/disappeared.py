@@ -30,13 +30,15 @@ def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) 
             f"{1e6 * smallest:.3g} um: {REMEDY}"
         )
     # Nuclei of an interval count as born at its end.
-    kept = np.unique(np.linspace(0, len(time) - 1, MOST).astype(int))
-    born = np.diff(np.cumsum(born)[kept], prepend=0.0)
-    size = nuclei_size + length[kept][:, None] - length[kept]  # of those born then, at every time
+    selected = np.unique(np.linspace(0, len(time) - 1, MOST).astype(int))
+    born = np.diff(np.cumsum(born)[selected], prepend=0.0)
+    size = (
+        nuclei_size + length[selected][:, None] - length[selected]
+    )  # of those born then, at every time
     gone = np.minimum.accumulate(np.tril(size) + np.triu(np.full_like(size, np.inf), 1), 0) < 0
     surface = np.where(gone, size**2, 0.0) @ born
-    whole = track["mu2"][kept]
-    share = np.max(surface / np.where(whole > 0, whole, np.inf))
+    complete = track["mu2"][selected]
+    share = np.max(surface / np.where(complete > 0, complete, np.inf))
     if share > SURFACE:
         return f"crystals that have dissolved hold {share:.2g} of the surface: {REMEDY}"
     return ""

@@ -57,9 +57,9 @@ def read_kinetics(read: Reader) -> Kinetics:
     rates = {"growth": "m/s", "dissolution": "m/s", "primary": "1/m3/s", "secondary": "1/m3/s"}
     orders = ("growth_order", "dissolution_order", "primary_order", "secondary_order",
               "crystal_order")  # fmt: skip
-    found = {key: read.number(key, unit, NOT_NEGATIVE) for key, unit in rates.items()}
-    found |= {key: read.number(key, "1", NOT_NEGATIVE) for key in orders}
-    return Kinetics(**found, rounding=read.plain("rounding", "1", POSITIVE))
+    numbers = {key: read.number(key, unit, NOT_NEGATIVE) for key, unit in rates.items()}
+    numbers |= {key: read.number(key, "1", NOT_NEGATIVE) for key in orders}
+    return Kinetics(**numbers, rounding=read.plain("rounding", "1", POSITIVE))
 
 
 class Rates(NamedTuple):

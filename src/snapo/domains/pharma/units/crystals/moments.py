@@ -34,10 +34,10 @@ def by_moments(
         return slope
 
     def slope(y, growth, born):
-        found = grow(y[:MOMENTS], growth, None if separate else born)
+        result = grow(y[:MOMENTS], growth, None if separate else born)
         if separate:
-            found += grow(y[MOMENTS:], growth, born)
-        return jnp.stack(found)
+            result += grow(y[MOMENTS:], growth, born)
+        return jnp.stack(result)
 
     def measures(y):
         if not separate:

@@ -48,19 +48,19 @@ def ideal(temperature, melting, fusion, capacity: ArrayLike = 0.0) -> Array:
     return -heat + capacity / GAS_CONSTANT * (ratio - 1 - jnp.log(ratio))
 
 
-def share(wanted, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
+def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     """x of the solute with ln(x gamma) = `wanted`; `liquid`: the solvents' shares without it."""
 
-    def gap(u, wanted, liquid, tau, alpha):
+    def gap(u, target, liquid, tau, alpha):
         x = jnp.exp(u)
         shares = jnp.concatenate([x[None], (1 - x) * liquid])
-        return u + activity(shares, tau, alpha)[0] - wanted
+        return u + activity(shares, tau, alpha)[0] - target
 
     still = jax.lax.stop_gradient
-    fixed = still((wanted, liquid, tau, alpha))
+    fixed = still((requested, liquid, tau, alpha))
 
-    def halved(ends, _):
-        low, high = ends
+    def halved(endpoints, _):
+        low, high = endpoints
         middle = (low + high) / 2
         above = gap(middle, *fixed) > 0
         return (jnp.where(above, low, middle), jnp.where(above, middle, high)), None
@@ -70,7 +70,7 @@ def share(wanted, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     u = still((low + high) / 2)
     slope = still(jax.grad(lambda v: gap(v, *fixed))(u))
     for _ in range(2):
-        u = u - gap(u, wanted, liquid, tau, alpha) / slope
+        u = u - gap(u, requested, liquid, tau, alpha) / slope
     return jnp.exp(u)
 
 
@@ -123,10 +123,10 @@ def read_mixture(read: Reader) -> Mixture:
         raise read.section.error("composition", None, "several solvents need this key")
     liquid = np.array(listed(read.section, "composition", shares, "1", SHARE))
     if len(liquid) != count - 1 or abs(liquid.sum() - 1) > 1e-6:
-        what = f"allowed are {count - 1} shares that add up to 1"
-        raise read.section.error("composition", shares, what)
+        message = f"allowed are {count - 1} shares that add up to 1"
+        raise read.section.error("composition", shares, message)
     if table.solvent_masses is None:
-        masses = [constant(read, "solvents", each, "MW") for each in table.solvents]
+        masses = [constant(read, "solvents", solvent, "MW") for solvent in table.solvents]
     else:
         masses = listed(read.section, "solvent_masses", table.solvent_masses, "kg/kmol", POSITIVE)
     if len(masses) != count - 1:
@@ -170,16 +170,16 @@ def constant(read: Reader, key: str, name: str, which: str) -> float:
     try:
         import chemicals
     except ImportError:
-        what = "constants by name need the package chemicals: pip install 'snapo[chemicals]'"
-        raise read.section.error(key, name, what) from None
+        message = "constants by name need the package chemicals: pip install 'snapo[chemicals]'"
+        raise read.section.error(key, name, message) from None
     try:
         number = chemicals.CAS_from_any(name)
-        found = getattr(chemicals, which)(number)
+        result = getattr(chemicals, which)(number)
     except ValueError:
-        found = None
-    if found is None:
+        result = None
+    if result is None:
         raise read.section.error(key, name, f"chemicals has no {which} of this substance")
-    return float(found)
+    return float(result)
 
 
 def _apart(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -192,11 +192,11 @@ def dissolved(record: Mixture, inputs: dict[str, Any], temperature) -> Array:
     """c* in kg/m3 at temperatures of any shape, x / (1 - x) times the solvent."""
     count, (rows, columns) = len(record.liquid) + 1, _apart(len(record.liquid) + 1)
 
-    def square(each: Given) -> Array:
-        return jnp.zeros((count, count)).at[rows, columns].set(use(inputs, each))
+    def square(item: Given) -> Array:
+        return jnp.zeros((count, count)).at[rows, columns].set(use(inputs, item))
 
     a, b, alpha = square(record.a), square(record.b), square(record.alpha)
-    numbers = (use(inputs, each) for each in (record.melting, record.fusion, record.capacity))
+    numbers = (use(inputs, entry) for entry in (record.melting, record.fusion, record.capacity))
     melting, fusion, capacity = numbers
     liquid = fixed(record.liquid)
 

@@ -36,12 +36,12 @@ class Population(NamedTuple):
 
 def mean_sizes(moments: Float[Array, "... 6"]) -> dict[str, Array]:
     """d32 = mu3 / mu2 and d43 = mu4 / mu3 in m; 0 without crystals."""
-    found = {}
+    table = {}
     for name, upper in (("d32", 3), ("d43", 4)):
         above, below = moments[..., upper], moments[..., upper - 1]
         empty = below <= 0
-        found[name] = jnp.where(empty, 0.0, above / jnp.where(empty, 1.0, below))
-    return found
+        table[name] = jnp.where(empty, 0.0, above / jnp.where(empty, 1.0, below))
+    return table
 
 
 def cell_powers(edges: np.ndarray) -> Float[np.ndarray, "6 N"]:

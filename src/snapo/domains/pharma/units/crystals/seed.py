@@ -83,8 +83,8 @@ def read_seed(read: Reader) -> Seed:
     """A loading and a size, or six moments."""
     table = read.table
     if (table.moments is None) == (table.loading is None):
-        what = "a seed has a loading and a size, or else its six moments"
-        raise read.section.error("moments", table.moments, what)
+        message = "a seed has a loading and a size, or else its six moments"
+        raise read.section.error("moments", table.moments, message)
     if table.moments is None:
         if table.size is None:
             raise read.section.error("size", None, "a loading needs this key")
@@ -93,8 +93,8 @@ def read_seed(read: Reader) -> Seed:
         return Seed(loading, size, None, spread)
     for key in ("size", "spread"):
         if getattr(table, key) is not None:
-            what = "a seed with moments has no such key"
-            raise read.section.error(key, getattr(table, key), what)
+            message = "a seed with moments has no such key"
+            raise read.section.error(key, getattr(table, key), message)
     if len(table.moments) != 6:
         raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
     values = [
@@ -102,11 +102,11 @@ def read_seed(read: Reader) -> Seed:
         for k, raw in enumerate(table.moments)
     ]
     if not _possible(np.array(values)):
-        what = (
+        message = (
             "no crystals have these moments: the mean square of a size is at least the square of "
             "its mean, mu0 mu2 >= mu1^2, and so on up to mu5"
         )
-        raise read.section.error("moments", table.moments, what)
+        raise read.section.error("moments", table.moments, message)
     labels = tuple(f"mu{k}" for k in range(6))
     name = f"{read.name}.moments"
     return Seed(

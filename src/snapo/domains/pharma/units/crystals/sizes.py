@@ -33,8 +33,8 @@ def read_edges(read: Reader) -> np.ndarray:
     if read.table.spacing == "equal":
         return np.linspace(low, high, read.table.cells + 1)
     if low == 0:
-        what = 'spacing "geometric" needs a smallest size above 0'
-        raise read.section.error("smallest", read.table.smallest, what)
+        message = 'spacing "geometric" needs a smallest size above 0'
+        raise read.section.error("smallest", read.table.smallest, message)
     return np.geomspace(low, high, read.table.cells + 1)
 
 
@@ -49,8 +49,8 @@ def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
     """Refuses a grid that a part of the seed lies outside of."""
     outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
     if outside > SEED_OUTSIDE:
-        what = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"
-        raise read.section.error("largest", read.table.largest, what)
+        message = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"
+        raise read.section.error("largest", read.table.largest, message)
 
 
 def _volume_outside(seed: Seed, low: float, high: float) -> float:
@@ -59,5 +59,5 @@ def _volume_outside(seed: Seed, low: float, high: float) -> float:
     variance = math.log1p(float(seed.spread.values[0]) ** 2)
     # By volume the distribution of the logarithm lies three variances higher than by number.
     centre = math.log(float(seed.size.values[0])) + 2.5 * variance
-    z = [(math.log(max(each, 1e-12)) - centre) / math.sqrt(2 * variance) for each in (low, high)]
+    z = [(math.log(max(item, 1e-12)) - centre) / math.sqrt(2 * variance) for item in (low, high)]
     return (math.erfc(z[1]) + math.erfc(-z[0])) / 2

@@ -130,8 +130,8 @@ def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarra
     if record.mixture is not None:
         with jax.enable_x64(True):
             return np.asarray(dissolved(record.mixture, {}, temperature))
-    found = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
-    return np.exp(found) if record.kind == "exponential" else found
+    polyval = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
+    return np.exp(polyval) if record.kind == "exponential" else polyval
 
 
 def antisolvent_factor(record: Solubility, inputs: dict[str, Any], fraction) -> Array:

@@ -177,7 +177,7 @@ class Granulation(Timed):
         wet = fed.solvent + fed.antisolvent + liquid
         room = use(inputs, self.liquid_density)
         filled = wet / room / volume
-        first, least = use(inputs, self.porosity), use(inputs, self.least_porosity)
+        first, minimum = use(inputs, self.porosity), use(inputs, self.least_porosity)
         size, spread = use(inputs, self.nuclei_size), use(inputs, self.nuclei_spread)
         coalescence, settles = use(inputs, self.coalescence), use(inputs, self.consolidation)
         power, speed = use(inputs, self.saturation_power), use(inputs, self.speed.value)
@@ -188,7 +188,7 @@ class Granulation(Timed):
 
         def rate(y, drive):
             meets = coalescence * drive[0] * saturation(y[2]) ** power
-            falls = settles * drive[0] * (y[2] - least)
+            falls = settles * drive[0] * (y[2] - minimum)
             return jnp.stack([meets / 2, meets * jnp.exp(y[0]), -falls])
 
         def drive(control):
@@ -202,12 +202,12 @@ class Granulation(Timed):
             return lognormal(count, volume / (1 - y[2]) / SPHERE, y[1] * jnp.exp(-y[0]))
 
         def states(y, control):
-            found = {"porosity": y[2], "saturation": saturation(y[2])}
-            return found | mean_sizes(moments(y)) | {"speed": jnp.asarray(control)}
+            table = {"porosity": y[2], "saturation": saturation(y[2])}
+            return table | mean_sizes(moments(y)) | {"speed": jnp.asarray(control)}
 
         def finish(y, _):
-            own, envelope = moments(y), dry * (1 - y[2])
-            measures = mean_sizes(own) | {
+            local, envelope = moments(y), dry * (1 - y[2])
+            measures = mean_sizes(local) | {
                 "spread": _spread(y[1] * jnp.exp(-y[0])),
                 "porosity": y[2],
                 "saturation": saturation(y[2]),
@@ -221,7 +221,7 @@ class Granulation(Timed):
                 solid=fed.solid + more,
                 solvent=fed.solvent + liquid,
                 volume=fed.volume + liquid / room,
-                moments=own,
+                moments=local,
                 density=envelope,
                 shape=jnp.asarray(SPHERE),
                 inner_size=jnp.where(inside, fed.inner_size, mean_sizes(fed.moments)["d32"]),
@@ -252,5 +252,5 @@ def lognormal(count, third, ratio) -> Float[Array, " 6"]:
 def _spread(ratio) -> Array:
     """Of ln(size), with a finite derivative where all are of one size."""
     above = jnp.log(jnp.maximum(ratio, 1.0)) / 9
-    alike = above <= 0
-    return jnp.where(alike, 0.0, jnp.sqrt(jnp.where(alike, 1.0, above)))
+    same = above <= 0
+    return jnp.where(same, 0.0, jnp.sqrt(jnp.where(same, 1.0, above)))

@@ -65,27 +65,27 @@ def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[
     return jnp.sum(crystals.share * dissolved(crystals.whole))
 
 
-def gone(time, whole) -> Float[Array, ""]:
+def gone(time, complete) -> Float[Array, ""]:
     """The share of shrinking spheres that is dissolved after `time`, of which they take `whole` s:
     1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
     Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
-    left = 1 - time / whole
+    left = 1 - time / complete
     # The cube makes it twice differentiable at full dissolution.
     return 1 - jnp.where(left > 0, left, 0.0) ** 3
 
 
-def released(time, whole, mean) -> Float[Array, ""]:
+def released(time, complete, mean) -> Float[Array, ""]:
     """The share dissolved after `time` where particles leave the tablet at random times, 1 -
     exp(-s / mean) of them by s, and each then shrinks as in `gone`.
 
     The integral of exp(-s/mean)/mean gone(t - s) over s from 0 to t, in closed form: with x = u/T,
     a = mean/T and the antiderivative e^(x/a) (a (1-x)^2 + 2 a^2 (1-x) + 2 a^3) of e^(x/a) (1-x)^2.
     """
-    last = jnp.minimum(time, whole)
-    a, x = mean / whole, last / whole
+    last = jnp.minimum(time, complete)
+    a, x = mean / complete, last / complete
 
     def part(x):
         return a * (1 - x) ** 2 + 2 * a**2 * (1 - x) + 2 * a**3
 
     late = jnp.exp((last - time) / mean) * part(x) - jnp.exp(-time / mean) * part(jnp.zeros(()))
-    return gone(time, whole) - 3 * late
+    return gone(time, complete) - 3 * late

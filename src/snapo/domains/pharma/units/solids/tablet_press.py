@@ -128,12 +128,12 @@ class TabletPress(Instant):
     @classmethod
     def read(cls, read, species):
         table = read.table
-        own, other = (HECKEL, KAWAKITA) if table.compaction == "heckel" else (KAWAKITA, HECKEL)
-        for key in (*own, *other):
-            given = getattr(table, key)
-            if (given is None) == (key in own):
-                says = "needs this key" if key in own else "has no such key"
-                raise read.section.error(key, given, f'compaction "{table.compaction}" {says}')
+        local, other = (HECKEL, KAWAKITA) if table.compaction == "heckel" else (KAWAKITA, HECKEL)
+        for key in (*local, *other):
+            values = getattr(table, key)
+            if (values is None) == (key in local):
+                says = "needs this key" if key in local else "has no such key"
+                raise read.section.error(key, values, f'compaction "{table.compaction}" {says}')
         return cls(
             name=read.name,
             drug=species.index(read.known("drug", species, "species")),
@@ -226,7 +226,9 @@ class TabletPress(Instant):
     def dissolved(self, fed: Stream, mean, inputs: dict[str, Any]) -> Float[Array, ""]:
         """The share of the drug in solution at the end of the test."""
         time = use(inputs, self.test_time)
-        return over_sizes(lambda whole: released(time, whole, mean), lasting(self, fed, inputs))
+        return over_sizes(
+            lambda complete: released(time, complete, mean), lasting(self, fed, inputs)
+        )
 
 
 def acceptance(mean, deviation) -> Float[Array, ""]:
