@@ -72,7 +72,7 @@ def table(case=EXAMPLE) -> Iterator[str]:
     yield (
         f"{'exact derivatives':<22}{recipe.value:>10.6f}{conditions.violation:>11.1e}"
         f"{recipe.evaluations:>13}{found.solving:>9.2f}  and {found.compiling:.1f} to compile, "
-        f"{whole:.1f} in all ({processor:.1f} of processors); {len(found.ends)} starts, "
+        f"{whole:.1f} in all ({processor:.1f} of processors); {len(found.endpoints)} starts, "
         f"{recipe.iterations} iterations in the best"
     )
     yield f"{'':<22}{found.mode}"
@@ -81,7 +81,7 @@ def table(case=EXAMPLE) -> Iterator[str]:
     for each, x, below, above in zip(ask.decisions, recipe.x, conditions.low, conditions.high):
         side = "low" if below else "high" if above else ""
         worth = f"  at {side}, multiplier {(below + above) * each.scale:.3g}" if side else ""
-        yield f"{'':<22}{each.name:<30}{each.owners(x):>10.4f} {each.unit}{worth}"
+        yield f"{'':<22}{each.name:<30}{each.in_case_unit(x):>10.4f} {each.unit}{worth}"
     for each, worth in zip(found.bounds, conditions.above):
         if worth:
             yield (

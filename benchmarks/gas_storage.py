@@ -86,7 +86,7 @@ def problem(count: int) -> tuple[Problem, StoragePolicy]:
     case = DOMAIN.read(*load(CASE))
     bare = bare_problem(case)
     found = marginal_values(bare.schedule, factors(bare), case.contract.ratchets.interpolation)
-    fixed = {name: entry.value for name, entry in bare.named.items()}
+    fixed = {name: entry.value for name, entry in bare.inputs_by_name.items()}
     year = replace(Year.of(case, ValueTable.of(found)), fixed=fixed)
     inputs = {"factors": Input(np.ones(count))}
     policy = StoragePolicy(bare.features, key=jax.random.key(0))

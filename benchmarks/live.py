@@ -27,7 +27,7 @@ def table(run: Path, moves: int = MOVES) -> Iterator[str]:
     valuation = open_run(run)
     dict(valuation.stages({}))
     yield f"ready after {time.perf_counter() - started:.1f} s; paths: {valuation.counts}"
-    many = [each for each in valuation.named.items() if len(handles(each[1])) > 1]
+    many = [each for each in valuation.inputs_by_name.items() if len(handles(each[1])) > 1]
     name, given = next((each for each in many if each[1].group in ("price", "curve")), many[0])
     found: dict[str, list[float]] = {}
     errors, busy = [], []

@@ -123,8 +123,8 @@ def table(run: Path, moves: int = MOVES, simulator: tuple[str, str] | None = Non
         page.locator("#deltas").wait_for(timeout=PATIENCE)
         page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true })")
         shown = {k: v for k, v in PLACES.items() if page.locator(v).is_visible()}
-        assert server.crew.process is not None
-        worker, found, busy, errors = server.crew.process.pid, [], [], []
+        assert server.workers.process is not None
+        worker, found, busy, errors = server.workers.process.pid, [], [], []
         for control, key in moves_of(page, moves):
             before = processor(worker)
             found.append(page.evaluate(WATCH, [control, key, shown]))
@@ -133,7 +133,7 @@ def table(run: Path, moves: int = MOVES, simulator: tuple[str, str] | None = Non
             errors.append(abs(error / value) if value else 0.0)
             page.locator("#status", has_text="revalued in").wait_for(timeout=PATIENCE)
         browser.close()
-        counts = server.crew.state["counts"]
+        counts = server.workers.state["counts"]
     yield f"{moves} moves; paths {counts}"
     yield f"standard error at most {100 * max(errors):.3f} % of the value"
     for name in found[0]:

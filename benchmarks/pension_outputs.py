@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.chapters.outputs import asked
+from snapo.domains.pension.chapters.outputs import requested
 from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.setup import FUNDING, make_setup
 from snapo.problem.smooth import Exact
@@ -37,7 +37,7 @@ def bound(folder: Path, paths: int):
     rolled = engine.values(policy, draws, Exact(), record=("action",))
     totals = {name: np.asarray(total) for name, total in rolled.totals.items()}
     weights = [problem.objective.weights(totals)]
-    weights += [goal.weights(totals) for _, _, _, goal in asked(FUNDING)]
+    weights += [goal.weights(totals) for _, _, _, goal in requested(FUNDING)]
     return engine, policy, draws, rolled.record["action"], weights
 
 

@@ -40,7 +40,7 @@ class FixedOrder(snapo.Simulator):
     action: snapo.Product = snapo.Product(order=snapo.Choice(2), size=snapo.Integers(0, 40))
 
     def prepare(self, inputs):
-        demand = draws.prepare(draws.Poisson(inputs["mean"], most=30))
+        demand = draws.prepare(draws.Poisson(inputs["mean"], maximum=30))
         return snapo.Schedule({**inputs, "demand": demand}, {"left": countdown(50)})
 
     def in_mean(self):
@@ -69,7 +69,7 @@ class LostSales(snapo.Simulator):
     action: snapo.Integers = snapo.Integers(0, 20)
 
     def prepare(self, inputs):
-        demand = draws.prepare(draws.Poisson(inputs["mean"], most=30))
+        demand = draws.prepare(draws.Poisson(inputs["mean"], maximum=30))
         return snapo.Schedule({**inputs, "demand": demand}, {"left": countdown(30)})
 
     def in_mean(self):
@@ -381,7 +381,7 @@ class Batches(snapo.Simulator):
     action: snapo.Choice = snapo.Choice(3)
 
     def prepare(self, inputs):
-        demand = draws.prepare(draws.Poisson(inputs["mean"], most=30))
+        demand = draws.prepare(draws.Poisson(inputs["mean"], maximum=30))
         return snapo.Schedule({**inputs, "demand": demand}, {"left": countdown(20)})
 
     def in_mean(self):

@@ -8,7 +8,7 @@ from snapo import Training
 from snapo.engine import choose
 from snapo.problem.problem import Problem
 from snapo.solver.learning.progress import Progress
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 from snapo.solver.windows.window import UPDATES
 
 from .clock import Clock, Point, Tell
@@ -50,7 +50,9 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
             tell(Point(problem, "snapo", seed, steps, processor, wall, value))
 
         engine = choose("auto", lesson, policy).train
-        ended = train(lesson, begin(policy, settings, lesson), settings, engine, (measure,))
+        ended = train(
+            lesson, initial_progress(policy, settings, lesson), settings, engine, (measure,)
+        )
         policy, made = ended.best, made + simulated(lesson, settings, ended)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import snapo
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section
 
@@ -25,7 +25,7 @@ COLUMNS = ("date", "price", "name")
 
 def read(folder: Path, name: str) -> list[tuple]:
     section = Section(folder / "case.toml", "market", [])
-    rows = read_rows(Mention(section, "curve", name), COLUMNS)
+    rows = read_rows(FileReference(section, "curve", name), COLUMNS)
     return [(row.day("date"), row.number("price"), row.cells["name"]) for row in rows]
 
 

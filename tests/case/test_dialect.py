@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section
 
@@ -17,7 +17,7 @@ def rows_of(folder: Path, text: str) -> tuple[list[Row], list[str]]:
     (folder / "curve.csv").write_bytes(text.encode("utf-8"))
     notes: list[str] = []
     section = Section(folder / "case.toml", "market", notes)
-    return read_rows(Mention(section, "curve", "curve.csv"), ("date", "price")), notes
+    return read_rows(FileReference(section, "curve", "curve.csv"), ("date", "price")), notes
 
 
 def refused(folder: Path, text: str) -> str:

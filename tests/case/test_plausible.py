@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import (
     CaseFiles,
     CheckedNumbers,
@@ -52,9 +52,9 @@ def test_a_number_is_located(files, name, label, value, position):
 
 
 def test_a_note_has_position_number_unit_range_and_hint(files):
-    rate = Given(
-        "interest_rate", np.array([0.9]), ("",), "1/year", np.array(0), trade_unit="bp",
-        trade_factor=1e4, group="interest rate",
+    rate = CaseInput(
+        "interest_rate", np.array([0.9]), ("",), "1/year", np.array(0), display_unit="bp",
+        display_factor=1e4, group="interest rate",
     )  # fmt: skip
     range_ = Plausible(-0.02, 0.25, "0.02 is 2 %", group="interest rate")
     (note,) = implausible([rate], [range_], files).values()
@@ -123,7 +123,7 @@ def test_neighbours_along_a_curve(values, usual):
 
 def test_the_accessor_reads_inputs_of_a_simulator():
     result = checked_numbers(
-        Input([[1.0, 2.0]], "EUR", trade_unit="cent", trade_factor=100.0), "cost"
+        Input([[1.0, 2.0]], "EUR", display_unit="cent", display_factor=100.0), "cost"
     )
     assert (result.name, result.values.tolist(), result.labels) == ("cost", [1.0, 2.0], ("0", "1"))
     assert (result.display_unit, result.display_factor) == ("cent", 100.0)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given, SheetCell
+from snapo.case.given import CaseInput, SheetCell
 from snapo.case.quantity import (
     ANY,
     BELOW_ONE,
@@ -37,9 +37,9 @@ class Example(Table):
 
     volume: str = "MWh"
     money: str = "EUR"
-    cost: Given = COST("per unit", 0.0)
-    share: Given = SHARE("of the volume")
-    cap: Given | None = Quantity("{volume}", POSITIVE)("the largest volume", None)
+    cost: CaseInput = COST("per unit", 0.0)
+    share: CaseInput = SHARE("of the volume")
+    cap: CaseInput | None = Quantity("{volume}", POSITIVE)("the largest volume", None)
     rule: str = choice("linear", "step")
 
 
@@ -52,11 +52,11 @@ def test_a_range_holds_its_closed_interval_and_no_more(ends, kind, number):
     low, high = ends
     interval = Range(low, high, kind)
     first, last = interval.closed
-    assert interval.holds(number) == (first <= number <= last)
-    assert interval.holds(low) == (kind == "[]" or (kind == "[)" and low < high))
-    assert not interval.holds(math.nan)
+    assert interval.contains(number) == (first <= number <= last)
+    assert interval.contains(low) == (kind == "[]" or (kind == "[)" and low < high))
+    assert not interval.contains(math.nan)
     if first <= last:
-        assert interval.holds(first) and interval.holds(last)
+        assert interval.contains(first) and interval.contains(last)
 
 
 @given(st.integers(-999, 999), st.integers(1, 999), st.sampled_from(ENDS))
@@ -74,7 +74,7 @@ def test_the_words_of_a_range_name_both_ends_and_differ_by_kind(low, width, kind
         (POSITIVE, "a number above 0", {"exclusiveMinimum": 0.0}),
         (BELOW_ONE, "a number from 0 up to but not 1", {"minimum": 0.0, "exclusiveMaximum": 1.0}),
         (Range(high=5.0), "a number of at most 5", {"maximum": 5.0}),
-        (Range(high=5.0, ends="[)"), "a number below 5", {"exclusiveMaximum": 5.0}),
+        (Range(high=5.0, endpoints="[)"), "a number below 5", {"exclusiveMaximum": 5.0}),
         (Range(0.0, 9.0, noun="jumps a year"), "jumps a year from 0 to 9",
          {"minimum": 0.0, "maximum": 9.0}),
     ],
@@ -88,8 +88,8 @@ def test_a_range_in_words_and_as_a_schema(interval, words, keys):
 def test_a_number_keeps_its_bits_and_gets_all_of_its_declaration(number):
     table = read({"share": number, "money": "USD"})
     assert table.share.values.tolist() == [number] and table.share.used() == number
-    assert table.share.places == (("table", "share"),) and table.share.written == number
-    assert (table.cost.unit, table.cost.words, table.cost.move) == ("USD/MWh", "per unit", 0.01)
+    assert table.share.positions == (("table", "share"),) and table.share.written == number
+    assert (table.cost.unit, table.cost.meaning, table.cost.move) == ("USD/MWh", "per unit", 0.01)
     assert table.cap is None
     assert [x.name for x in numbers_in((table,))] == ["cost", "share"]
 
@@ -124,7 +124,7 @@ def test_a_csv_gives_a_number_for_each_date_and_its_cell(tmp_path):
     (tmp_path / "cost.csv").write_text("# of 2024\ndate,value\n2024-01-03,1.5\n2024-01-05,2.5\n")
     notes = []
     table = read({"share": 0, "cost": "cost.csv"}, tmp_path, notes)
-    assert table.cost.places == (
+    assert table.cost.positions == (
         SheetCell("cost.csv", 3, "value"),
         SheetCell("cost.csv", 4, "value"),
     )
@@ -133,7 +133,7 @@ def test_a_csv_gives_a_number_for_each_date_and_its_cell(tmp_path):
     daily = on_dates(table, days, notes)["cost"]
     assert daily.used().tolist() == [0.0, 0.0, 1.5, 1.5, 2.5, 2.5]
     assert daily.labels == ("before 2024-01-03", "2024-01-03", "2024-01-05")
-    assert daily.places[0] is None and len(daily.places) == 3
+    assert daily.positions[0] is None and len(daily.positions) == 3
     assert notes == ["cost.csv begins on 2024-01-03; until then cost is 0."]
     assert on_dates(table, days[2:], [])["cost"].used().tolist() == [1.5, 1.5, 2.5, 2.5]
 
@@ -142,7 +142,7 @@ def test_numbers_that_begin_too_late_are_refused_where_nothing_holds_before(tmp_
     (tmp_path / "level.csv").write_text("date,value\n2024-01-03,1.5\n")
 
     class Dated(Table):
-        level: Given = Quantity("MWh", by="date")("a level")
+        level: CaseInput = Quantity("MWh", by="date")("a level")
 
     table = parse(Dated, {"level": "level.csv"}, str(tmp_path / "case.toml"), "table")
     with pytest.raises(CaseError, match=r"level\.csv, line 2, column date: .*2024-01-01 on"):
@@ -153,7 +153,7 @@ def test_numbers_that_begin_too_late_are_refused_where_nothing_holds_before(tmp_
 def test_several_numbers_are_one_with_an_index_into_all(parts):
     quantity = Quantity("1", meaning="a factor")
     several = [
-        quantity.given("x", values, [f"{i}" for i in range(len(values))]) for values in parts
+        quantity.input("x", values, [f"{i}" for i in range(len(values))]) for values in parts
     ]
     firsts = [x.values[0] for x in several]
     heads = [replace_index(x) for x in several]
@@ -163,7 +163,7 @@ def test_several_numbers_are_one_with_an_index_into_all(parts):
     assert len(set(together.labels)) == len(together.labels)
 
 
-def replace_index(numbers: Given) -> Given:
+def replace_index(numbers: CaseInput) -> CaseInput:
     import dataclasses
 
     return dataclasses.replace(numbers, index=np.array(0))

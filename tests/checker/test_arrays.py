@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from snapo.checker.arrays.moving import moving_indices
-from snapo.checker.arrays.slices import beyond, short_slices
+from snapo.checker.arrays.slices import outside, short_slices
 from snapo.checker.arrays.tables import tables
 from snapo.checker.check import check
 from snapo.checker.findings import Notes, Stop
@@ -77,8 +77,8 @@ def test_a_numpy_table_is_named_with_its_method_and_line(method, how):
     items = tabled(Tabled(method=method, how=how)).items
     assert len(items) == 1 and items[0].severity == "error"
     assert items[0].where.startswith(f"{method}, ") and "test_arrays.py:" in items[0].where
-    assert "A table of shape (2,) is float" in items[0].what
-    assert f'"{how}": lambda' in items[0].what and "self.table" in items[0].what
+    assert "A table of shape (2,) is float" in items[0].subject
+    assert f'"{how}": lambda' in items[0].subject and "self.table" in items[0].subject
     assert "put it into the schedule" in items[0].fix
 
 
@@ -120,7 +120,7 @@ def sliced(simulator) -> Notes:
 
 def test_slices_past_the_end_are_warnings_with_slice_length_and_line():
     items = sliced(Sliced()).items
-    said = [item.what for item in items]
+    said = [item.subject for item in items]
     assert len(items) == 4 and {item.severity for item in items} == {"warning"}
     assert items[0].where.startswith("prepare, ") and "[2:9] is taken of 4" in said[0]
     assert all(item.where.startswith("step, ") for item in items[1:])
@@ -141,8 +141,8 @@ def test_a_slice_that_reaches_past_an_end_is_shorter_than_in_a_longer_array(star
     if (start < 0) != (stop < 0) or start >= stop:
         return
     here = len(np.zeros(length)[start:stop])
-    assert (here < stop - start) <= beyond(slice(start, stop), length)
-    if not beyond(slice(start, stop), length):
+    assert (here < stop - start) <= outside(slice(start, stop), length)
+    if not outside(slice(start, stop), length):
         assert here == stop - start
 
 
@@ -196,32 +196,32 @@ class Moving(Good):
     ],
 )
 def test_indices_that_leave_their_array_on_a_path(how, method, said):
-    errors = [f for f in check(Moving(how=how), inputs(), paths=8).errors if "index" in f.what]
+    errors = [f for f in check(Moving(how=how), inputs(), paths=8).errors if "index" in f.subject]
     assert len(errors) == 1, str(errors)
     assert errors[0].where.startswith(f"{method}, ") and "test_arrays.py:" in errors[0].where
-    assert (said in errors[0].what and "curve" in errors[0].what) or "inputs.price" in errors[
+    assert (said in errors[0].subject and "curve" in errors[0].subject) or "inputs.price" in errors[
         0
-    ].what
+    ].subject
     assert "jnp.clip" in errors[0].fix
 
 
 def test_known_indices_in_prepare_are_followed():
     errors = check(Moving(how="known"), inputs()).errors
     assert len(errors) == 1 and errors[0].where.startswith("prepare, ")
-    assert errors[0].where.endswith("price[4]") and "4 entries" in errors[0].what
+    assert errors[0].where.endswith("price[4]") and "4 entries" in errors[0].subject
 
 
 @pytest.mark.prove
 def test_a_write_past_the_end_is_a_warning():
     findings = check(Moving(how="write"), inputs(), paths=8)
     assert len(findings) == 1 and findings.ok
-    assert "an index is 4" in findings.items[0].what and "drops" in findings.items[0].what
+    assert "an index is 4" in findings.items[0].subject and "drops" in findings.items[0].subject
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize("how", ["right", "clipped", "meant", "filled", "masked"])
 def test_indices_that_are_meant_or_do_not_matter_are_no_mistake(how):
-    wrong = [f for f in check(Moving(how=how), inputs(), paths=8) if "index" in f.what]
+    wrong = [f for f in check(Moving(how=how), inputs(), paths=8) if "index" in f.subject]
     assert not wrong, str(wrong)
 
 

@@ -182,7 +182,7 @@ class WrongKey(Good):
 )
 def test_mistakes_that_one_step_shows(simulator, where, what):
     error = only(check(simulator, inputs()))
-    assert where in error.where and what in error.what and error.fix
+    assert where in error.where and what in error.subject and error.fix
 
 
 def test_a_class_and_a_vector_of_one_number_get_their_own_remedy():
@@ -213,9 +213,9 @@ class SellsOnce(Sells):
 @pytest.mark.parametrize("rights", [pytest.param(1, marks=pytest.mark.prove), 2])
 def test_a_stop_that_is_not_used_up_is_told(rights):
     found = check(Sells(action=Stop(rights)), inputs())
-    assert any("more often than its rights" in each.what for each in found), str(found)
+    assert any("more often than its rights" in each.subject for each in found), str(found)
     once = check(SellsOnce(action=Stop(rights)), inputs())
-    assert not any("more often" in each.what for each in once), str(once)
+    assert not any("more often" in each.subject for each in once), str(once)
 
 
 def test_errors_of_user_code_name_file_and_line():
@@ -223,7 +223,7 @@ def test_errors_of_user_code_name_file_and_line():
     with open(__file__) as source:
         line = 1 + next(i for i, text in enumerate(source) if "this very line is named" in text)
     assert f"test_check.py:{line}" in error.where
-    assert "np.exp" in error.what
+    assert "np.exp" in error.subject
 
 
 class Random(Good):
@@ -268,9 +268,9 @@ class RootOfZero(Good):
 @pytest.mark.prove
 def test_numbers_and_derivatives_that_are_not_finite_are_placed():
     error = only(check(Overflow(), inputs()))
-    assert "cash" in error.what and "step 2" in error.what
+    assert "cash" in error.subject and "step 2" in error.subject
     error = only(check(RootOfZero(), inputs()))
-    assert error.where.startswith("step") and "step 2 of 4" in error.what
+    assert error.where.startswith("step") and "step 2 of 4" in error.subject
 
 
 class Idle(Good):
@@ -290,7 +290,7 @@ class Idle(Good):
 @pytest.mark.prove
 def test_idle_actions_and_noise_and_badly_scaled_observations():
     findings = check(Idle(), inputs())
-    errors = {f.where.split(": ")[1]: f.what for f in findings.errors}
+    errors = {f.where.split(": ")[1]: f.subject for f in findings.errors}
     warnings = {f.where.split(": ")[1] for f in findings.warnings}
     assert set(errors) == {"action[1]", "action[2]"}, str(findings)
     assert "exactly zero" in errors["action[1]"] and "no output" in errors["action[2]"]
@@ -337,9 +337,11 @@ def test_inputs_whose_derivative_is_wrong():
     findings = check(Cuts(), given)
     by_input = {f.where.split()[1]: f for f in findings}
     assert set(by_input) == {"stopped", "floored", "partly", "unused", "slack"}, str(findings)
-    assert by_input["stopped"].severity == "error" and "bump moves" in by_input["stopped"].what
-    assert by_input["floored"].severity == "warning" and "exactly zero" in by_input["floored"].what
-    assert by_input["partly"].severity == "error" and "by the adjoint" in by_input["partly"].what
+    assert by_input["stopped"].severity == "error" and "bump moves" in by_input["stopped"].subject
+    assert (
+        by_input["floored"].severity == "warning" and "exactly zero" in by_input["floored"].subject
+    )
+    assert by_input["partly"].severity == "error" and "by the adjoint" in by_input["partly"].subject
     assert by_input["unused"].severity == by_input["slack"].severity == "warning"
 
 
@@ -388,8 +390,8 @@ TABLE = np.array([0.3, 0.7])
 
 
 def test_nothing_that_a_simulator_does_raises():
-    assert "no outputs" in only(check(NoOutputs(), inputs())).what
-    assert "which ones?" in only(check(NoTotals(), inputs())).what
+    assert "no outputs" in only(check(NoOutputs(), inputs())).subject
+    assert "which ones?" in only(check(NoTotals(), inputs())).subject
     assert "scenarios" in only(check(Good(), inputs(), scenarios=Pseudo(0))).where
     assert not check(Good(), None).ok
 
@@ -415,7 +417,7 @@ class Fresh(Table):
 def test_a_numpy_table_in_step_fails_in_one_precision():
     for simulator in (Table(), Converted()):
         error = only(check(simulator, inputs()))
-        assert error.where.startswith("step, ") and "float" in error.what
+        assert error.where.startswith("step, ") and "float" in error.subject
         assert "schedule" in error.fix
     assert not len(findings := check(Fresh(), inputs())), str(findings)
 
@@ -457,10 +459,10 @@ class Indices(Good):
     ],
 )
 def test_indices_past_the_end_are_found(wrong, where, length):
-    errors = [f for f in check(Indices(wrong=wrong), inputs()).errors if "entries" in f.what]
+    errors = [f for f in check(Indices(wrong=wrong), inputs()).errors if "entries" in f.subject]
     assert len(errors) == 1, str(errors)
     assert errors[0].where.startswith(where) and errors[0].where.endswith(length)
-    assert "test_check.py" in errors[0].what
+    assert "test_check.py" in errors[0].subject
 
 
 @pytest.mark.prove

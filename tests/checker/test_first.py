@@ -164,10 +164,10 @@ def test_what_is_right_has_no_finding(kind):
 
 def test_a_lost_derivative_is_named_with_its_line():
     for findings in (simulator_mistakes(Floor(), INPUTS), check(Floor(), INPUTS)):
-        found = [each for each in findings.warnings if "Its derivative is lost" in each.what]
+        found = [each for each in findings.warnings if "Its derivative is lost" in each.subject]
         assert len(found) == 1 and not findings.errors
         assert found[0].where.startswith("input rate (") and "test_first.py:" in found[0].where
-        assert "In: return jnp.floor(4.0 * x * snapo.noise.uniform(noise[0]))" in found[0].what
+        assert "In: return jnp.floor(4.0 * x * snapo.noise.uniform(noise[0]))" in found[0].subject
 
 
 @pytest.mark.prove

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import snapo
 from snapo.checker.check import check
-from snapo.checker.jumps import LEAST, _sides
+from snapo.checker.jumps import MINIMUM, _sides
 from snapo.problem.smooth import Exact
 
 from .test_check import Good, inputs
@@ -54,7 +54,7 @@ class Jumping(Good):
 
 
 def told(how: str):
-    return [f for f in check(Jumping(how=how), inputs(), paths=8) if "jump, by" in f.what]
+    return [f for f in check(Jumping(how=how), inputs(), paths=8) if "jump, by" in f.subject]
 
 
 @pytest.mark.prove
@@ -75,10 +75,10 @@ def test_a_jump_is_a_warning_with_its_line_size_and_remedy(how, method, name):
     found = told(how)
     assert len(found) == 1 and found[0].severity == "warning", str(found)
     assert found[0].where.startswith(f"{method}, ") and "test_jumps.py:" in found[0].where
-    assert f"makes {name} jump" in found[0].what and ">" in found[0].what
+    assert f"makes {name} jump" in found[0].subject and ">" in found[0].subject
     assert "smooth.indicator(" in found[0].fix and "snapo.Choice" in found[0].fix
     if how in ("bool", "where", "both", "action", "input", "terminal"):
-        assert "jump, by 10 on a path" in found[0].what
+        assert "jump, by 10 on a path" in found[0].subject
 
 
 @pytest.mark.prove
@@ -101,7 +101,7 @@ def test_the_two_sides_are_of_one_step_and_differ(steps, paths, bits):
     assert np.all(first // paths == second // paths) and np.all(truth[first] != truth[second])
     each = truth.reshape(steps, paths)
     assert bool(first.size) == bool(np.any(each.any(1) & ~each.all(1)))
-    assert 0 < LEAST < 1
+    assert 0 < MINIMUM < 1
 
 
 class Fall(snapo.Simulator):

@@ -82,7 +82,9 @@ class Sold(snapo.Simulator):
         return state["stock"][None] / 10
 
     def step(self, constants, now, state, action, noise, smooth):
-        wanted = snapo.noise.Poisson(constants["rate"] * jnp.exp(-action[0]), most=20).draw(noise)
+        wanted = snapo.noise.Poisson(constants["rate"] * jnp.exp(-action[0]), maximum=20).draw(
+            noise
+        )
         sold = smooth.minimum(wanted, state["stock"])
         return {"stock": state["stock"] - sold}, {"cash": action[0] * sold}
 

@@ -45,7 +45,7 @@ class Place(NamedTuple):
     name: str
 
 
-def places(asked: commands.Asked) -> list[Place]:
+def places(asked: commands.CaseRequest) -> list[Place]:
     """Each kind of table that the case has, once, where it stands first."""
     _, data = load(asked.path)
     commands.load(asked)  # so that all modules are imported
@@ -80,7 +80,7 @@ def _listening() -> Iterator[list[tuple[type[Table], str]]]:
             each.parse = true  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def wrong_keys(asked: commands.Asked) -> Iterator[Wrong]:
+def wrong_keys(asked: commands.CaseRequest) -> Iterator[Wrong]:
     """Every mistake of every key, and each key that stands in the case written twice."""
     file, data = load(asked.path)
     for place in places(asked):

@@ -20,7 +20,7 @@ def programs(problem: Problem):
         prepared = program.text(
             lambda leaves, values: jax.tree.unflatten(structure, leaves).prepare(values),
             leaves,
-            {name: given.value for name, given in problem.named.items()},
+            {name: given.value for name, given in problem.inputs_by_name.items()},
         )
         sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
         now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)

@@ -78,16 +78,16 @@ def complaints(tmp_path, capsys, monkeypatch) -> Callable[[str, int], tuple[int,
 
 def wrong(miniature: Miniature, folder: Path) -> Iterator[Wrong]:
     """The mistakes of keys, and those of the CSVs that have no sense under any reading."""
-    asked = miniature.asked(folder)
+    asked = miniature.request(folder)
     yield from wrong_keys(asked)
     for each in spoilt_files(asked.path, LABELS.get(miniature.kind, ())):
-        if each.named:
+        if each.names:
             file = asked.path / each.name.partition(":")[0].partition(",")[0]
             whole = file.read_bytes()
             each.spoil(asked.path, {})
             content = file.read_bytes() if file.exists() else None
             file.write_bytes(whole)
-            yield Wrong(each.name, file.name, content, each.named)
+            yield Wrong(each.name, file.name, content, each.names)
 
 
 def judge(command: list[str], mistake: Wrong, capsys) -> Iterator[str]:

@@ -12,7 +12,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES, changed
 from tests.domains.pension.read.test_cash_plan import plan
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.table import Section
 from snapo.domains.inventory.read.season import read_season
 from snapo.domains.own.inputs import read_inputs
@@ -119,7 +119,9 @@ def test_dates_of_scenarios_are_steps(name, tmp_path):
     # The seventeenth tells days from months.
     text = "path,date\n1,2025-01-17\n1,2025-02-03\n1,2025-03-28\n"
     (tmp_path / "paths.csv").write_text(other(text, name))
-    rows = read_rows(Mention(Section(tmp_path / "case.toml", "", []), "training", "paths.csv"), ())
+    rows = read_rows(
+        FileReference(Section(tmp_path / "case.toml", "", []), "training", "paths.csv"), ()
+    )
     grid = Grid(36, 1 / 12, "GBP")
     assert [_step(row, grid, "2024-12-31") for row in rows] == [0, 1, 2]
 

@@ -53,7 +53,7 @@ def test_a_mistake_is_refused_in_words(kind, spoilt, tmp_path):
 @pytest.mark.prove
 def test_every_template_is_accepted(kind, tmp_path):
     domain = find(kind, "tests")
-    assert isinstance(domain, Domain) and domain.kind == kind and domain.words
+    assert isinstance(domain, Domain) and domain.kind == kind and domain.description
     for size in domain.templates:
         small = MINIATURES[kind]._replace(size=size, assignments=(), texts=None)
         lines = commands.check(small.write(tmp_path / size), quiet)
@@ -70,7 +70,7 @@ def test_the_miniature_is_solved_and_its_report_can_be_written_again(
     assert result["kind"] == kind and result["failures"] == {}
     assert isinstance(result["value"], float) and isinstance(result["standard_error"], float)
     record = json.loads((run / "run.json").read_text())
-    asked = MINIATURES[kind].asked(solved(kind))
+    asked = MINIATURES[kind].request(solved(kind))
     loaded = commands.load(asked)
     options = Options(about=record["about"])
     parts = loaded.domain.study(loaded.case, options).parts
@@ -112,7 +112,7 @@ def test_a_report_does_without_any_part(kind, every, solved, tmp_path):
 def test_a_finished_run_is_not_done_again(kind, solved, tmp_path):
     out = copied(solved, kind, tmp_path)
     before, said = json.loads((out / "result.json").read_text()), []
-    asked = MINIATURES[kind].asked(solved(kind))
+    asked = MINIATURES[kind].request(solved(kind))
     again = commands.solve(asked, said.append, out=out, resume=True)
     assert again["value"] == before["value"] and again["standard_error"] == before["standard_error"]
     assert not [line for line in said if not line.startswith("note:")], said

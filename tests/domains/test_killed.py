@@ -21,7 +21,7 @@ APART = ("seconds", "versions")  # in which two runs may differ
 
 def command(kind: str, folder: Path, out: Path) -> list[str]:
     """Resumes the case in `folder`, in a process that compiles as the tests do."""
-    asked = MINIATURES[kind].asked(folder)
+    asked = MINIATURES[kind].request(folder)
     words = ["solve", str(asked.path), "--out", str(out), "--resume"]
     words += [word for each in asked.assignments for word in ("--set", each)]
     words += ["--simulator", ":".join(asked.simulator)] if asked.simulator else []

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from snapo.study.domain import Asked, RunsCode, find, installed, load
+from snapo.study.domain import CaseRequest, RunsCode, find, installed, load
 
 ROOT = Path(__file__).parents[2]
 TEMPLATES = [(kind, size) for kind in installed() for size in find(kind, "KIND").templates]
@@ -16,7 +16,7 @@ OTHER = ("is closed", "are closed", "remembers nothing")
 def test_no_template_has_a_note_on_units(kind, size):
     domain = find(kind, "KIND")
     code = tuple(domain.example.split(":")) if isinstance(domain, RunsCode) else None
-    case = load(Asked(Path(str(domain.templates[size])), (), code)).case
+    case = load(CaseRequest(Path(str(domain.templates[size])), (), code)).case
     assert not [note for note in case.notes if not any(item in note for item in OTHER)]
 
 
@@ -24,4 +24,4 @@ def test_no_template_has_a_note_on_units(kind, size):
 def test_no_example_has_a_note_on_units(file):
     if "newsvendor" in str(file):
         pytest.importorskip("snapo_newsvendor")
-    assert not load(Asked(file)).case.notes
+    assert not load(CaseRequest(file)).case.notes

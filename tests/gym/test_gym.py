@@ -14,7 +14,7 @@ import snapo
 from snapo.domains.control.chapters.baselines import agent
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.pendulum import Pendulum
-from snapo.domains.control.rules import rivals
+from snapo.domains.control.rules import classical_rules
 from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
 from snapo.domains.inventory.setup import first_policy
 from snapo.problem.actions import Actions
@@ -279,7 +279,7 @@ def test_the_same_policy_earns_the_same_in_both_pendulums():
     network = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
     recurrent = snapo.GRU(hidden=6).for_problem(problem.interface, jax.random.key(1))
     recent = snapo.LastObservations(3).for_problem(problem.interface, jax.random.key(2))
-    for policy in (rivals(plant, inputs)["linear regulator"], network, recurrent, recent):
+    for policy in (classical_rules(plant, inputs)["linear regulator"], network, recurrent, recent):
         totals = path_totals(problem, policy, STARTS)["reward"]
         played = snapo.gym.play(agent(plant, policy, inputs), made, STARTS)
         assert np.all(played.steps == STEPS)

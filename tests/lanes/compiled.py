@@ -32,10 +32,10 @@ def text(function, shapes, dtype: str = "float32"):
     code = Code(lanes, module)
     values = Values(code, Workspace("%work"))
     for value in program.inputs:
-        values.bind(value, given.place(value, "%given"))
+        values.bind(value, given.address(value, "%given"))
     operations.write(values, program.ops, program.outputs)
     for i, value in enumerate(program.outputs):
-        values.copy(value, found.place(i, "%found"))
+        values.copy(value, found.address(i, "%found"))
     code.do("ret void")
     code.define("define void @run(ptr %given, ptr %found, ptr %work) nounwind")
     return module.text(), given, found, values.workspace.size

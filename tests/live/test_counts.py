@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from snapo.live.counts import ENOUGH, FEWEST, MOST, Counts
+from snapo.live.counts import ENOUGH, FEWEST, MAXIMUM, Counts
 
 
 @pytest.mark.parametrize(
@@ -12,7 +12,7 @@ from snapo.live.counts import ENOUGH, FEWEST, MOST, Counts
     [
         (0.00003, 65536, FEWEST),  # the surprises of a fitted value explain nearly all
         (0.0003, 65536, 4096),  # a quarter of the error, a sixteenth of the paths
-        (0.1, 65536, MOST),
+        (0.1, 65536, MAXIMUM),
         (0.1, 1000, 1000),  # no more than the run had
         (float("nan"), 65536, FEWEST),
     ],
@@ -22,13 +22,13 @@ def test_paths_of_the_value(error, paths, wanted):
     evaluation = SimpleNamespace(paths=paths, sensitivity_paths=min(paths, 768))
     found = Counts.enough(solution, evaluation)
     assert found.value == wanted and found.deltas == min(paths, 768)
-    if FEWEST < found.value < MOST:
+    if FEWEST < found.value < MAXIMUM:
         assert error * (paths / found.value) ** 0.5 <= ENOUGH
 
 
 @pytest.mark.parametrize(
     ("numbers", "wanted"),
-    [(100, MOST), (5_000, 7680), (20_000, 2000 // 512 * 512), (10**6, FEWEST)],
+    [(100, MAXIMUM), (5_000, 7680), (20_000, 2000 // 512 * 512), (10**6, FEWEST)],
 )
 def test_a_long_and_wide_course_has_fewer_paths(numbers, wanted):
     solution = SimpleNamespace(value=1.0, standard_error=0.1)

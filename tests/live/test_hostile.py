@@ -146,7 +146,7 @@ def test_a_name(tmp_path, name):
     """It is kept as a text; its folder is plain, and no spreadsheet takes it for a formula."""
     kept = Scenarios(tmp_path)
     found = kept.keep(name, {name: [1.0]}, {"value": {"value": 1.0}})
-    assert kept.place(found).parent == tmp_path / FOLDER and found.isascii()
+    assert kept.folder_of(found).parent == tmp_path / FOLDER and found.isascii()
     for text in (kept.table(), kept.one(found)):
         for row in csv.reader(io.StringIO(text)):
             assert not any(cell[:1] in ("=", "+", "@") for cell in row)

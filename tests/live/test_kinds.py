@@ -11,13 +11,13 @@ from tests.miniatures import MINIATURES
 from snapo.case.error import CaseError
 from snapo.live.case.choices import choices
 from snapo.live.case.files import read_files
-from snapo.live.case.places import Places
-from snapo.live.moves import Moves
+from snapo.live.case.places import InputPositions
+from snapo.live.moves import WhatIf
 from snapo.live.recalculation import Recalculation
 from snapo.live.valuation import Valuation
 from snapo.live.worker import open_run
 from snapo.solver.measure.measure import Run, measure
-from snapo.solver.train import begin
+from snapo.solver.train import initial_progress
 from snapo.study import commands
 from snapo.study.domain import Options
 from snapo.study.run_folder import plain_json
@@ -29,11 +29,11 @@ SHOWN = ("value", "sections", "deltas")
 def places(folder, kind, size=None):
     """The places of a template's inputs."""
     commands.new(kind, folder, size)
-    loaded = commands.load(commands.Asked(folder))
+    loaded = commands.load(commands.CaseRequest(folder))
     study = loaded.domain.study(loaded.case, Options("xla"))
     assert study.inputs is not None
     inputs, files = study.inputs(loaded.case), read_files(folder, loaded.data)
-    return Places(loaded.domain.read, files, inputs, study.inputs)
+    return InputPositions(loaded.domain.read, files, inputs, study.inputs)
 
 
 @pytest.mark.prove
@@ -44,10 +44,10 @@ def places(folder, kind, size=None):
 )  # fmt: skip
 def test_every_input_has_its_place(tmp_path, kind, size):
     found = places(tmp_path / "case", kind, size)
-    assert [name for name in found.inputs if found.place(name) is None] == []
+    assert [name for name in found.inputs if found.writer(name) is None] == []
 
 
-def opened(run, folder) -> Moves:
+def opened(run, folder) -> WhatIf:
     shutil.copytree(run, folder / "run")
     return open_run(folder / "run")
 
@@ -56,7 +56,7 @@ def plain(table):
     return json.loads(json.dumps(plain_json(table)))
 
 
-def shown(valuation: Moves, values):
+def shown(valuation: WhatIf, values):
     found = {}
     for name, table in valuation.stages(values):
         found[name] = plain(table)
@@ -65,10 +65,10 @@ def shown(valuation: Moves, values):
     return found
 
 
-def moved_case(valuation: Moves, values, folder):
+def moved_case(valuation: WhatIf, values, folder):
     """The case that the page writes, read again as `snapo solve` reads it."""
     valuation.files(values).write(folder)
-    return commands.load(commands.Asked(folder))
+    return commands.load(commands.CaseRequest(folder))
 
 
 def as_solved(valuation, values, folder):
@@ -82,7 +82,7 @@ def as_solved(valuation, values, folder):
     from dataclasses import replace
 
     asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
-    state = replace(begin(policy, setup.training), best=policy)
+    state = replace(initial_progress(policy, setup.training), best=policy)
     return measure(Run(setup.problem, policy, state, setup.training, asked, setup.engines))
 
 
@@ -94,7 +94,7 @@ def as_solved(valuation, values, folder):
 )  # fmt: skip
 def test_the_page_shows_what_solve_finds(kind, values, solved, tmp_path):
     valuation = opened(solved(kind) / "run", tmp_path)
-    moved = {name: x * valuation.named[name].value.ravel() for name, x in values.items()}
+    moved = {name: x * valuation.inputs_by_name[name].value.ravel() for name, x in values.items()}
     base, found = shown(valuation, {}), shown(valuation, moved)
     again = as_solved(valuation, moved, tmp_path / "moved")
     assert found["value"]["value"] == again["value"] != base["value"]["value"]
@@ -102,7 +102,7 @@ def test_the_page_shows_what_solve_finds(kind, values, solved, tmp_path):
     held = as_solved(valuation, {}, tmp_path / "case")["sensitivities"].held
     for row in found["deltas"]:
         if len(row["rows"]) == 1:
-            name, one = row["input"], np.ones(valuation.named[row["input"]].value.shape)
+            name, one = row["input"], np.ones(valuation.inputs_by_name[row["input"]].value.shape)
             change = again["sensitivities"].held[name].value - held[name].value
             value = valuation.solution.sensitivities.along(name, one).value + float(change.sum())
             assert row["rows"][0]["value"] == pytest.approx(value, rel=1e-9)
@@ -122,7 +122,7 @@ def test_a_process_without_a_policy_is_calculated_as_solve_does(solved, tmp_path
     valuation = opened(solved("pharma") / "run", tmp_path)
     assert isinstance(valuation, Recalculation)
     wanted = {"reactor.temperature": [313.9], "charge.concentration": None}
-    feed = valuation.named["charge.concentration"].value.copy()
+    feed = valuation.inputs_by_name["charge.concentration"].value.copy()
     feed[feed > 0] *= 1.03
     moved = {name: feed if x is None else np.array(x) for name, x in wanted.items()}
     base, found = shown(valuation, {}), shown(valuation, moved)
@@ -132,7 +132,7 @@ def test_a_process_without_a_policy_is_calculated_as_solve_does(solved, tmp_path
     assert loaded.case.attributes
     out = tmp_path / "again"
     solved_anew = commands.solve(
-        commands.Asked(tmp_path / "moved", result.assignments), quiet, out=out
+        commands.CaseRequest(tmp_path / "moved", result.assignments), quiet, out=out
     )
     assert found["value"]["value"] == solved_anew["value"]
     assert found["value"]["standard_error"] == solved_anew["standard_error"]
@@ -152,7 +152,7 @@ def test_a_process_in_closed_loop_is_valued_as_solve_does(tmp_path):
                      assignments=('report.parts=["training"]', "training.steps=2"))  # fmt: skip
     mini.solve(tmp_path)
     valuation = open_run(tmp_path / "run")
-    moved = {"kinetics.prefactor": 1.1 * valuation.named["kinetics.prefactor"].value}
+    moved = {"kinetics.prefactor": 1.1 * valuation.inputs_by_name["kinetics.prefactor"].value}
     found = shown(valuation, moved)
     again = as_solved(valuation, moved, tmp_path / "moved")
     assert found["value"]["value"] == again["value"]
@@ -172,7 +172,7 @@ def test_a_choice_is_valued_as_solve_does(solved, tmp_path):
     base = next(valuation.stages({}))[1]
     found = next(valuation.stages({}, chosen))[1]
     valuation.files({}, chosen).write(tmp_path / "moved")
-    loaded = commands.load(commands.Asked(tmp_path / "moved"))
+    loaded = commands.load(commands.CaseRequest(tmp_path / "moved"))
     setup = loaded.domain.study(loaded.case, Options()).setup
     assert setup is not None
     assert found["value"] == valuation._totals_worth(setup())[1].value != base["value"]
@@ -193,7 +193,7 @@ def test_a_choice_is_valued_as_solve_does(solved, tmp_path):
 )  # fmt: skip
 def test_choices_are_those_of_the_format_whether_the_case_names_them_or_not(kind, wanted, tmp_path):
     commands.new(kind, tmp_path, None)
-    loaded = commands.load(commands.Asked(tmp_path))
+    loaded = commands.load(commands.CaseRequest(tmp_path))
     files = read_files(tmp_path, loaded.data)
 
     def again(files):
@@ -210,7 +210,9 @@ def test_choices_are_those_of_the_format_whether_the_case_names_them_or_not(kind
 def test_the_best_is_bounded_where_the_domain_can(solved, tmp_path):
     valuation = opened(solved("gas-storage") / "run", tmp_path)
     assert isinstance(valuation, Valuation) and valuation.bounded
-    bounds = valuation.bound_here({"volatility": 1.1 * valuation.named["volatility"].value})
+    bounds = valuation.bound_here(
+        {"volatility": 1.1 * valuation.inputs_by_name["volatility"].value}
+    )
     assert bounds["lower"]["value"] <= bounds["upper"]["value"]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from snapo.case.error import CaseError
 from snapo.live.case.files import read_files
-from snapo.live.case.places import Places
+from snapo.live.case.places import InputPositions
 from snapo.live.terms import usual
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -17,23 +17,23 @@ def storage(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("storage")
     commands.new("gas-storage", folder)
-    loaded = commands.load(commands.Asked(folder))
+    loaded = commands.load(commands.CaseRequest(folder))
     files = read_files(folder, loaded.data)
-    return Places(loaded.domain.read, files, storage_inputs(loaded.case))
+    return InputPositions(loaded.domain.read, files, storage_inputs(loaded.case))
 
 
 def counted(folder):
     """The places of a storage case, and a list with an entry for each time that it is read."""
     from snapo.domains.gas_storage.contract.inputs import storage_inputs
 
-    loaded, readings = commands.load(commands.Asked(folder)), []
+    loaded, readings = commands.load(commands.CaseRequest(folder)), []
 
     def read(file, data):
         readings.append(file)
         return loaded.domain.read(file, data)
 
     inputs, files = storage_inputs(loaded.case), read_files(folder, loaded.data)
-    return Places(read, files, inputs, case=loaded.case), readings
+    return InputPositions(read, files, inputs, case=loaded.case), readings
 
 
 REFUSED = {  # by the contract: the template's others move with them, or not at all
@@ -52,9 +52,9 @@ def test_every_input_of_a_store_is_written_and_read_once(tmp_path):
         wanted += 1e-3 * np.array_equal(wanted, x.value)
         if name in REFUSED:
             with pytest.raises(CaseError, match=REFUSED[name]):
-                places.moved({name: wanted})
+                places.case_at({name: wanted})
         else:
-            assert np.array_equal(storage_values(places.moved({name: wanted}), name), wanted)
+            assert np.array_equal(storage_values(places.case_at({name: wanted}), name), wanted)
     assert len(readings) == len(places.inputs) == 21
 
 
@@ -73,7 +73,7 @@ def test_every_input_of_an_item_a_plant_and_a_simulator_is_written_and_read_once
     kind, size, simulator, tmp_path
 ):
     commands.new(kind, tmp_path / "case", size)
-    loaded = commands.load(commands.Asked(tmp_path / "case", simulator=simulator))
+    loaded = commands.load(commands.CaseRequest(tmp_path / "case", simulator=simulator))
     inputs_of, readings = loaded.domain.study(loaded.case, Options("xla")).inputs, []
     assert inputs_of is not None
 
@@ -83,10 +83,10 @@ def test_every_input_of_an_item_a_plant_and_a_simulator_is_written_and_read_once
 
     files = read_files(tmp_path / "case", loaded.data)
     inputs = inputs_of(loaded.case)
-    places = Places(read, files, inputs, inputs_of, loaded.case)
+    places = InputPositions(read, files, inputs, inputs_of, loaded.case)
     for name, x in inputs.items():
         wanted = x.value * (1 + 2.0**-20) + 1e-9 * (x.value == 0) * (name[:5] != "noise")
-        moved = inputs_of(places.moved({name: wanted}).case)
+        moved = inputs_of(places.case_at({name: wanted}).case)
         assert np.array_equal(moved[name].value, wanted)
         assert all(
             np.array_equal(moved[key].value, inputs[key].value) for key in moved if key != name
@@ -101,7 +101,7 @@ def test_a_curve_with_decimal_commas_is_written_where_it_was_read(tmp_path):
     curve.write_text("\n".join(["# of a spreadsheet", *lines, ""]))
     places, _ = counted(tmp_path)
     wanted = places.inputs["forward_curve"].value + 0.5
-    moved = places.moved({"forward_curve": wanted})
+    moved = places.case_at({"forward_curve": wanted})
     assert np.array_equal(storage_values(moved, "forward_curve"), wanted)
     assert len(moved.files.sheets["curve.csv"].rows) == 13
 
@@ -119,7 +119,7 @@ def test_numbers_of_a_table_that_is_no_csv_say_why_they_stay(tmp_path):
     case.write_text(case.read_text().replace("curve.csv", "curve.parquet"))
     places, _ = counted(tmp_path)
     with pytest.raises(CaseError, match=r"curve\.parquet: numbers can be changed in a CSV"):
-        places.moved({"forward_curve": places.inputs["forward_curve"].value + 0.5})
+        places.case_at({"forward_curve": places.inputs["forward_curve"].value + 0.5})
 
 
 def test_both_entries_of_a_correlation_are_written(tmp_path):
@@ -134,7 +134,7 @@ def test_both_entries_of_a_correlation_are_written(tmp_path):
     )
     places, _ = counted(tmp_path)
     wanted = {"correlation": np.array([0.25]), "volatility": np.array([0.7, 0.3])}
-    moved = places.moved(wanted)
+    moved = places.case_at(wanted)
     assert moved.files.tables["model"]["correlation"] == [[1.0, 0.25], [0.25, 1.0]]
     assert [x["volatility"] for x in moved.files.tables["model"]["factors"]] == [0.7, 0.3]
 
@@ -183,7 +183,7 @@ def test_the_limits_are_those_of_the_case_format(storage, name, value, words):
 def test_a_written_case_is_a_case(storage, tmp_path):
     files = storage.moved({"inventory": np.array([2000.0])}).files
     files.write(tmp_path / "moved")
-    loaded = commands.load(commands.Asked(tmp_path / "moved"))
+    loaded = commands.load(commands.CaseRequest(tmp_path / "moved"))
     assert loaded.case.contract.inventory.values == 2000.0
     assert (tmp_path / "moved" / "ratchets.csv").is_file()
 
@@ -192,7 +192,7 @@ def test_every_input_of_a_fund_has_its_place(tmp_path):
     from snapo.domains.pension.records.inputs import pension_inputs
 
     commands.new("pension", tmp_path / "fund", "small")
-    loaded = commands.load(commands.Asked(tmp_path / "fund"))
+    loaded = commands.load(commands.CaseRequest(tmp_path / "fund"))
     inputs = pension_inputs(loaded.case)
-    places = Places(loaded.domain.read, read_files(tmp_path / "fund", loaded.data), inputs)
-    assert [name for name in inputs if places.place(name) is None] == []
+    places = InputPositions(loaded.domain.read, read_files(tmp_path / "fund", loaded.data), inputs)
+    assert [name for name in inputs if places.writer(name) is None] == []

@@ -14,7 +14,7 @@ from snapo.live.valuation import Valuation
 from snapo.live.worker import in_words, open_run
 from snapo.problem.inputs import Input
 
-POINTS = Input(0.1, "1", trade_unit="points", trade_factor=100)
+POINTS = Input(0.1, "1", display_unit="points", display_factor=100)
 FLOWS = Input([4.0, 5.0, 6.0], "hm3", labels=("Mon", "Tue", "Wed"))
 
 
@@ -66,8 +66,8 @@ def test_an_absurd_number_of_an_own_simulator_is_refused_by_its_name(valuation):
     next(valuation.stages({}))
     moved = {
         "price_volatility": np.array([-1e6]),
-        "water": valuation.named["water"].value + 1,
-        "price": valuation.named["price"].value * 1.01,
+        "water": valuation.inputs_by_name["water"].value + 1,
+        "price": valuation.inputs_by_name["price"].value * 1.01,
     }
     for values in ({"price_volatility": moved["price_volatility"]}, moved):
         with pytest.raises(CaseError) as caught:

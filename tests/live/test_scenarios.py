@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from snapo.live.scenarios import FOLDER, MOST, Refused, Scenarios, slug
+from snapo.live.scenarios import FOLDER, MAXIMUM, Refused, Scenarios, slug
 
 VALUE = {"value": 12.5, "standard_error": 0.5, "change": 1.0, "change_error": 0.1}
 HOSTILE = (
@@ -83,7 +83,7 @@ def test_there_is_an_end_to_them(kept, monkeypatch):
     kept.keep("b", {}, {})
     with pytest.raises(Refused, match="forget one"):
         kept.keep("c", {}, {})
-    assert MOST == 200 and slug("Ä ö--ß x") == "a-o-x"
+    assert MAXIMUM == 200 and slug("Ä ö--ß x") == "a-o-x"
 
 
 def test_a_scenario_alone_holds_every_number(kept):

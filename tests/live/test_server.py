@@ -12,7 +12,7 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
 
-from snapo.live.crew import Crew  # noqa: E402
+from snapo.live.crew import WorkerProcess  # noqa: E402
 from snapo.live.server import Server  # noqa: E402
 
 FAKE = Path(__file__).with_name("fake_worker.py")
@@ -201,7 +201,7 @@ def test_a_server_that_ends_while_its_worker_begins_ends(turns):
         pass
 
     async def work():
-        crew = Crew([sys.executable, "-S", str(FAKE), "died"], hear)
+        crew = WorkerProcess([sys.executable, "-S", str(FAKE), "died"], hear)
         crew.start()
         for _ in range(turns):
             await asyncio.sleep(0)

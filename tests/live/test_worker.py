@@ -13,7 +13,7 @@ from tests.miniatures import MINIATURES
 from snapo.live.terms import Deltas, derivatives
 from snapo.solver.measure.measure import Run, measure
 from snapo.solver.solution import Solution
-from snapo.solver.train import begin
+from snapo.solver.train import initial_progress
 from snapo.study import commands
 from snapo.study.domain import Options
 from snapo.study.run_folder import plain_json
@@ -99,7 +99,7 @@ def test_the_page_shows_what_solve_finds(kind, worker, solved, tmp_path):
     assert found["value"]["value"] == solved_anew["value"]
     assert found["value"]["standard_error"] == solved_anew["standard_error"]
     held = [each["sensitivities"].held for each in (at_run, solved_anew)]
-    table = derivatives(Deltas(solution.sensitivities, *held), setup.problem.named)
+    table = derivatives(Deltas(solution.sensitivities, *held), setup.problem.inputs_by_name)
     assert found["deltas"] == json.loads(json.dumps(plain_json(table)))
     assert found["value"]["value"] != worker.ready["base"]["value"]["value"]
 
@@ -108,10 +108,10 @@ def measured(worker, kind, run, values, folder):
     """The run's solution, and the page's case with these values as `solve` measures it."""
     worker.ask(do="write", n=1, values=values, folder=str(folder))
     assert worker.hear("written", "refused")["stage"] == "written"
-    loaded = commands.load(commands.Asked(folder, (), MINIATURES[kind].simulator))
+    loaded = commands.load(commands.CaseRequest(folder, (), MINIATURES[kind].simulator))
     setup = loaded.domain.study(loaded.case, Options()).setup()
     solution = Solution.load(run, like=setup.policy)
-    state = replace(begin(solution.policy, setup.training), best=solution.policy)
+    state = replace(initial_progress(solution.policy, setup.training), best=solution.policy)
     # The figures of the page alone: no smooth derivatives and no moves that judge.
     asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
     of = Run(setup.problem, solution.policy, state, setup.training, asked, setup.engines)

@@ -13,7 +13,7 @@ from snapo.engine import Native, Xla
 from snapo.problem.policy import parameters, trainable
 from snapo.solver import checkpoint
 from snapo.solver.adjoint import value_and_gradient
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 
 STEPS, KEEP, SHAKE, BLUR, FORCE = 12, 1.0, 0.6, 0.7, 0.5
 
@@ -139,10 +139,14 @@ def test_windows_carry_the_memory_and_a_run_resumes_with_the_same_bits(tmp_path)
     policy, found = made("recurrent"), []
     for engine in (Xla(), Native()):
         states = []
-        done = train(PROBLEM, begin(policy, plan, PROBLEM), plan, engine, [states.append])
+        done = train(
+            PROBLEM, initial_progress(policy, plan, PROBLEM), plan, engine, [states.append]
+        )
         found.append(done)
         checkpoint.save(states[0], tmp_path / "checkpoint.npz")
-        resumed = checkpoint.load(tmp_path / "checkpoint.npz", begin(policy, plan, PROBLEM))
+        resumed = checkpoint.load(
+            tmp_path / "checkpoint.npz", initial_progress(policy, plan, PROBLEM)
+        )
         again = train(PROBLEM, resumed, plan, engine)
         assert resumed.step == 2
         np.testing.assert_array_equal(parameters(again.policy), parameters(done.policy))

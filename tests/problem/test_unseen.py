@@ -8,7 +8,7 @@ from tests.test_examples import NAMES, problem
 
 import snapo
 from snapo.problem.unseen import partly_observed
-from snapo.study.commands import Asked, load
+from snapo.study.commands import CaseRequest, load
 from snapo.study.domain import Options
 
 
@@ -142,7 +142,7 @@ def test_no_template_is_partly_observed(kind, tmp_path):
     """A fund's numbers that only its rules see move less than a hundredth of what it pays."""
     size = "small" if kind == "pension" else None
     folder = MINIATURES[kind]._replace(size=size, assignments=(), texts=None).write(tmp_path / "a")
-    loaded = load(folder if isinstance(folder, Asked) else Asked(folder))
+    loaded = load(folder if isinstance(folder, CaseRequest) else CaseRequest(folder))
     setup = loaded.domain.study(loaded.case, Options()).setup
     assert partly_observed(setup().problem) == ()
 

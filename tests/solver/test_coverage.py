@@ -148,9 +148,9 @@ def derivative(case: Case, totals: np.ndarray, by: np.ndarray) -> statistics.Est
     order, sizes = np.concatenate(blocks), [len(block) for block in blocks]
     found = plan(case.objective, {"x": totals[order]}, sizes)
     by, edges = by[order], np.cumsum(sizes)[:-1]
-    parts = zip(np.split(found.whole["x"], edges), np.split(by, edges))
+    parts = zip(np.split(found.total["x"], edges), np.split(by, edges))
     sums = np.stack([weight @ part for weight, part in parts])
-    pieces = [piece["x"] @ by[found.sample] for piece in found.pieces]
+    pieces = [piece["x"] @ by[found.sample] for piece in found.blocks]
     return statistics.Estimate(found.estimate(sums, np.reshape(pieces, (-1, 5))))
 
 

@@ -10,14 +10,16 @@ import pytest
 from snapo.problem.actions import Box
 from snapo.problem.policy import MLP, Constant, Residual
 from snapo.solver import checkpoint
-from snapo.solver.train import Progress, Record, Training, begin
+from snapo.solver.train import Progress, Record, Training, initial_progress
 
 
 @pytest.fixture(scope="module")
 def progress() -> Progress:
     policy = MLP(Box(-np.inf, np.inf, 2), 3, key=jax.random.key(0), hidden=(4,))
     record = Record(1, 0.5, 0.1, 0.02, 0, 0.5, 0.5, 1.0)
-    return replace(begin(policy, Training(steps=3)), step=1, best_value=0.5, history=(record,))
+    return replace(
+        initial_progress(policy, Training(steps=3)), step=1, best_value=0.5, history=(record,)
+    )
 
 
 def same(a: Progress, b: Progress) -> bool:
@@ -119,5 +121,5 @@ def test_another_kind_of_file(file, progress, tmp_path):
 def test_a_policy_of_the_same_shape_that_is_another_one(file, progress, other, named):
     """Another activation, other actions: the same numbers would be another rule."""
     with pytest.raises(checkpoint.CheckpointError, match="holds a") as refused:
-        checkpoint.load(file, begin(other, Training(steps=3)))
+        checkpoint.load(file, initial_progress(other, Training(steps=3)))
     assert named in str(refused.value) or "another shape" in str(refused.value)

@@ -51,7 +51,7 @@ def test_equal_paths_are_as_few_as_have_an_error_whatever_is_asked_for():
         assert source.available(65_536) == 2
         assert [block.tolist() for block in source.blocks(2)] == [[0], [1]]
         assert source.groups(np.arange(2)).tolist() == [0, 1]
-        assert source.words(4096) == "2 equal paths, since nothing is random"
+        assert source.describe(4096) == "2 equal paths, since nothing is random"
     # With noise they are again those that were given, and without it the few.
     noisy = replace(PROBLEM, simulator=Noisy())
     assert noisy.sources == snapo.Problem(Noisy(), INPUTS, snapo.Mean("cash")).sources

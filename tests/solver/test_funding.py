@@ -22,7 +22,7 @@ from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import value_and_gradient
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 MONTHS, KAPPA, START = 360, 0.95, -20.0
 R, MU, SIGMA = 0.02, 0.06, 0.18
@@ -133,7 +133,7 @@ def test_training_finds_the_gains():
     )
     policy = Linear(np.array([[-0.1], [-0.6]], np.float32), np.zeros(2, np.float32))
     problem = Problem(simulator, inputs(), COST)
-    progress = train(problem, begin(policy, training), training, Xla())
+    progress = train(problem, initial_progress(policy, training), training, Xla())
     assert progress.status == "trained"
     s, p, best = recursion()
     gains = np.asarray(progress.average.gain)[:, 0]

@@ -23,7 +23,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import pull_back
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 GAMMA, MONTHS = 5.0, 120
 WEIGHT, EQUIVALENT = 0.24678682, 1.28318464  # published for exact monthly rebalancing
@@ -160,7 +160,7 @@ def test_training_finds_the_weight():
         Inputs(*(Input(MARKET[n]) for n in ("rate", "drift", "volatility"))),
     )
     training = Training(steps=150, paths=1024, learning_rate=0.03, validation_every=150)
-    start = begin(Constant(np.array([0.6], np.float32)), training)
+    start = initial_progress(Constant(np.array([0.6], np.float32)), training)
     progress = train(Problem(simulator, inputs, OBJECTIVE), start, training, Xla())
     assert progress.status == "trained"
     found = float(progress.average.value[0])

@@ -11,7 +11,7 @@ import snapo
 from snapo.problem.objective import CVaR, Mean
 from snapo.solver import statistics
 from snapo.solver.by_block.changes import plan
-from snapo.solver.evaluate import estimate, worth, worth_of_groups
+from snapo.solver.evaluate import estimate, value_of, value_of_groups
 from snapo.solver.provenance.clock import Clock
 from snapo.solver.statistics import Estimate
 
@@ -62,7 +62,7 @@ def test_the_error_of_a_quantile(level):
     found = statistics.quantile(x, level)
     expected = np.sqrt(level * (1 - level) / x.size) / stats.norm.pdf(edge)
     assert found.standard_error == pytest.approx(expected, rel=1 / 6)
-    assert found.holds(edge, 0.999)
+    assert found.contains(edge, 0.999)
 
 
 def test_a_tail_has_the_error_of_its_objective():
@@ -127,7 +127,7 @@ def test_a_control_whose_mean_is_not_zero_is_refused():
     assert both.refused == ("x",) and both.control > 0.98
     assert both.standard_error < 0.12 * plain.standard_error
     assert abs(both.value - 3) < 4 * both.standard_error
-    groups = worth_of_groups(Mean("x"), totals, source, ("x", "martingale"))
+    groups = value_of_groups(Mean("x"), totals, source, ("x", "martingale"))
     assert groups.mean() == pytest.approx(both.value, rel=1e-12)
 
 
@@ -139,8 +139,8 @@ def test_rare_numbers_that_are_not_finite_are_left_out_and_counted():
     found = estimate(Mean("x"), {"x": bad}, snapo.Pseudo())
     assert found.dropped == 3
     assert found.value == pytest.approx(np.delete(x, [10, 20, 21]).mean(), rel=1e-12)
-    assert worth(Mean("x"), {"x": bad}) == pytest.approx(found.value, rel=1e-12)
-    assert worth_of_groups(Mean("x"), {"x": bad}, snapo.Pseudo()).size == 2000
+    assert value_of(Mean("x"), {"x": bad}) == pytest.approx(found.value, rel=1e-12)
+    assert value_of_groups(Mean("x"), {"x": bad}, snapo.Pseudo()).size == 2000
     bad[30:32] = np.nan
     many = estimate(Mean("x"), {"x": bad}, snapo.Pseudo())
     assert many.dropped == 5 and np.isnan(many.value) and np.isnan(many.standard_error)
@@ -173,7 +173,7 @@ def test_the_interval_of_a_mean_with_a_long_tail_holds_it(count):
         values = np.exp(deviation * random.standard_normal(count))
         found = statistics.skewed_mean(values)
         held += found.low <= exact <= found.high
-        plain += statistics.mean(values).holds(exact)
+        plain += statistics.mean(values).contains(exact)
         assert found.few and found.low < found.value < found.high
     assert held / trials >= 0.87 and held > plain + 0.04 * trials
 

@@ -12,9 +12,9 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
-from snapo.solver.learning.following import fitted
-from snapo.solver.learning.told import chosen
-from snapo.solver.train import Training, begin, train
+from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.told import start_notes
+from snapo.solver.train import Training, initial_progress, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)
 
@@ -24,7 +24,7 @@ PROBLEM = snapo.Problem(Sale(), INPUTS, snapo.Mean("cash"))
 
 def fresh(training=SHORT):
     policy = snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,))
-    return begin(policy, training, PROBLEM)
+    return initial_progress(policy, training, PROBLEM)
 
 
 def run(training, progress=None, callbacks=(), problem=PROBLEM):
@@ -58,7 +58,9 @@ def test_a_run_resumed_from_its_checkpoint_ends_with_the_same_bits(tmp_path):
 def test_a_checkpoint_of_another_policy_or_a_damaged_one_is_refused(tmp_path):
     file = tmp_path / "checkpoint.npz"
     checkpoint.save(run(SHORT), file)
-    wider = begin(snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(5,)), SHORT)
+    wider = initial_progress(
+        snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(5,)), SHORT
+    )
     with pytest.raises(checkpoint.CheckpointError, match="another shape"):
         checkpoint.load(file, wider)
     whole = file.read_bytes()
@@ -73,7 +75,7 @@ def test_what_is_not_trained_keeps_its_precision(tmp_path):
     base = snapo.Constant(jax.numpy.zeros(1))
     base = eqx.tree_at(lambda policy: policy.value, base, third)
     policy = snapo.Residual(base, PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,))
-    start = begin(policy, SHORT)
+    start = initial_progress(policy, SHORT)
     done = run(SHORT, start)
     checkpoint.save(done, tmp_path / "checkpoint.npz")
     for each in (done, checkpoint.load(tmp_path / "checkpoint.npz", start)):
@@ -318,23 +320,23 @@ def test_a_rate_that_nobody_gave_is_lowered_where_it_breaks_the_training(tmp_pat
     problem = snapo.Problem(Edge(), {"water": snapo.Input(5.0)}, snapo.Mean("cash"))
     few = {"paths": 64, "validation_paths": 64, "validation_every": 20, "seed": 1}
     policy, engine = snapo.MLP().for_problem(problem.interface, jax.random.key(0)), Xla()
-    training = fitted(snapo.Training(steps=200, **few), problem, policy)
-    whole = train(problem, begin(policy, training, problem), training, engine)
+    training = resolve_auto(snapo.Training(steps=200, **few), problem, policy)
+    whole = train(problem, initial_progress(policy, training, problem), training, engine)
     assert whole.status == "trained" and whole.best_value > -0.01  # from 10 x -.08^2
     assert whole.slowed and whole.rate(training) == 0.01 * 0.25 ** len(whole.slowed)
     steps = [record.step for record in whole.history]
     assert steps == list(range(1, 201))
     # A run that stops in between goes on with the lower rate, bit for bit.
-    half = train(problem, begin(policy, training, problem), training, engine, until=100)
+    half = train(problem, initial_progress(policy, training, problem), training, engine, until=100)
     checkpoint.save(half, tmp_path / "half.npz")
-    again = checkpoint.load(tmp_path / "half.npz", begin(policy, training, problem))
+    again = checkpoint.load(tmp_path / "half.npz", initial_progress(policy, training, problem))
     again = train(problem, again, training, engine)
     assert again.slowed == whole.slowed
     assert eqx.tree_equal(again.policy, whole.policy)
-    (told,) = chosen(whole)
+    (told,) = start_notes(whole)
     assert f"step {whole.slowed[0]}" in told or f"steps {whole.slowed[0]}" in told
-    given = fitted(snapo.Training(steps=200, learning_rate=0.01, **few), problem, policy)
-    broken = train(problem, begin(policy, given, problem), given, engine)
+    given = resolve_auto(snapo.Training(steps=200, learning_rate=0.01, **few), problem, policy)
+    broken = train(problem, initial_progress(policy, given, problem), given, engine)
     assert broken.status == "diverged" and not broken.slowed
 
 

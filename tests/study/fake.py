@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Section, Text
 from snapo.study import domain as domains
 from snapo.study.domain import Options, Report
@@ -51,7 +51,7 @@ class Fake:
         return Study("fake", about, parts(case.numbers, case.fails), result)
 
     def report(self) -> Report:
-        return Report("Fake", Folder, lambda run: [("Numbers", "some")], [section])
+        return Report("Fake", RunFiles, lambda run: [("Numbers", "some")], [section])
 
     def bench(self, engine, tell) -> str:
         return f"{engine}: at once"
@@ -89,7 +89,7 @@ def result(run: StudyRun) -> dict[str, Any]:
     return {"value": run.get("sums.total"), "standard_error": 0.0}
 
 
-def section(run: Folder) -> Section:
+def section(run: RunFiles) -> Section:
     text = f"total {run.get('sums.total')}, doubled {run.get('doubled')}, alone {run.get('alone')}"
     return Section("sums", "Sums", "Sums", [Text(text)])
 

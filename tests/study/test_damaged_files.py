@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from tests.miniatures import MINIATURES
 
-from snapo.case.csv import Mention, read_array
+from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError
 from snapo.case.table import Section
 from snapo.cli.main import main
 from snapo.problem.actions import Box
 from snapo.problem.policy import MLP
 from snapo.solver import checkpoint
-from snapo.solver.train import Training, begin
+from snapo.solver.train import Training, initial_progress
 from snapo.study import run_folder
 from snapo.study.training import load_checkpoint
 
@@ -122,7 +122,7 @@ def test_damaged_arrays_beside_a_case(tmp_path):
     files = 0
     whole = {name: (tmp_path / name).read_bytes() for name in ("p.npy", "p.parquet")}
     for name, other in (("p.npy", "p.parquet"), ("p.parquet", "p.npy")):
-        mention = Mention(Section(tmp_path / "case.toml", "model", []), "paths", name)
+        mention = FileReference(Section(tmp_path / "case.toml", "model", []), "paths", name)
         assert np.array_equal(read_array(mention, 3, "prices"), paths)
         wrong = [each for kind, each in damages(whole[name], whole[other]) if "bit" not in kind]
         wrong = [each for each in wrong if len(each) != len(whole[name]) or not any(each)]
@@ -162,7 +162,7 @@ def test_damaged_files_of_a_training(solved, tmp_path, capsys):
                 assert name in capsys.readouterr().err
         (run / name).write_bytes(content)
     assert files >= 20
-    asked = MINIATURES["own"].asked(solved("own"))
+    asked = MINIATURES["own"].request(solved("own"))
     sets = [word for each in asked.assignments for word in ("--set", each)]
     resume = ["solve", str(asked.path), *sets, "--simulator", "simulator:Reservoir", "--resume"]
     resume += ["--out", str(run)]
@@ -182,7 +182,7 @@ def test_damaged_files_of_a_training(solved, tmp_path, capsys):
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     """Of the same shapes, but of a run with other numbers; one without a mark is taken."""
     policy = MLP(Box(-np.inf, np.inf, 2), 3, key=jax.random.key(0), hidden=(4,))
-    fresh, file = begin(policy, Training(steps=3)), tmp_path / "checkpoint.npz"
+    fresh, file = initial_progress(policy, Training(steps=3)), tmp_path / "checkpoint.npz"
     checkpoint.save(fresh, file, run_folder.mark({"seed": 1}))
     checkpoint.load(file, fresh, run_folder.mark({"seed": 1}))
     checkpoint.load(file, fresh)

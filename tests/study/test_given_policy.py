@@ -52,14 +52,14 @@ def test_the_numbers_of_a_run_are_read(half, tmp_path):
     """With the policy from the middle of training beside it, or without."""
     policy = moved(net(), 0.25)
     file = saved(policy, tmp_path / "policy.npz", moved(policy, 9.0) if half else None)
-    found = given(file).fitted(net())
+    found = given(file).adopted_by(net())
     assert np.array_equal(parameters(found), parameters(policy))
 
 
 def test_a_file_of_a_policy_is_read(tmp_path):
     policy = moved(net(), 0.25)
     policy.save(tmp_path / "mine.npz")
-    found = given(tmp_path / "mine.npz").fitted(net())
+    found = given(tmp_path / "mine.npz").adopted_by(net())
     assert np.array_equal(parameters(found), parameters(policy))
 
 
@@ -67,7 +67,7 @@ def test_limits_and_a_base_are_those_of_the_case(tmp_path):
     """They are not trained: an earlier run's would break the limits of this case."""
     old = moved(Residual(Constant(np.array([9.0])), Box(0.0, 9.0), 3, key=KEY, hidden=(4,)), 0.25)
     own = Residual(Constant(np.array([2.0])), Box(0.0, 3.0), 3, key=KEY, hidden=(4,))
-    found = given(saved(old, tmp_path / "policy.npz")).fitted(own)
+    found = given(saved(old, tmp_path / "policy.npz")).adopted_by(own)
     assert np.array_equal(parameters(found), parameters(old))
     assert isinstance(found, Residual) and isinstance(found.base.array, Constant)
     assert found.action == Box(0.0, 3.0) and found.base.array.value == 2.0
@@ -88,7 +88,7 @@ def test_limits_and_a_base_are_those_of_the_case(tmp_path):
 def test_a_policy_that_does_not_fit_is_refused_in_words(other, named, tmp_path):
     file = saved(other, tmp_path / "policy.npz")
     with pytest.raises(CaseError) as refused:
-        given(file).fitted(net())
+        given(file).adopted_by(net())
     for each in (str(file), "does not fit", *named):
         assert each in str(refused.value), refused.value
 
@@ -113,7 +113,7 @@ def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys):
     """Into the folder of the earlier run, whose policy is removed there; then resumed."""
     run = Path(shutil.copytree(solved("own") / "run", tmp_path / "run"))
     before = json.loads((run / "result.json").read_text())
-    asked = OWN.asked(solved("own"))
+    asked = OWN.request(solved("own"))
     result = commands.solve(asked, quiet, out=run, policy=run)
     start = result["start"]
     assert result["status"] == "trained" and start["policy"] == str(run)
@@ -144,7 +144,7 @@ def test_nothing_is_written_where_it_does_not_fit(solved, tmp_path, capsys):
 @pytest.mark.parametrize("kind", sorted(MINIATURES))
 def test_every_kind_begins_with_its_own_run_and_with_no_other(kind, solved, tmp_path):
     run, out = solved(kind) / "run", tmp_path / "run"
-    loaded = commands.load(MINIATURES[kind].asked(solved(kind)))
+    loaded = commands.load(MINIATURES[kind].request(solved(kind)))
     wanted = Wanted(policy=run)
     if not (run / POLICY).exists():  # a recipe: nothing is trained
         with pytest.raises(CaseError, match=r"trained policy|trains no policy"):

@@ -8,7 +8,7 @@ import pytest
 from tests.study.fake import parts
 
 from snapo.problem.inputs import Input
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Chart, Missing, Page, Text, render
 from snapo.report.sections.lacking import not_asked, unless_left_out
 from snapo.report.sections.proof import history, making
@@ -76,14 +76,14 @@ def test_an_input_moves_by_its_own_move_or_by_a_share():
     assert InputMove("rate", share=0.01).size == "+1\N{NO-BREAK SPACE}%"
 
 
-def write(folder, parts: dict, result: dict, states: dict) -> Folder:
+def write(folder, parts: dict, result: dict, states: dict) -> RunFiles:
     (folder / "parts").mkdir()
     for name, tables in parts.items():
         (folder / "parts" / f"{name}.json").write_text(json.dumps(plain_json(tables)))
     about = {"title": "A run", "unit": "EUR", "step": "week", "objective_output": "cash"}
     (folder / "run.json").write_text(json.dumps({"about": about, "parts": states}))
     (folder / "result.json").write_text(json.dumps(result))
-    return Folder.read(folder)
+    return RunFiles.read(folder)
 
 
 def test_sections_of_a_run_without_anything_say_so(tmp_path):
@@ -100,10 +100,10 @@ def test_sections_of_a_run_without_anything_say_so(tmp_path):
 
 def test_parts_are_chosen_with_all_that_they_need():
     given = parts([1.0])
-    assert choice.chosen(given, []) == given
-    doubled = choice.chosen(given, ["doubled", "not of this case"])
+    assert choice.with_needs(given, []) == given
+    doubled = choice.with_needs(given, ["doubled", "not of this case"])
     assert [part.name for part in doubled] == ["first sum", "doubled"]
-    assert choice.told(given, doubled) == {
+    assert choice.summary(given, doubled) == {
         "planned": ["first sum", "doubled"], "left_out": ["alone"]
     }  # fmt: skip
 
@@ -119,7 +119,7 @@ def test_a_part_that_was_not_asked_for_is_no_part_that_is_missing(tmp_path):
         assert unless_left_out(sensitivities, *names)(run).blocks != []
     (sentence,) = not_asked(run)
     assert sentence.text.endswith("(`[report] parts`): profile, bound.")
-    assert not_asked(Folder({}, {}, {}, (), {}, {})) == []
+    assert not_asked(RunFiles({}, {}, {}, (), {}, {})) == []
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def test_a_result_comes_back_from_its_file_as_it_was_measured(tmp_path, key):
     assert np.isnan(first.height) and second.height == 2.0
     assert first.line[0] == 1.0 and np.isnan(first.line[1]) and second.line.size == 0
     assert chapter(run).blocks == [Text("None")] and chapter(run).name == "the-lake"
-    assert chapter.of(Folder({}, {}, {}, (), {}, {})) is None
+    assert chapter.of(RunFiles({}, {}, {}, (), {}, {})) is None
 
 
 def test_a_file_of_another_form_is_a_missing_result(tmp_path):

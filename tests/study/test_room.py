@@ -16,12 +16,12 @@ def bound(value, high, upper=78_463.0):
 def test_the_room_is_that_of_the_tightest_bound():
     assert room(78_375.0, 2.0) is None
     found = room(78_375.0, 2.0, bound(88.0, 94.2))
-    assert found.near and found.words == (
+    assert found.near and found.description == (
         "At most 0.12 % can be gained over this policy: no policy is worth more than 78,463 ± 9."
     )
     exact = room(78_374.0, 2.0, bound(88.0, 94.2), exact=78_370.0)
     assert exact.share == 0
-    assert exact.words == "Nothing can be gained over this policy: the exact value is 78,370."
+    assert exact.description == "Nothing can be gained over this policy: the exact value is 78,370."
     low = room(77_000.0, 2.0, bound(1400.0, 1420.0), exact=78_370.0)
     assert not low.near and low.share == pytest.approx(1374 / 78_370)
     # Costs are values below zero; a bound that leaves half of the value tells nothing.
@@ -51,12 +51,12 @@ def test_near_a_bound_the_verdict_is_the_room_and_no_advice_to_train_on(
     solution |= dict.fromkeys(("smooth_value", "smoothing_gap", "policy_gradient_norm"), 0.0)
     solution |= {"notes": ["Another note.", ADVICE]}
     study = Study("kind", {}, (TRAINING, Part("bound", lambda run: {})), lambda run: {})
-    run = StudyRun(study, tmp_path, print, found={"solution": solution, "bound": bound(88, high)})
+    run = StudyRun(study, tmp_path, print, results={"solution": solution, "bound": bound(88, high)})
     result = trained(run)
-    said = room(78_375.0, 2.0, bound(88, high)).words
+    said = room(78_375.0, 2.0, bound(88, high)).description
     assert result["verdict"] == said and result["notes"][0] == said
     assert result["convergence"] == now
     assert (ADVICE in result["notes"]) == kept and "Another note." in result["notes"]
     # A classical rule that does better is told in its place, on the terminal.
-    beaten = trained(run, leads=[("rule", -500.0, 1.0)])
+    beaten = trained(run, advantages=[("rule", -500.0, 1.0)])
     assert "rule" in beaten["verdict"] and beaten["notes"][0] == said

@@ -49,7 +49,7 @@ def test_the_run_is_that_of_the_best(two, tmp_path):
     assert result["status"] == "trained" and result["seed"] == found["best"]
     best = result_of(run / "seeds" / str(found["best"]))
     assert result["value"] == best["value"]
-    asked = SMALL.asked(two)
+    asked = SMALL.request(two)
     more = (*asked.assignments, f"training.seed={found['best']}")
     alone = commands.solve(asked._replace(assignments=more), quiet, out=tmp_path / "alone")
     assert alone["value"] == result["value"]
@@ -62,7 +62,7 @@ def test_the_run_is_that_of_the_best(two, tmp_path):
 
 def test_values_are_compared_on_paths_of_their_own(two):
     """They are neither those of training nor those of the value, and the same for all seeds."""
-    loaded = commands.load(SMALL.asked(two))
+    loaded = commands.load(SMALL.request(two))
     setup = loaded.domain.study(loaded.case, Options()).setup
     assert setup is not None
     problem = setup().problem
@@ -102,7 +102,7 @@ def test_the_table_is_kept_printed_and_shown(two, run, capsys):
 
 def test_more_seeds_are_added_and_none_is_trained_again(two, run):
     said = []
-    again = commands.solve(SMALL.asked(two), said.append, out=run, resume=True, seeds=(0, 4, 5))
+    again = commands.solve(SMALL.request(two), said.append, out=run, resume=True, seeds=(0, 4, 5))
     rows = [row["seed"] for row in again["seeds"]["rows"]]
     assert rows == [0, 4, 5] and again["seed"] == again["seeds"]["best"]
     trained = [line for line in said if line.endswith(": training")]
@@ -112,7 +112,7 @@ def test_more_seeds_are_added_and_none_is_trained_again(two, run):
 
 def test_the_other_parts_of_a_seed_can_be_done(two, run):
     """As its own run, with the value that it has."""
-    asked, out = SMALL.asked(two), run / "seeds" / "0"
+    asked, out = SMALL.request(two), run / "seeds" / "0"
     before, more = result_of(out), (*asked.assignments, "training.seed=0")
     again = commands.solve(asked._replace(assignments=more), quiet, out=out, resume=True)
     assert again["value"] == before["value"]
@@ -121,7 +121,7 @@ def test_the_other_parts_of_a_seed_can_be_done(two, run):
 
 def test_seeds_are_counted_from_that_of_the_case_and_an_interrupted_call_goes_on(two, tmp_path):
     """Killed in the second training: the first is not done again."""
-    asked = SMALL.asked(two)
+    asked = SMALL.request(two)
     asked = asked._replace(assignments=(*asked.assignments, "training.seed=7"))
 
     def stop(text):
@@ -140,7 +140,7 @@ def test_seeds_are_counted_from_that_of_the_case_and_an_interrupted_call_goes_on
 
 def test_every_seed_begins_with_a_given_policy(two, run):
     """The policy of the folder that is written to, twice; then resumed."""
-    asked = SMALL.asked(two)
+    asked = SMALL.request(two)
     before = result_of(run)
     for resume in (False, True):
         result = commands.solve(asked, quiet, out=run, seeds=(0, 4), policy=run, resume=resume)
@@ -152,7 +152,7 @@ def test_every_seed_begins_with_a_given_policy(two, run):
 
 
 def test_a_run_of_another_case_is_not_taken_for_one_of_the_seeds(two, run):
-    asked = SMALL.asked(two)
+    asked = SMALL.request(two)
     asked = asked._replace(assignments=(*asked.assignments, "training.steps=5"))
     shutil.rmtree(run / "seeds")
     with pytest.raises(CaseError, match=r"training.steps = 4, and now it is 5"):
@@ -192,7 +192,7 @@ def test_the_best_is_chosen(values, within, best):
 
 
 def test_without_other_paths_the_choice_is_told(two):
-    loaded = commands.load(SMALL.asked(two))
+    loaded = commands.load(SMALL.request(two))
     setup = loaded.domain.study(loaded.case, Options()).setup
     assert setup is not None
     problem, noise = setup().problem, setup().problem.simulator
@@ -201,11 +201,11 @@ def test_without_other_paths_the_choice_is_told(two):
     own = setup()._replace(problem=replace(problem, sources=sources))
     assert table_of._measured_on_others(own)[1] is False
     found = result_of(two / "run")["seeds"] | {"fresh": False}
-    assert "a little high" in table_of.words(found)
+    assert "a little high" in table_of.describe(found)
 
 
 def test_seeds_without_a_value_are_told():
     row = dict.fromkeys(table_of.Row._fields) | {"seed": 3, "seconds": 1.0, "status": "diverged"}
     found = dict.fromkeys(table_of.Comparison._fields) | {"rows": [row], "best": 3, "paths": 4}
     assert "none" in "\n".join(by_seed(found)) and "diverged" in by_seed(found)[1]
-    assert "Best of 1 seeds" in table_of.words(found)
+    assert "Best of 1 seeds" in table_of.describe(found)

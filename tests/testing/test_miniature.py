@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Section, Text
 from snapo.study import commands, domain
 from snapo.study.domain import Report
@@ -49,7 +49,7 @@ class Doubling:
         def section(run):
             return Section("outcome", "Outcome", "Outcome", [Text(f"It is {run.get('twice')}.")])
 
-        return Report("Doubling", Folder, lambda run: [("kind", self.kind)], [section])
+        return Report("Doubling", RunFiles, lambda run: [("kind", self.kind)], [section])
 
     def bench(self, engine, tell):
         return "at once"
@@ -93,7 +93,7 @@ def test_a_run_is_carried_out_from_the_file_to_the_report(tmp_path):
     assert json.loads((out / "parts" / "halving.json").read_text()) == {"once": 4.0}
     assert "It is 8.0." in (out / "report.html").read_text()
     said = []
-    asked = small.asked(tmp_path)
+    asked = small.request(tmp_path)
     again = commands.solve(asked, said.append, out=out, engine="xla", resume=True)
     assert again["value"] == 8.0 and not said
 

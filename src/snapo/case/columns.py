@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 from .error import CaseError
 
 if TYPE_CHECKING:
-    from .csv import Mention
+    from .csv import FileReference
 
 PARQUET = "Parquet needs the package pyarrow: pip install 'snapo[parquet]'"
 FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
-def parquet_lines(reference: "Mention", path: Path) -> list[tuple[int, list[str]]]:
+def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of a Parquet file, its column names first, as of a CSV.
 
     **Raises:** `CaseError` where pyarrow is missing, or the file is damaged or nested.

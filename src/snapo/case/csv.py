@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .columns import PARQUET, parquet_lines
-from .dialect import Dialect, Doubt, dialect, separator
+from .dialect import AmbiguousFormat, Dialect, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .given import SheetCell
 from .table import LARGEST, TOO_LARGE, Section, not_utf8
@@ -27,7 +27,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
-class Mention:
+class FileReference:
     """Where a case names a file: the table, the key, and the name that stands there."""
 
     section: Section
@@ -92,7 +92,7 @@ class Row:
             text = self.dialect.period(self.cells[column])
             if DAY.fullmatch(text):
                 return datetime.date.fromisoformat(text)
-        except Doubt as doubt:
+        except AmbiguousFormat as doubt:
             raise self.error(column, str(doubt)) from None
         except ValueError:
             raise self.error(column, "there is no such day in the calendar") from None
@@ -106,7 +106,7 @@ class Row:
         """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, where that is certain."""
         try:
             return self.dialect.period(self.cells[column])
-        except Doubt:
+        except AmbiguousFormat:
             return self.cells[column]
 
 
@@ -119,7 +119,7 @@ def within(low: float, high: float) -> str:
     return f"a number from {low:g} to {high:g}"
 
 
-def beside(reference: Mention, suffixes: Sequence[str]) -> Path:
+def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     """The plain file that a case names, which must lie in the folder of the case or below it."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
@@ -143,7 +143,7 @@ def beside(reference: Mention, suffixes: Sequence[str]) -> Path:
 
 
 def read_rows(
-    reference: Mention, columns: Sequence[str], optional: Sequence[str] | None = None
+    reference: FileReference, columns: Sequence[str], optional: Sequence[str] | None = None
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
@@ -152,7 +152,7 @@ def read_rows(
     Other columns are those of `optional`: a misspelt one must not count as left out. None allows
     any.
     """
-    path = beside(reference, (".csv", ".parquet"))
+    path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name
     if path.suffix.lower() == ".parquet":
         result, written = parquet_lines(reference, path), Dialect()
@@ -196,20 +196,20 @@ def _text(path: Path, name: str) -> str:
     return text
 
 
-def _read(reference: Mention, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
+def _read(reference: FileReference, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
     """Line numbers and cells, header first, and the dialect, of which the case gets a note."""
     lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
     header = next(lines, "")
     records = list(_records(reference.name, text, separator(header)))
     try:
         written = dialect(header, (cells for _, cells in records[1:]))
-    except Doubt as doubt:
+    except AmbiguousFormat as doubt:
         line, cells = next(item for item in records[1:] if doubt.cell in item[1])
         names = [*records[0][1], *cells]  # a line may have too many cells
         where = f"line {line}, column {names[cells.index(doubt.cell)]}"
         raise CaseError(reference.name, where, doubt.cell, str(doubt)) from None
-    if written.words():
-        reference.section.notes.append(f"{reference.name} was read with {written.words()}.")
+    if written.describe():
+        reference.section.notes.append(f"{reference.name} was read with {written.describe()}.")
     return records, written
 
 
@@ -240,9 +240,9 @@ def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> l
     return names
 
 
-def read_array(reference: Mention, columns: int, meaning: str) -> np.ndarray:
+def read_array(reference: FileReference, columns: int, meaning: str) -> np.ndarray:
     """Reads a finite float64 array [path, day] from .npy (no pickles) or Parquet."""
-    path = beside(reference, (".npy", ".parquet"))
+    path = file_in_folder(reference, (".npy", ".parquet"))
     array = _npy(reference, path) if path.suffix.lower() == ".npy" else _parquet(reference, path)
     if array.ndim != 2 or array.shape[1] != columns or array.shape[0] < 2:
         got = Unquoted(f"an array of shape {array.shape}")
@@ -259,7 +259,7 @@ def read_array(reference: Mention, columns: int, meaning: str) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def _npy(reference: Mention, path: Path) -> np.ndarray:
+def _npy(reference: FileReference, path: Path) -> np.ndarray:
     try:
         with path.open("rb") as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
@@ -273,7 +273,7 @@ def _first_line(error: Exception) -> str:
     return text.splitlines()[0] if text else type(error).__name__
 
 
-def _parquet(reference: Mention, path: Path) -> np.ndarray:
+def _parquet(reference: FileReference, path: Path) -> np.ndarray:
     try:
         import pyarrow.parquet as parquet
     except ImportError:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .csv import Mention, Row, read_rows
-from .given import Given
+from .csv import FileReference, Row, read_rows
+from .given import CaseInput
 from .table import Section
 
 
-def single(name: str, value: float, unit: str) -> Given:
+def single(name: str, value: float, unit: str) -> CaseInput:
     """One plain number, used once (index [])."""
-    return Given(name, np.array([value], np.float64), ("",), unit, np.array(0))
+    return CaseInput(name, np.array([value], np.float64), ("",), unit, np.array(0))
 
 
 def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
@@ -31,17 +31,17 @@ def dated(
     low: float = -math.inf,
     high: float = math.inf,
     before: float | None = None,
-) -> Given:
+) -> CaseInput:
     """What was given under `key`, with its index [len(days)] on the rising dates `days`.
 
     A number in the file holds from its date on. Before the first date holds `before`, under a
     label of its own and with a remark; without it the file must begin by the first of `days`.
     """
     if not isinstance(inputs, str):
-        return Given(
+        return CaseInput(
             key, np.array([inputs], np.float64), ("",), unit, np.zeros(len(days), np.int64)
         )
-    rows = read_rows(Mention(section, key, inputs), ("date", "value"))
+    rows = read_rows(FileReference(section, key, inputs), ("date", "value"))
     dates = rising_dates(rows)
     values = [row.number("value", low, high) for row in rows]
     labels = [date.isoformat() for date in dates]
@@ -56,7 +56,7 @@ def dated(
         labels.insert(0, f"before {first}")
         starts = np.insert(starts, 0, days[0].toordinal())
     index = np.searchsorted(starts, ordinals(days), side="right") - 1
-    return Given(key, np.array(values), tuple(labels), unit, index)
+    return CaseInput(key, np.array(values), tuple(labels), unit, index)
 
 
 def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.date]:

@@ -21,7 +21,7 @@ MIDNIGHT = re.compile(r"[T ]00:00(:00(\.0+)?)?$", re.ASCII)
 Order = Literal["day", "month"]
 
 
-class Doubt(ValueError):
+class AmbiguousFormat(ValueError):
     """A file that could mean two things: the cell, and the remedy."""
 
     def __init__(self, cell: str, remedy: str):
@@ -59,11 +59,13 @@ class Dialect:
         one, mark, two, year = match.groups()
         first = "day" if mark == "." else self.first
         if first is None:
-            raise Doubt(cell, "day and month cannot be told apart; a date is written YYYY-MM-DD")
+            raise AmbiguousFormat(
+                cell, "day and month cannot be told apart; a date is written YYYY-MM-DD"
+            )
         day, month = (one, two) if first == "day" else (two, one)
         return f"{year}-{int(month):02}-{int(day):02}"
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """What differs from commas and decimal points, for a note; "" for nothing."""
         messages = []
         if self.separator != ",":
@@ -98,9 +100,9 @@ def _decimal_comma(cells: set[str]) -> bool:
     points = sorted(c for c in cells if POINT.fullmatch(c) and c not in doubtful)
     if commas and points:
         message = f"this number has a decimal comma and {points[0]} a point; write all alike"
-        raise Doubt(commas[0], message)
+        raise AmbiguousFormat(commas[0], message)
     if doubtful and not commas and not points:
-        raise Doubt(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")
+        raise AmbiguousFormat(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")
     return bool(commas)
 
 
@@ -117,5 +119,5 @@ def _first(cells: set[str]) -> Order | None:
             table["month"] = cell
     if len(table) == 2:
         message = f"here the month comes first, and in {table['day']} the day; write YYYY-MM-DD"
-        raise Doubt(table["month"], message)
+        raise AmbiguousFormat(table["month"], message)
     return next(iter(table), None)

@@ -44,7 +44,7 @@ def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[File
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class CaseInput:
     """Numbers that the owner of the case gave, and where each of them is used.
 
     The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
@@ -73,13 +73,13 @@ class Given:
     index: np.ndarray
     bump: float | None = None
     move: float | None = None
-    trade_unit: str = ""
-    trade_factor: float = 1.0
+    display_unit: str = ""
+    display_factor: float = 1.0
     group: str = ""
-    words: str = ""
+    meaning: str = ""
     low: float = -math.inf
     high: float = math.inf
-    places: tuple[FilePosition, ...] = ()
+    positions: tuple[FilePosition, ...] = ()
     starts: np.ndarray | None = None
     quantity: Any = None
 
@@ -100,7 +100,7 @@ class Given:
     @property
     def written(self) -> float | str:
         """The value of its key in the case: a number, or the name of a file."""
-        position = self.places[0] if self.places else None
+        position = self.positions[0] if self.positions else None
         return position.file if isinstance(position, SheetCell) else float(self.values[0])
 
     def input(self) -> "Input":
@@ -110,7 +110,7 @@ class Given:
         metadata = {name: getattr(self, name) for name in SAID}
         return Input(self.values, self.unit, self.labels, **metadata)
 
-    def on(self, days: Sequence[date], notes: list[str]) -> "Given":
+    def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
         """The numbers on rising dates: each holds from its own date on; index [len(days)].
 
         **Raises:** `CaseError` where the dates begin before the numbers do.
@@ -124,10 +124,10 @@ class Given:
         index = np.searchsorted(numbers.starts, day_numbers, side="right") - 1
         return replace(numbers, index=index)
 
-    def _from(self, day: date, notes: list[str]) -> "Given":
+    def _from(self, day: date, notes: list[str]) -> "CaseInput":
         """With the number that holds before the first of its dates."""
         assert self.starts is not None
-        first, before, position = self.labels[0], self.quantity.before, self.places[0]
+        first, before, position = self.labels[0], self.quantity.before, self.positions[0]
         assert isinstance(position, SheetCell)
         if before is None:
             message = f"{self.name} is needed from {day.isoformat()} on; add a row for that date"
@@ -139,5 +139,5 @@ class Given:
             values=np.insert(self.values, 0, before),
             labels=(f"before {first}", *self.labels),
             starts=np.insert(self.starts, 0, day.toordinal()),
-            places=(None, *self.places),
+            places=(None, *self.positions),
         )

@@ -24,7 +24,7 @@ class Only:
     - `when`: the same in a clause that follows "only". `instead`: what the case has in its place.
     """
 
-    holds: Callable[[Tables], bool]
+    applies: Callable[[Tables], bool]
     when: str
     instead: Callable[[Tables], str] | None = None
 
@@ -52,7 +52,7 @@ def check_meanings(file: str, tables: Tables) -> None:
             if key not in table.model_fields_set:
                 continue
             for only in conditions(type(table).model_fields[key]):
-                if not only.holds(tables):
+                if not only.applies(tables):
                     value = getattr(table, key)
                     displayed = None if isinstance(value, dict | list) else value
                     where = f"{name}.{key}" if name else key

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .csv import NUMBER, Mention, read_rows
+from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
 from .given import Copies, FilePosition, SheetCell
 from .table import Section
@@ -52,7 +52,7 @@ class CheckedNumbers(NamedTuple):
     written: np.ndarray | None = None
     source: str = ""
     range: "Plausible | None" = None
-    places: tuple[Any, ...] = ()
+    positions: tuple[Any, ...] = ()
 
 
 def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
@@ -73,7 +73,7 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
         getattr(entry, "display_unit", "") or getattr(entry, "trade_unit", ""),
         getattr(entry, "display_factor", None) or getattr(entry, "trade_factor", 1.0),
         range=getattr(getattr(entry, "quantity", None), "plausible", None),
-        places=getattr(entry, "places", ()),
+        positions=getattr(entry, "places", ()),
     )
 
 
@@ -188,7 +188,7 @@ def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     """Position, name and number of the entry, in the unit of the trade and as it is written."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
-    position = in_words(entry.places[row]) if entry.places else ""
+    position = in_words(entry.positions[row]) if entry.positions else ""
     if not position:
         name, number = entry.source or entry.name, float(written[row])
         position = files.position(name, entry.labels[row], number)
@@ -292,7 +292,7 @@ class CaseFiles:
             if (self.file.parent / name).stat().st_size > LARGEST:
                 yield Cell(name, _terms(".".join(path)), (), math.nan)
                 return
-            rows = read_rows(Mention(section, path[-1], name), ())
+            rows = read_rows(FileReference(section, path[-1], name), ())
         except (CaseError, OSError, ValueError):
             return
         for row in rows:

@@ -22,10 +22,10 @@ from pydantic import BaseModel, Field, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
-from .csv import Mention, Row, read_rows
+from .csv import FileReference, Row, read_rows
 from .dates import ordinals, rising_dates
 from .error import CaseError
-from .given import Given
+from .given import CaseInput
 from .plausible import Plausible
 from .table import LARGEST, TOO_LARGE, Section, Table
 
@@ -40,35 +40,35 @@ class Range(NamedTuple):
 
     low: float = -math.inf
     high: float = math.inf
-    ends: str = "[]"
+    endpoints: str = "[]"
     note: str = ""
     noun: str = "a number"
 
-    def holds(self, number: float) -> bool:
+    def contains(self, number: float) -> bool:
         """Whether a number is in the range; no NaN is."""
-        above = self.low < number if self.ends[0] == "(" else self.low <= number
-        return above and (number < self.high if self.ends[1] == ")" else number <= self.high)
+        above = self.low < number if self.endpoints[0] == "(" else self.low <= number
+        return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
 
     @property
     def closed(self) -> tuple[float, float]:
         """The smallest and the largest number of the range."""
         low, high = self.low, self.high
-        low = float(np.nextafter(low, math.inf)) if self.ends[0] == "(" else low
-        return low, float(np.nextafter(high, -math.inf)) if self.ends[1] == ")" else high
+        low = float(np.nextafter(low, math.inf)) if self.endpoints[0] == "(" else low
+        return low, float(np.nextafter(high, -math.inf)) if self.endpoints[1] == ")" else high
 
     def __str__(self) -> str:
         low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
         if self.low == -math.inf and self.high == math.inf:
             text = self.noun
         elif self.low == -math.inf:
-            text = f"{self.noun} {'below' if self.ends[1] == ')' else 'of at most'} {high}"
+            text = f"{self.noun} {'below' if self.endpoints[1] == ')' else 'of at most'} {high}"
         elif self.high == math.inf:
-            text = f"{self.noun} {'above' if self.ends[0] == '(' else 'of at least'} {low}"
-        elif self.ends == "()":
+            text = f"{self.noun} {'above' if self.endpoints[0] == '(' else 'of at least'} {low}"
+        elif self.endpoints == "()":
             text = f"{self.noun} between {low} and {high}"
-        elif self.ends == "[)":
+        elif self.endpoints == "[)":
             text = f"{self.noun} from {low} up to but not {high}"
-        elif self.ends == "(]":
+        elif self.endpoints == "(]":
             text = f"{self.noun} above {low}, at most {high}"
         else:
             text = f"{self.noun} from {low} to {high}"
@@ -77,13 +77,13 @@ class Range(NamedTuple):
     def json(self) -> dict[str, Any]:
         """The range as keys of a JSON schema."""
         keys = (
-            ("exclusiveMinimum" if self.ends[0] == "(" else "minimum", self.low),
-            ("exclusiveMaximum" if self.ends[1] == ")" else "maximum", self.high),
+            ("exclusiveMinimum" if self.endpoints[0] == "(" else "minimum", self.low),
+            ("exclusiveMaximum" if self.endpoints[1] == ")" else "maximum", self.high),
         )
         return {"type": "number"} | {key: end for key, end in keys if math.isfinite(end)}
 
 
-ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, ends="()")
+ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="()")
 FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
 
 
@@ -105,8 +105,8 @@ class Quantity:
     range: Range = ANY
     group: str = ""
     move: float | None = None
-    trade_unit: str = ""
-    trade_factor: float = 1.0
+    display_unit: str = ""
+    display_factor: float = 1.0
     limits: Range = ANY
     plausible: Plausible | None = None
     by: str = ""
@@ -127,7 +127,7 @@ class Quantity:
         file = f", or the name of a CSV file with columns {self.by},{self.column}"
         return self.text or f"{self.range}{file if self.by else ''}"
 
-    def read(self, raw: Any, key: "KeyContext") -> Given | None:
+    def read(self, raw: Any, key: "KeyContext") -> CaseInput | None:
         """The number of a key, or the numbers of the CSV that it names."""
         if raw is None:
             return None
@@ -135,36 +135,38 @@ class Quantity:
         if isinstance(raw, str) and raw and self.by:
             rows = key.rows(raw, self.by, self.column)
             return quantity.from_dated_rows(self.name or key.name, rows)
-        return quantity.given(
+        return quantity.input(
             self.name or key.name, [quantity.checked(raw, key)], places=(key.path,)
         )
 
-    def from_dated_rows(self, name: str, rows: Sequence[Row]) -> Given:
+    def from_dated_rows(self, name: str, rows: Sequence[Row]) -> CaseInput:
         """The numbers of a CSV, each of which holds from its date on."""
         dates = rising_dates(rows, self.by)
         labels = [day.isoformat() for day in dates]
         return self.from_rows(name, rows, labels, starts=ordinals(dates))
 
-    def from_rows(self, name: str, rows: Sequence[Row], labels: Sequence[str], **more) -> Given:
+    def from_rows(self, name: str, rows: Sequence[Row], labels: Sequence[str], **more) -> CaseInput:
         """The numbers of one column, each with its cell."""
         values = [self.cell(row) for row in rows]
         positions = tuple(row.position(self.column) for row in rows)
-        return self.given(name, values, labels, places=positions, **more)
+        return self.input(name, values, labels, places=positions, **more)
 
-    def given(self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any) -> Given:
+    def input(
+        self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any
+    ) -> CaseInput:
         """Numbers with everything that is known of them."""
         values = np.asarray(values, np.float64)
         more.setdefault("index", np.array(0) if tuple(labels) == ("",) else np.arange(len(values)))
         about = {key: getattr(self, key) for key in ("bump", "move", "trade_unit", "trade_factor")}
         about |= {"group": self.group, "words": self.meaning}
         about |= {"low": self.range.low, "high": self.range.high, "quantity": self}
-        return Given(name, values, tuple(labels), self.unit, **(about | more))
+        return CaseInput(name, values, tuple(labels), self.unit, **(about | more))
 
     def cell(self, row: Row) -> float:
         """The number in the column of a row, within the range."""
         allowed = "" if self.range == ANY else str(self.range)
         number = row.number(self.column, *self.range.closed, allowed)
-        if not self.limits.holds(number):
+        if not self.limits.contains(number):
             raise row.error(self.column, f"{OUTSIDE} {self.limits}")
         return number
 
@@ -174,11 +176,11 @@ class Quantity:
             raise key.error(raw, f"allowed is {self.allowed}")
         if isinstance(raw, float) and not math.isfinite(raw):
             raise key.error(raw, f"allowed is {self.allowed}, and finite")
-        if not self.range.holds(raw):
+        if not self.range.contains(raw):
             raise key.error(raw, f"allowed is {self.allowed}")
         if abs(raw) > LARGEST:  # an integer may be larger than any float
             raise key.error(raw, f"allowed is {self.allowed}; {TOO_LARGE}")
-        if not self.limits.holds(raw):
+        if not self.limits.contains(raw):
             raise key.error(raw, f"{OUTSIDE} {self.limits}")
         return float(raw)
 
@@ -210,7 +212,7 @@ class KeyContext(NamedTuple):
 
     def rows(self, file: str, *columns: str) -> list[Row]:
         """The rows of the CSV that the key names."""
-        return read_rows(Mention(self.table, self.name, file), columns)
+        return read_rows(FileReference(self.table, self.name, file), columns)
 
     def filled(self, unit: str) -> str:
         """A unit with the values of other keys in place of their names in braces."""
@@ -265,7 +267,7 @@ def choice(*options: str, default: str = "") -> Any:
 
 def _validator(read: ReadKey) -> core_schema.CoreSchema:
     def validated(raw: Any, info: ValidationInfo) -> Any:
-        if isinstance(raw, Given):
+        if isinstance(raw, CaseInput):
             return raw
         table = info.context
         assert isinstance(table, Section)
@@ -274,13 +276,13 @@ def _validator(read: ReadKey) -> core_schema.CoreSchema:
     return core_schema.with_info_plain_validator_function(validated)
 
 
-def on_dates(table: Table, days: Sequence[date], notes: list[str]) -> dict[str, Given]:
+def on_dates(table: Table, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
     """{key: numbers} of a table; those that may change with time are laid on rising dates."""
-    numbers = {key: value for key, value in table if isinstance(value, Given)}
+    numbers = {key: value for key, value in table if isinstance(value, CaseInput)}
     return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}
 
 
-def stacked(name: str, parts: Sequence[Given]) -> Given:
+def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
     """Several of the same quantity as one, index [..., len(parts)]; several are numbered from 1."""
     starts = np.cumsum([0, *(len(part.values) for part in parts)])
     prefixes = [f"{i} " if len(parts) > 1 else "" for i in range(1, len(parts) + 1)]
@@ -290,14 +292,14 @@ def stacked(name: str, parts: Sequence[Given]) -> Given:
         values=np.concatenate([part.values for part in parts]),
         labels=tuple(f"{p}{y}".strip() for p, x in zip(prefixes, parts) for y in x.labels),
         index=np.stack([x.index + start for x, start in zip(parts, starts)], axis=-1),
-        places=tuple(position for part in parts for position in part.places),
+        places=tuple(position for part in parts for position in part.positions),
         starts=None,
     )
 
 
-def numbers_in(record: Any) -> Iterator[Given]:
+def numbers_in(record: Any) -> Iterator[CaseInput]:
     """All numbers in a record, in the records within it and in their tuples; no empty ones."""
-    if isinstance(record, Given):
+    if isinstance(record, CaseInput):
         if record.values.size:
             yield record
     elif isinstance(record, tuple):

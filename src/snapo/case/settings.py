@@ -8,8 +8,8 @@ from pydantic import Field
 from .error import CaseError
 from .table import Count, Positive, Table, parse
 
-MOST_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
-MOST_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
+MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
+MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
 AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
 
@@ -17,14 +17,14 @@ AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
 class TrainingTable(Table):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
-    steps: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
+    steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] = Field(
         240, description="a whole number, 0 to 1,000,000,000"
     )
-    paths: Annotated[int, Field(ge=2, le=MOST_PATHS)] = Field(
+    paths: Annotated[int, Field(ge=2, le=MAX_PATHS)] = Field(
         512, description="a whole number, 2 to 100,000,000: more do not fit in memory"
     )
     learning_rate: Positive = Field(0.01, description="a number above 0")
-    warmup: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
+    warmup: Annotated[int, Field(ge=0, le=MAX_STEPS)] = Field(
         20, description="a number of steps, 0 to 1,000,000,000"
     )
     decay: Annotated[float, Field(ge=0, le=1e6)] = Field(0.0, description="a number, 0 or more")
@@ -33,7 +33,7 @@ class TrainingTable(Table):
     average: Annotated[float, Field(gt=0, le=1)] = Field(
         0.05, description="a number above 0, at most 1"
     )
-    validation_paths: Annotated[int, Field(ge=1, le=MOST_PATHS)] = Field(
+    validation_paths: Annotated[int, Field(ge=1, le=MAX_PATHS)] = Field(
         4096, description="a whole number, 1 to 100,000,000: more do not fit in memory"
     )
     validation_every: Count | None = Field(
@@ -57,7 +57,7 @@ class TrainingTable(Table):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
 
-FOLLOWS = "or left out: then it follows the problem"
+AUTO = "or left out: then it follows the problem"
 
 
 class FollowingTable(TrainingTable):
@@ -66,24 +66,24 @@ class FollowingTable(TrainingTable):
     They do so where they are left out, as in `snapo.Training`.
     """
 
-    steps: Annotated[int, Field(ge=0, le=MOST_STEPS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a whole number, 0 to 1,000,000,000, {FOLLOWS}"
+    steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a whole number, 0 to 1,000,000,000, {AUTO}"
     )
-    paths: Annotated[int, Field(ge=2, le=MOST_PATHS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    paths: Annotated[int, Field(ge=2, le=MAX_PATHS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         None,
-        description=f"a whole number, 2 to 100,000,000, as more do not fit in memory, {FOLLOWS}",
+        description=f"a whole number, 2 to 100,000,000, as more do not fit in memory, {AUTO}",
     )
     learning_rate: Positive | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number above 0, {FOLLOWS}"
+        None, description=f"a number above 0, {AUTO}"
     )
     decay: Annotated[float, Field(ge=0, le=1e6)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number, 0 or more, {FOLLOWS}"
+        None, description=f"a number, 0 or more, {AUTO}"
     )
     exploration: Annotated[float, Field(ge=0, lt=1)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number from 0 to below 1, {FOLLOWS}"
+        None, description=f"a number from 0 to below 1, {AUTO}"
     )
     starts: Count | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number of first weights, 1 or more, {FOLLOWS}"
+        None, description=f"a number of first weights, 1 or more, {AUTO}"
     )
 
 
@@ -98,11 +98,11 @@ class EvaluationTable(Table):
     choice between the trained policies and the starting rule. All three "at most", 0 to do without.
     """
 
-    paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(65536, description=PATHS)
-    sensitivity_paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(16384, description=PATHS)
-    judge_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
-    search_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
-    selection_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
+    paths: Annotated[int, Field(ge=64, le=MAX_PATHS)] = Field(65536, description=PATHS)
+    sensitivity_paths: Annotated[int, Field(ge=64, le=MAX_PATHS)] = Field(16384, description=PATHS)
+    judge_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
+    search_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
+    selection_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
     scenarios: Literal["pseudo-random", "sobol"] = Field(
         "pseudo-random", description='"pseudo-random" or "sobol"'
     )

@@ -38,7 +38,7 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
         return gradients[k][name]
 
     rng, together = np.random.default_rng(seed + 2), in_mean(simulator, inputs)
-    for entry in inputs_.named(inputs):
+    for entry in inputs_.named_inputs(inputs):
         if not entry.input.value.size:
             continue
         alive = (k for k in range(len(runs)) if np.any(gradient(k, entry.name)))
@@ -73,7 +73,7 @@ def _gradients(simulator: Simulator, inputs: PyTree, run: Run) -> dict[str, np.n
     return pull_back(simulator, inputs, parts)
 
 
-def _directions(entry: inputs_.Named, rng) -> list[tuple[str, np.ndarray]]:
+def _directions(entry: inputs_.NamedInput, rng) -> list[tuple[str, np.ndarray]]:
     """All numbers together with random signs, then a few alone."""
     shape, size = entry.input.value.shape, entry.input.value.size
     if size == 1:
@@ -92,7 +92,7 @@ class _Comparison:
     Every number moves by its own step; derivatives are by the largest of these moves.
     """
 
-    def __init__(self, simulator, inputs, run: Run, entry: inputs_.Named, direction, gradient):
+    def __init__(self, simulator, inputs, run: Run, entry: inputs_.NamedInput, direction, gradient):
         self.simulator, self.inputs, self.run, self.entry = simulator, inputs, run, entry
         moved = entry.input.step() * direction
         self.bump = float(np.max(np.abs(moved)))

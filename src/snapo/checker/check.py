@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Xla
-from snapo.problem.code.version import following
+from snapo.problem.code.version import read_context
 from snapo.problem.noise import Stored
 from snapo.problem.objective import Limit, Mean, Objective, Weighted, as_objective
 from snapo.problem.prepare import all_versions
@@ -21,7 +21,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
-from snapo.problem.unseen import words
+from snapo.problem.unseen import note
 
 from .arrays.indices import within
 from .arrays.moving import moving_indices
@@ -35,9 +35,9 @@ from .loops import loops
 from .lost import lost_derivatives
 from .program.points import moments
 from .repeatable import repeatable
-from .rollout import Run, observed, rolled
+from .rollout import Run, observed, rollouts
 from .shapes import declared, one_step, prepared
-from .wanted import wanted
+from .wanted import require
 
 
 def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
@@ -83,7 +83,7 @@ def check(
         scenarios, constraints = problem.sources, problem.constraints
     if isinstance(scenarios, Sources):
         scenarios = None if isinstance(scenarios.evaluation, Pseudo) else scenarios.evaluation
-    with following(all_versions(simulator, inputs)):
+    with read_context(all_versions(simulator, inputs)):
         aim = None if objective is None else as_objective(objective)
         return _checked(simulator, inputs, aim, scenarios, constraints, paths, temperature, seed)
 
@@ -104,14 +104,14 @@ def _checked(
         schedule = prepared(notes, simulator, inputs)
         shapes = one_step(notes, simulator, schedule)
         observation = shapes.observation
-        wanted(notes, objective, constraints, shapes.outputs)
+        require(notes, objective, constraints, shapes.outputs)
         short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
         loops(notes, simulator, inputs, schedule)
         lost_derivatives(notes, simulator, inputs)
         within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
-        runs = rolled(
+        runs = rollouts(
             notes, simulator, schedule, observation, scenarios, paths, Smooth(temperature), seed
         )
         observed(notes, simulator, runs[0])
@@ -127,7 +127,7 @@ def _checked(
         looked = f"Examined {paths} paths of {simulator.horizon} steps and bumped every input."
         aim = objective or Weighted(*((1.0, Mean(name)) for name in shapes.outputs))
         result = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
-        looked = " ".join(filter(None, [looked, words(result)]))
+        looked = " ".join(filter(None, [looked, note(result)]))
     except Stop:
         looked = "Stopped at the first error that hides the rest."
     except Exception as error:

@@ -17,15 +17,15 @@ class Finding(NamedTuple):
 
     severity: Severity
     where: str
-    what: str
+    subject: str
     fix: str
 
     def sentence(self) -> str:
         """It in one line, for notes."""
-        return f"{self.where}: {self.what} {self.fix}"
+        return f"{self.where}: {self.subject} {self.fix}"
 
     def __str__(self) -> str:
-        return f"{self.severity}: {self.where}\n    {self.what}\n    {self.fix}"
+        return f"{self.severity}: {self.where}\n    {self.subject}\n    {self.fix}"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.code.version import following, of_preparation
+from snapo.problem.code.version import of_preparation, read_context
 from snapo.problem.form import form_of
 from snapo.problem.inputs import unnamed
 from snapo.problem.policies.memory import remembered
@@ -25,7 +25,7 @@ from .loops import loops
 from .lost import lost_derivatives
 from .repeatable import repeatable
 from .shapes import declared, one_step, prepared
-from .wanted import wanted
+from .wanted import require
 
 KEPT = 64
 _faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's own simulators
@@ -72,7 +72,7 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
 
     def look(notes: Notes) -> None:
         shapes = one_step(notes, problem.simulator, problem.schedule)
-        wanted(notes, problem.objective, problem.constraints, shapes.outputs)
+        require(notes, problem.objective, problem.constraints, shapes.outputs)
         _decides(notes, problem, policy, shapes.observation.shape[0])
 
     return _looked(problem.simulator, problem.inputs, look)
@@ -81,7 +81,7 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
 def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None]) -> Findings:
     notes = Notes(simulator)
     try:
-        with following(all_versions(simulator, inputs)):
+        with read_context(all_versions(simulator, inputs)):
             look(notes)
     except Stop:
         pass

@@ -14,7 +14,7 @@ from .findings import Notes
 from .program.points import Points
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
-LEAST = 1e-4  # a jump, of the largest value of its result
+MINIMUM = 1e-4  # a jump, of the largest value of its result
 FLAG = 3  # a state with at most so many values, all whole, is a flag, which stays as it is
 
 
@@ -27,11 +27,11 @@ class Jump(NamedTuple):
 
 def jumps(notes: Notes, points: Points) -> None:
     """Comparisons of a step or an end that make an output or the state jump, as warnings."""
-    monitored, summary = points.watched, set()
+    monitored, summary = points.recorder, set()
     request = [
         k
         for k, comparison in enumerate(monitored.comparisons)
-        if comparison.line and not comparison.line.own
+        if comparison.line and not comparison.line.user_code
     ]
     if points.method.name not in ("step", "terminal") or not request:
         return
@@ -84,23 +84,23 @@ def _largest(points: Points, number: int, first, second, held, results) -> Jump 
     """The largest jump of any result at the threshold, if there is one."""
     near, far = points.some(first), points.some(second)
     far = [x if stays else y for x, y, stays in zip(near, far, held)]
-    one, other = points.seen(near).truths[number], points.seen(far).truths[number]
+    one, other = points.observe(near).truths[number], points.observe(far).truths[number]
     for _ in range(ROUNDS):
         middle = [x if stays else (x + y) / 2 for x, y, stays in zip(near, far, held)]
-        truth = points.seen(middle).truths[number]
+        truth = points.observe(middle).truths[number]
         left = (truth == one).all(tuple(range(1, truth.ndim)))
         near, far = (
             [x if stays else _chosen(m, x, take) for x, m, stays in zip(side, middle, held)]
             for side, take in ((near, left), (far, ~left))
         )
         other = np.where(left.reshape(-1, *[1] * (truth.ndim - 1)), other, truth)
-    at = points.watched.nothing(len(first))
+    at = points.recorder.nothing(len(first))
     truths = list(at.truths)
     sides = []
     for truth in (one, other):
         truths[number] = truth
         change = at._replace(comparison=np.int32(number), truths=list(truths))
-        sides.append(points.seen(near, change).results)
+        sides.append(points.observe(near, change).results)
     return max(_of_results(points, sides, results), key=lambda jump: jump[0], default=(0, None))[1]
 
 
@@ -115,13 +115,13 @@ def _of_results(points: Points, sides, results):
             continue
         finite = np.abs(all_values[np.isfinite(all_values)])
         size = np.nan_to_num(np.abs(one - other), posinf=0.0).max(initial=0.0)
-        if size > LEAST * finite.max(initial=0.0) and size > 0:
+        if size > MINIMUM * finite.max(initial=0.0) and size > 0:
             yield size / finite.max(initial=size), Jump(name, float(size))
 
 
 def _names(points: Points) -> list[str]:
     """The results of a method: "state water", "output cash"."""
-    made = jax.eval_shape(points.method.function, *points.method.given.values())
+    made = jax.eval_shape(points.method.function, *points.method.arguments.values())
     parts = [("state", made[0]), ("output", made[1])] if isinstance(made, tuple) else []
     return [
         f"{kind} {jax.tree_util.keystr(path, simple=True, separator='.')}".strip()

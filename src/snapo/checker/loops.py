@@ -54,8 +54,8 @@ def _is_program(x: Any) -> bool:
 
 def _differentiable(method: Method) -> bool:
     """Whether a method can be differentiated backwards; nothing is computed."""
-    values = list(method.given.values())
-    noise = [name == "noise" for name in method.given]  # nobody asks for its derivative
+    values = list(method.arguments.values())
+    noise = [name == "noise" for name in method.arguments]  # nobody asks for its derivative
 
     def back(*arguments: Any) -> Any:
         held = [x if fixed else None for x, fixed in zip(arguments, noise)]

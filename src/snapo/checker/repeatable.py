@@ -10,7 +10,7 @@ from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.program import text
-from snapo.problem.code.version import following
+from snapo.problem.code.version import read_context
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
 
@@ -64,7 +64,7 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
 
 def _anew(function: Callable, *values: Any) -> Any:
     """A call for which JAX traces everything again, functions inside it that it has met too."""
-    with following(object()):
+    with read_context(object()):
         return function(*values)
 
 

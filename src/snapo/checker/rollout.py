@@ -80,18 +80,18 @@ class Run(eqx.Module):
         """Whether totals are equal but for rounding: they come from two compiled programs."""
         rounding = self.rounding()
 
-        def alike(mine: np.ndarray, theirs: np.ndarray) -> bool:
+        def equal(mine: np.ndarray, theirs: np.ndarray) -> bool:
             size = np.max(np.abs(mine), where=np.isfinite(mine), initial=0.0)
             allowed = max(ROUNDING * size, rounding)
             return np.allclose(mine, theirs, rtol=0, atol=allowed, equal_nan=True)
 
-        return all(alike(one[name], result) for name, result in other.items())
+        return all(equal(one[name], result) for name, result in other.items())
 
 
 LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high actions
 
 
-def rolled(
+def rollouts(
     notes: Notes, simulator, schedule, observation, scenarios, paths, smooth, seed
 ) -> list[Run]:
     """The random policy's rollout, then those near low, middle and high actions that are finite.

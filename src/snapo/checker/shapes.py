@@ -32,7 +32,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
             notes.error(name, allowed, "Change it in the class.")
     if not isinstance(action := getattr(simulator, "action", None), Actions):
         notes.error("action", f"It is {action!r}.", "Make it a set, such as Box(0.0, 1.0).")
-    if not inputs_.named(inputs):
+    if not inputs_.named_inputs(inputs):
         notes.warning(
             "inputs",
             "There is no Input, so there is nothing to differentiate with respect to.",

@@ -14,7 +14,7 @@ class Unknown(NamedTuple):
 
     of: str
     got: str
-    what: str
+    subject: str
 
 
 def unknown_outputs(
@@ -44,15 +44,15 @@ def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[
             yield Unknown(of, repr(name), f"There is no output {name!r}.")
 
 
-def wanted(
+def require(
     notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> None:
     """Writes them down, and stops where there are any."""
     for unknown_output in unknown_outputs(objective, constraints, outputs):
         metadata = (
-            unknown_output.what
-            if unknown_output.got in unknown_output.what
-            else f"{unknown_output.what[:-1]}: {unknown_output.got}."
+            unknown_output.subject
+            if unknown_output.got in unknown_output.subject
+            else f"{unknown_output.subject[:-1]}: {unknown_output.got}."
         )
         notes.error(unknown_output.of, metadata, f"The outputs are {sorted(outputs)}.")
     notes.stop_on_errors()

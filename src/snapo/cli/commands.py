@@ -13,7 +13,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.study import commands
-from snapo.study.commands import Asked
+from snapo.study.commands import CaseRequest
 from snapo.study.domain import GOOD
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -98,9 +98,9 @@ def _sizes(sizes: tuple[str, ...]) -> str:
     return f" (--size {', '.join(sizes)})" if len(sizes) > 1 else ""
 
 
-def _asked(options: argparse.Namespace) -> Asked:
+def _asked(options: argparse.Namespace) -> CaseRequest:
     seed = [] if options.seed is None else [f"training.seed={options.seed}"]
-    return Asked(options.case, (*options.assignments, *seed), options.simulator)
+    return CaseRequest(options.case, (*options.assignments, *seed), options.simulator)
 
 
 def _check(options: argparse.Namespace) -> Answer:

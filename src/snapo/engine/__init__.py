@@ -1,6 +1,6 @@
 """Engines: rollouts and their adjoints. `xla` always works; `native` is the fast one on CPUs."""
 
-from .base import COURSE as COURSE
+from .base import TRAJECTORY as TRAJECTORY
 from .base import Adjoint as Adjoint
 from .base import BoundEngine as BoundEngine
 from .base import Clip as Clip

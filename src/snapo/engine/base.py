@@ -56,13 +56,13 @@ class Window(NamedTuple):
     length: int
     terminal: bool | None = None
 
-    def ends(self, horizon: int) -> bool:
+    def is_last(self, horizon: int) -> bool:
         """Whether the simulator's `terminal` counts."""
         return self.first + self.length == horizon if self.terminal is None else self.terminal
 
 
 # All of a path's course. A record of less is compiled anew, and saves memory alone.
-COURSE = ("state", "action", "outputs", "slack")
+TRAJECTORY = ("state", "action", "outputs", "slack")
 
 
 class Rollout(NamedTuple):
@@ -129,26 +129,26 @@ class Clip:
         return np.stack([bound, np.full_like(size, self.keep)], axis=-1)
 
 
-def factor_of(norm, bound: Float[Array, " 2"]):
+def factor_of(norm, limit: Float[Array, " 2"]):
     """What an adjoint of this norm is multiplied by: the share kept, or less, down to the bound."""
-    return jnp.minimum(bound[1], bound[0] / norm)
+    return jnp.minimum(limit[1], limit[0] / norm)
 
 
-def clipped(packed, packing, simulator: Simulator, constants, bound):
+def clipped(packed, packing, simulator: Simulator, constants, limit):
     """The identity on a path's packed state, whose cotangent is bounded and shrunk."""
     scale = simulator.state_scale(constants)
     ones = tuple(jnp.ones_like(vector) for vector in packed)
     scales = ones if scale is None else packing.pack(scale)
-    return _bounded(packed, scales, bound)
+    return _bounded(packed, scales, limit)
 
 
 @jax.custom_vjp
-def _bounded(packed, scales, bound):
+def _bounded(packed, scales, limit):
     return packed
 
 
-def _bounded_forward(packed, scales, bound):
-    return packed, (scales, bound)
+def _bounded_forward(packed, scales, limit):
+    return packed, (scales, limit)
 
 
 def _bounded_backward(residual, cotangents):

@@ -27,7 +27,7 @@ class Norms(NamedTuple):
     - `whole` [T, N]: of all numbers of the state; `leaves` {name: [T, N]}: of every leaf by itself.
     """
 
-    whole: np.ndarray
+    total: np.ndarray
     leaves: dict[str, np.ndarray]
 
 
@@ -56,7 +56,7 @@ def adjoint_norms(
         call = engine.call(
             problem.simulator, policy, problem.schedule, only(draws, selected), smooth
         )
-        with call.following():
+        with call.compile_context():
             norms.append(_norms(engine, call, local, jnp.asarray(memory or call.length)))
     complete, leaves = jax.tree.map(lambda *item: np.concatenate(item).T, *norms)
     return Norms(complete, leaves)
@@ -95,7 +95,7 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: 
         }
         return (packing.pack(after), totals), None
 
-    def worth(nudges):
+    def value(nudges):
         firsts = jnp.arange(call.length) % memory == 0
         xs = call.schedule.steps, draws.steps(call.first, call.length), nudges, firsts
         names = jax.eval_shape(step, (start, {}), jax.tree.map(lambda leaf: leaf[0], xs))[0][1]
@@ -109,7 +109,7 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: 
         return sum((weight * totals[name] for name, weight in weights.items()), jnp.zeros(()))
 
     size = jnp.stack([jnp.abs(weight) for weight in weights.values()]).max()
-    slopes = jax.grad(worth)(jnp.zeros((call.length, start[position].size), dtype))
+    slopes = jax.grad(value)(jnp.zeros((call.length, start[position].size), dtype))
     scale = simulator.state_scale(constants)
     if scale is not None:
         slopes = slopes * packing.pack(scale)[position]

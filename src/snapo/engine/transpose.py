@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.lanes.machine.threads import beside, cores
+from snapo.lanes.machine.threads import cores, in_thread
 from snapo.problem import inputs as inputs_
-from snapo.problem.code.version import following, of_preparation
+from snapo.problem.code.version import of_preparation, read_context
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Simulator
 
-MOST_THREADS = 8  # each needs the memory of one transpose
+MAX_THREADS = 8  # each needs the memory of one transpose
 
 
 def pull_back(
@@ -30,7 +30,7 @@ def pull_back(
 
     def one(schedule: PyTree) -> PyTree:
         # Both are each thread's own.
-        with jax.enable_x64(True), following(version):
+        with jax.enable_x64(True), read_context(version):
             cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
             return jax.tree.map(np.asarray, _pull_back(simulator, bare, values, cotangent))
 
@@ -38,9 +38,9 @@ def pull_back(
     # calls take. The first compiles; the others share the processors.
     moved = [one(item) for item in schedules[:1]]
     if len(schedules) > 1:
-        with ThreadPoolExecutor(min(MOST_THREADS, cores())) as threads:
+        with ThreadPoolExecutor(min(MAX_THREADS, cores())) as threads:
             moved += threads.map(one, schedules[1:])
-    names = [entry.name for entry in inputs_.named(inputs)]
+    names = [entry.name for entry in inputs_.named_inputs(inputs)]
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
 
 
@@ -52,7 +52,7 @@ def compiled_meanwhile(
     A failure is silent here: `pull_back` tells of it.
     """
     nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
-    return beside(lambda: pull_back(simulator, inputs, [nothing]))
+    return in_thread(lambda: pull_back(simulator, inputs, [nothing]))
 
 
 @compiled_sooner

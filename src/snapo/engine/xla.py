@@ -18,7 +18,7 @@ from jax.sharding import PartitionSpec as P
 from jax.typing import ArrayLike
 from jaxtyping import Array, PyTree
 
-from snapo.problem.code.version import following, of_rollout
+from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -70,7 +70,7 @@ class Xla(Engine):
     ) -> Rollout:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            with call.following():
+            with call.compile_context():
                 result = self.leave(_values(self, call, record))
             return values_without(simulator, call.simulator, result)
 
@@ -94,7 +94,7 @@ class Xla(Engine):
             values = {name: cast(weight, self.dtype) for name, weight in weights.items()}
             # The bounds are an array: other ones compile nothing.
             bounds = None if clip is None else jnp.asarray(clip.bounds(values))
-            with call.following():
+            with call.compile_context():
                 result = self.leave(_adjoint(self, call, values, bounds, wrt))
             return adjoint_without(simulator, call.simulator, result)
 
@@ -104,7 +104,7 @@ class Xla(Engine):
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
-        endpoints = window.ends(simulator.horizon)
+        endpoints = window.is_last(simulator.horizon)
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )
@@ -142,11 +142,11 @@ class Call(eqx.Module):
     start: PyTree
     first: Array
     length: int = eqx.field(static=True)
-    ends: bool = eqx.field(static=True)
+    has_terminal: bool = eqx.field(static=True)
 
-    def following(self) -> AbstractContextManager:
+    def compile_context(self) -> AbstractContextManager:
         """The context of every compiled call: it follows what the user's code reads now."""
-        return following(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
+        return read_context(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
     def axes(self) -> "Call":
         """The axis of paths of every array, None where it has none."""
@@ -232,8 +232,8 @@ def _rollout(engine: Xla, call: Call, record, bounds) -> Rollout:
 
     noise = _noise(engine, call)
 
-    def one(draws, noise, start, actions, bound):
-        return _path(engine, call, draws, noise, start, actions, record, bound)
+    def one(draws, noise, start, actions, clip):
+        return _path(engine, call, draws, noise, start, actions, record, clip)
 
     values = (call.draws, noise, call.start, call.actions, bounds)
     axes = (
@@ -264,7 +264,7 @@ def _noise(engine: Xla, call: Call) -> Array | None:
 
 
 def _path(
-    engine: Xla, call: Call, draws, noise, start, actions, record, bound: Array | None
+    engine: Xla, call: Call, draws, noise, start, actions, record, clip: Array | None
 ) -> Rollout:
     """One path through the window."""
     simulator, policy, schedule, smooth = call.simulator, call.policy, call.schedule, call.smooth
@@ -279,8 +279,8 @@ def _path(
         now, noise, action = x
         packed = (
             carry.state
-            if bound is None
-            else clipped(carry.state, packing, simulator, constants, bound)
+            if clip is None
+            else clipped(carry.state, packing, simulator, constants, clip)
         )
         state = packing.unpack(packed)
         if action is None:
@@ -312,7 +312,7 @@ def _path(
     )
     state = packing.unpack(carry.state)
     totals = dict(carry.totals)
-    if call.ends:
+    if call.has_terminal:
         for name, value in simulator.terminal(constants, state, smooth).items():
             totals[name] = add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
     return Rollout(totals, state, selected)

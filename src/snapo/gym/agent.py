@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from snapo.problem.actions import Actions
-from snapo.problem.code.version import following, of_policy
+from snapo.problem.code.version import of_policy, read_context
 from snapo.problem.policies.memory import LastObservations, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
@@ -69,7 +69,7 @@ class Agent:
                 "observations; call reset() where other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
-        with following(of_policy(self.policy, values)):
+        with read_context(of_policy(self.policy, values)):
             decided = np.asarray(_decided(self.policy, values))
         self.memory = decided[:, decided.shape[1] - size :] if size else None
         return decided[:, : decided.shape[1] - size]

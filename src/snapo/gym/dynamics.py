@@ -25,7 +25,7 @@ class Ends(Protocol):
         ...
 
 
-class Moved(NamedTuple):
+class NextState(NamedTuple):
     """After a step: the state, its observation, the reward and all outputs.
 
     - `ended`: the problem is at its end: the simulator says so (`over`), or it is the horizon's.
@@ -76,7 +76,7 @@ class Dynamics:
         state = jax.tree.map(jnp.asarray, self.simulator.initial(self.schedule.constants, noise))
         return state, self._seen(jnp.zeros((), jnp.int32), state)
 
-    def step(self, t: Array, state: PyTree, action: Array, noise: Array) -> Moved:
+    def step(self, t: Array, state: PyTree, action: Array, noise: Array) -> NextState:
         """Step `t` of one path."""
         constants, now = self.schedule.constants, at(self.schedule.steps, t)
         after, outputs = self.simulator.step(constants, now, state, action, noise, Exact())
@@ -89,7 +89,7 @@ class Dynamics:
             ended = ended | self.simulator.over(constants, after)
         reward = self._worth(outputs) + jnp.where(ended, self._worth(last), 0.0)
         summary = self._told(outputs, last, ended)
-        return Moved(after, self._seen(t + 1, after), reward, summary, ended, due & ~ended)
+        return NextState(after, self._seen(t + 1, after), reward, summary, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
         """The outputs that the last state alone has, none of a step."""

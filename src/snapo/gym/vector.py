@@ -9,7 +9,7 @@ import numpy as np
 from snapo.problem.code.version import followed
 from snapo.problem.problem import Problem
 
-from .dynamics import Dynamics, Moved
+from .dynamics import Dynamics, NextState
 from .installed import gymnasium
 from .spaces import space_of
 
@@ -79,7 +79,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         reward, outputs, *endpoints = jax.tree.map(
             lambda old: either(jnp.zeros((), old.dtype), old), tuple(moved[2:])
         )
-        return state, Moved((), either(first, moved.observation), reward, outputs, *endpoints)
+        return state, NextState((), either(first, moved.observation), reward, outputs, *endpoints)
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal((self.num_envs, size), np.float32)

@@ -11,7 +11,7 @@ TYPES = {
 }  # fmt: skip
 
 
-def known(dtype) -> bool:
+def supported(dtype) -> bool:
     """Whether numbers of this type can be compiled."""
     return getattr(dtype, "name", str(dtype)) in TYPES
 

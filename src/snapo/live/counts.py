@@ -6,16 +6,16 @@ from typing import NamedTuple
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 
-FEWEST, MOST = 1024, 12288  # paths of the value: as many as its error needs
+FEWEST, MAXIMUM = 1024, 12288  # paths of the value: as many as its error needs
 ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
 DELTA_PATHS, FAN_PATHS = 1024, 1024
-MOST_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
+MAX_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
 
 
 class Counts(NamedTuple):
     """Paths: of the value, of the derivatives, of the fans; the first is the greatest."""
 
-    value: int = MOST
+    value: int = MAXIMUM
     deltas: int = DELTA_PATHS
     fans: int = FAN_PATHS
 
@@ -32,7 +32,7 @@ class Counts(NamedTuple):
         in time.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
-        needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
-        needed = min(needed, max(FEWEST, 512 * (MOST_NUMBERS // numbers // 512)))
+        needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
+        needed = min(needed, max(FEWEST, 512 * (MAX_NUMBERS // numbers // 512)))
         paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
         return cls.of(paths, evaluation.sensitivity_paths)

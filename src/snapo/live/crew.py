@@ -12,7 +12,7 @@ TRIES = 2  # deaths before it was ready: then it is no accident
 Hear = Callable[[dict[str, Any]], Awaitable[None]]
 
 
-class Crew:
+class WorkerProcess:
     """One worker process. Its last state is kept for pages that come later."""
 
     def __init__(self, command: Sequence[str], hear: Hear):

@@ -11,8 +11,8 @@ from aiohttp import web
 
 from snapo.study.run_folder import REPORT
 
-from .crew import Crew
-from .export import csv_of, shown, zipped
+from .crew import WorkerProcess
+from .export import csv_of, page_rows, zipped
 from .scenarios import Refused, Scenarios
 
 PATIENCE = 120  # seconds that a download waits for the worker
@@ -24,8 +24,8 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 class Downloads:
     """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
 
-    def __init__(self, run: Path, scenarios: Scenarios, workers: Crew, last: Last):
-        self.run, self.scenarios, self.crew, self.last = run, scenarios, workers, last
+    def __init__(self, run: Path, scenarios: Scenarios, workers: WorkerProcess, last: Last):
+        self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last
         self._numbers = count(1)
         self._writing: dict[int, asyncio.Future] = {}  # those that wait for the worker
 
@@ -72,7 +72,7 @@ class Downloads:
     async def shown(self, request: web.Request) -> web.Response:
         """Everything that a page shows, as CSV."""
         at, tables = self._asked(request)
-        return _download(csv_of(shown(tables)).encode(), "text/csv", f"shown-{at}.csv")
+        return _download(csv_of(page_rows(tables)).encode(), "text/csv", f"shown-{at}.csv")
 
     async def carried(self, request: web.Request) -> web.Response:
         """The case that a page shows: its files in a zip, or a workbook."""
@@ -84,7 +84,7 @@ class Downloads:
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
             self._writing[order["n"]] = done
             try:
-                await self.crew.ask(order | {"folder": made})
+                await self.workers.ask(order | {"folder": made})
                 message = await asyncio.wait_for(done, PATIENCE)
             except TimeoutError:
                 message = {"stage": "refused", "message": "the calculation is busy; try again"}
@@ -101,7 +101,7 @@ class Downloads:
         """The place in an address, and what is shown there."""
         at = request.match_info["at"]
         if at == "run":
-            return at, self.crew.state.get("base") or {}
+            return at, self.workers.state.get("base") or {}
         page, _, n = at.partition("-")
         result = self.last(page, int(n))
         if result is None:

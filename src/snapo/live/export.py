@@ -25,7 +25,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-def shown(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     """Everything that the page shows, one number in each row, under `HEADER`.
 
     `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen". A derivative

@@ -12,26 +12,33 @@ from snapo.problem.inputs import Input
 from snapo.study.study import Study
 
 from .case.choices import Choice, choices
-from .case.choices import chosen as put
+from .case.choices import case_with as put
 from .case.files import Files
-from .case.places import Moved, Places
+from .case.places import ChangedCase, InputPositions
 from .terms import described
 
 Values = Mapping[str, np.ndarray]
 Chosen = Mapping[str, str | bool]  # {key: another value}
-Anew = Callable[[Any], Study]
+Rebuild = Callable[[Any], Study]
 NONE: Chosen = {}
 
 
-class Moves:
+class WhatIf:
     """A run whose inputs can be moved.
 
     - `study`: of the run; `anew`: makes that of another case.
     - `slopes`: {input: d value / d number, flat}; empty where none are known.
     """
 
-    def __init__(self, study: Study, inputs: Mapping[str, Input], digits: Places, rebuilt: Anew):
-        self.study, self.named, self.places, self.anew = study, inputs, digits, rebuilt
+    def __init__(
+        self, study: Study, inputs: Mapping[str, Input], digits: InputPositions, rebuilt: Rebuild
+    ):
+        self.study, self.inputs_by_name, self.positions, self.rebuild = (
+            study,
+            inputs,
+            digits,
+            rebuilt,
+        )
         self.slopes: dict[str, np.ndarray] = {}
 
     @abstractmethod
@@ -48,12 +55,12 @@ class Moves:
     @cached_property
     def choices(self) -> list[Choice]:
         """The keys of the case with a list of allowed values."""
-        return choices(self.places.files, self.places.again)
+        return choices(self.positions.files, self.positions.reread)
 
-    def moved(self, values: Values, selected: Chosen = NONE) -> Moved:
+    def case_at(self, values: Values, selected: Chosen = NONE) -> ChangedCase:
         """The case with these numbers and choices."""
-        files = put(self.places.files, self.choices, selected) if selected else None
-        return self.places.moved(self.changed(values), files)
+        files = put(self.positions.files, self.choices, selected) if selected else None
+        return self.positions.case_at(self.changed(values), files)
 
     @abstractmethod
     def counted(self) -> dict[str, int]:
@@ -71,7 +78,7 @@ class Moves:
         """All inputs of the case, as the page shows them."""
         return [
             described(name, values, self.slopes.get(name), self.source(name))
-            for name, values in self.named.items()
+            for name, values in self.inputs_by_name.items()
         ]
 
     def units(self) -> dict[str, Any]:
@@ -87,7 +94,7 @@ class Moves:
         """
         news = {}
         for name, value in values.items():
-            inputs = self.named.get(name)
+            inputs = self.inputs_by_name.get(name)
             if inputs is None:
                 raise CaseError(name, "", None, "there is no such input")
             new = np.asarray(value, np.float64)
@@ -101,6 +108,6 @@ class Moves:
 
     def files(self, values: Values, selected: Chosen = NONE) -> Files:
         """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
-        files = self.moved(values, selected).files.without(self.study.checks)
+        files = self.case_at(values, selected).files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {})) | self.settings()
         return files.with_value(("evaluation",), table)

@@ -13,7 +13,7 @@ from snapo.study import run_folder
 from snapo.study.choice import no_policy
 from snapo.study.commands import domain_of_run
 
-Tell = Callable[[str], None]
+ProgressCallback = Callable[[str], None]
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
 
 def open_page(
     run: Path,
-    progress: Tell,
+    progress: ProgressCallback,
     *,
     simulator: tuple[str, str] | None = None,
     port: int = 0,

@@ -8,19 +8,21 @@ import numpy as np
 from snapo.solver import statistics
 from snapo.study.study import Recalculated, Study
 
-from .case.places import Places
-from .moves import NONE, Anew, Chosen, Moves, Values
+from .case.places import InputPositions
+from .moves import NONE, Chosen, Rebuild, Values, WhatIf
 from .terms import handles
 
 EXACT = {"low": None, "high": None}  # a derivative without noise has no interval
 
 
-class Recalculation(Moves):
+class Recalculation(WhatIf):
     """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
 
-    def __init__(self, study: Study, values: Recalculated, digits: Places, rebuilt: Anew):
-        super().__init__(study, values.named, digits, rebuilt)
-        self.given, self.paths = values, 0
+    def __init__(
+        self, study: Study, values: Recalculated, digits: InputPositions, rebuilt: Rebuild
+    ):
+        super().__init__(study, values.inputs_by_name, digits, rebuilt)
+        self.values, self.paths = values, 0
         self._variants: dict[str, Recalculated] = {}
         self._base: np.ndarray | None = None
 
@@ -34,7 +36,7 @@ class Recalculation(Moves):
         """Those of the domain, the value with its change against the run."""
         if self._base is None and (values or selected):
             next(self.stages({}))
-        changed, case = self.changed(values), self.moved(values, selected).case
+        changed, case = self.changed(values), self.case_at(values, selected).case
         for name, table in self._of(case, selected).stages(case):
             if name == "value":
                 yield name, self._value(table, bool(changed or selected))
@@ -46,10 +48,10 @@ class Recalculation(Moves):
     def _of(self, case: Any, selected: Chosen) -> Recalculated:
         """What calculates at these choices: made once for each."""
         if not selected:
-            return self.given
+            return self.values
         key = repr(sorted(selected.items()))
         if key not in self._variants:
-            made = self.anew(case).recalculated
+            made = self.rebuild(case).recalculated
             assert made is not None
             self._variants[key] = made()
         return self._variants[key]
@@ -70,6 +72,6 @@ class Recalculation(Moves):
         numbers = [item["value"] for item in row["rows"]]
         rows = [
             {"label": label, "value": sum(numbers[i] for i in at), **EXACT}
-            for label, at in handles(self.named[row["input"]])
+            for label, at in handles(self.inputs_by_name[row["input"]])
         ]
         return row | {"rows": rows}

@@ -17,10 +17,10 @@ from snapo.study.study import Setup
 
 from .counts import Counts
 
-MOST_RECORDED = 2048  # paths of one call of the engine: their course is held at once
+MAX_RECORDED = 2048  # paths of one call of the engine: their course is held at once
 
 
-class Rolled(NamedTuple):
+class Simulated(NamedTuple):
     """The policy on the first paths of the evaluation, in the order of their numbers.
 
     - `totals`: {output: [paths]} for the value.
@@ -30,10 +30,10 @@ class Rolled(NamedTuple):
 
     totals: dict[str, np.ndarray]
     actions: np.ndarray | None
-    shown: dict[str, Any]
+    tables: dict[str, Any]
 
 
-def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
+def simulate(setup: Setup, policy: Policy, counts: Counts) -> Simulated:
     """Every path once, where its totals have the same bits whatever is recorded; else apart.
 
     All of a path's course is recorded whoever asks: another record would be compiled anew.
@@ -42,16 +42,16 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
     source, bound = problem.sources.evaluation, engine.bind(problem)
     paths, deltas, fans = (source.available(count) for count in counts)
 
-    def rolled(first: int, last: int):
+    def outcome(first: int, last: int):
         draws = source.draws(np.arange(first, last), problem.simulator)
         return bound.values(policy, draws, Exact(), record=KINDS)
 
     if not engine.steady:
         totals = path_totals(problem, policy, counts.value, engine=engine)
-        return Rolled(totals, None, rolled(0, fans).record)
+        return Simulated(totals, None, outcome(0, fans).record)
     parts, decided, displayed = [], [], []
-    for first in range(0, paths, MOST_RECORDED):
-        result = rolled(first, min(first + MOST_RECORDED, paths))
+    for first in range(0, paths, MAX_RECORDED):
+        result = outcome(first, min(first + MAX_RECORDED, paths))
         parts.append(float64(result.totals))
         if first < deltas:
             decided.append(result.record["action"][:, : deltas - first])
@@ -61,7 +61,7 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
     selected = jax.tree.map(
         lambda *item: np.concatenate(item, 1) if item[1:] else item[0], *displayed
     )
-    return Rolled(totals, np.concatenate(decided, 1), selected)
+    return Simulated(totals, np.concatenate(decided, 1), selected)
 
 
 def numbers_of_a_path(problem: Problem) -> int:
@@ -82,4 +82,4 @@ def numbers_of_a_path(problem: Problem) -> int:
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
     """{output: [paths]} of a policy, by the code that rolls a move."""
-    return roll(setup, policy, Counts(paths, 1, 1)).totals
+    return simulate(setup, policy, Counts(paths, 1, 1)).totals

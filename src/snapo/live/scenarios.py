@@ -15,10 +15,10 @@ from typing import Any
 
 from snapo.solver.files import write_text
 
-from .export import csv_of, shown, zipped
+from .export import csv_of, page_rows, zipped
 
 FOLDER, FILE, CASE = "scenarios", "scenario.json", "case"
-LONGEST, MOST = 60, 200  # letters of a name; scenarios of a run
+LONGEST, MAXIMUM = 60, 200  # letters of a name; scenarios of a run
 KEPT = ("chosen", "value", "sections", "deltas", "today", "fans")
 
 
@@ -46,8 +46,8 @@ class Scenarios:
         if not metadata:
             raise Refused("a scenario needs a name")
         result = slug(metadata)
-        if not (self.folder / result).exists() and len(self.all()) >= MOST:
-            raise Refused(f"a run keeps {MOST} scenarios at most; forget one first")
+        if not (self.folder / result).exists() and len(self.all()) >= MAXIMUM:
+            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; forget one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}
@@ -57,9 +57,9 @@ class Scenarios:
 
     def forget(self, result: str) -> None:
         """Removes a scenario and its case."""
-        shutil.rmtree(self.place(result), ignore_errors=True)
+        shutil.rmtree(self.folder_of(result), ignore_errors=True)
 
-    def place(self, result: str) -> Path:
+    def folder_of(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
         **Raises:** `Refused` for an id that is none: no path leads out of the run.
@@ -70,17 +70,17 @@ class Scenarios:
 
     def zipped(self, result: str) -> bytes:
         """The case of a scenario, as a zip of its files."""
-        case = self.place(result) / CASE
+        case = self.folder_of(result) / CASE
         if not case.is_dir():
             raise Refused("this scenario has no case of its own")
         return zipped(case, result)
 
     def one(self, result: str) -> str:
         """A scenario as CSV: value, moved inputs and derivatives, a number in each row."""
-        record = _read(self.place(result) / FILE)
+        record = _read(self.folder_of(result) / FILE)
         if record is None:
             raise Refused("this scenario cannot be read")
-        return csv_of(shown(record))
+        return csv_of(page_rows(record))
 
     def table(self) -> str:
         """All scenarios side by side as CSV: values, changes, and what was moved."""

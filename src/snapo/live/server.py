@@ -12,7 +12,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from .crew import Crew
+from .crew import WorkerProcess
 from .downloads import Downloads
 from .scenarios import CASE, Refused, Scenarios
 
@@ -65,7 +65,7 @@ def guard(token: str, port: Callable[[], int]):
 PAGE = files("snapo.live") / "page"
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 LONGEST = 4 << 20  # bytes of a message from a page
-MOST_NUMBERS, MOST_CHOICES = 100_000, 100  # of a move
+MAX_NUMBERS, MAX_CHOICES = 100_000, 100  # of a move
 ASKED = ("values", "chosen")
 
 
@@ -78,12 +78,12 @@ class Server:
     def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
         self.token, self.port = new_token(), 0
         self.about, self.scenarios = dict(about), Scenarios(run)
-        self.crew = Crew(worker, self.hear)
+        self.workers = WorkerProcess(worker, self.hear)
         self.pages: dict[str, web.WebSocketResponse] = {}
         self._numbers = count(1)
         self._last: dict[tuple[str, int], dict[str, Any]] = {}  # the tables of the last moves
         self._runner: web.AppRunner | None = None
-        self.downloads = Downloads(run, self.scenarios, self.crew, self._shown)
+        self.downloads = Downloads(run, self.scenarios, self.workers, self._shown)
 
     @property
     def address(self) -> str:
@@ -104,10 +104,10 @@ class Server:
         site = web.TCPSite(self._runner, HOST, port)
         await site.start()
         self.port = self._runner.addresses[0][1]
-        self.crew.start()
+        self.workers.start()
 
     async def close(self) -> None:
-        await self.crew.close()
+        await self.workers.close()
         for page in list(self.pages.values()):
             await page.close()
         if self._runner is not None:
@@ -136,15 +136,15 @@ class Server:
         self.pages[name] = socket
         try:
             await self._send(name, {"stage": "about", "about": self.about, "page": name})
-            await self._send(name, self.crew.state)
+            await self._send(name, self.workers.state)
             await self._send(name, self._kept())
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
                     await self._order(name, message.data)
         finally:
             self.pages.pop(name, None)
-            self.crew.forget(name)
-            await self.crew.ask({"do": "cancel", "page": name, "n": -1})
+            self.workers.forget(name)
+            await self.workers.ask({"do": "cancel", "page": name, "n": -1})
             for key in [key for key in self._last if key[0] == name]:
                 del self._last[key]
         return socket
@@ -164,7 +164,7 @@ class Server:
                              "chosen": _chosen(order.get("chosen", {}))}  # fmt: skip
                     self._last = {k: v for k, v in self._last.items() if k[0] != page}
                     self._last[page, n] = dict(request)
-                    await self.crew.ask({"do": "move", "page": page, "n": n, **request})
+                    await self.workers.ask({"do": "move", "page": page, "n": n, **request})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
                 case "train" | "bound":
@@ -172,9 +172,9 @@ class Server:
                     if result is None or "value" not in result:
                         raise Refused("these numbers are not valued yet")
                     values = {key: result[key] for key in ASKED}
-                    await self.crew.ask({"do": order["do"], "page": page, "n": n, **values})
+                    await self.workers.ask({"do": order["do"], "page": page, "n": n, **values})
                 case "cancel":
-                    await self.crew.ask({"do": "cancel", "page": page, "n": -1})
+                    await self.workers.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":
                     self.scenarios.forget(str(order.get("id", "")))
                     await self._tell_all(self._kept())
@@ -194,9 +194,9 @@ class Server:
             raise Refused("these numbers are not valued yet")
         selected = self.scenarios.keep(name, result["values"], result)
         await self._tell_all(self._kept())
-        folder = str(self.scenarios.place(selected) / CASE)
+        folder = str(self.scenarios.folder_of(selected) / CASE)
         request = {key: result[key] for key in ASKED}
-        await self.crew.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
+        await self.workers.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
 
     async def hear(self, message: dict[str, Any]) -> None:
         """One line of the worker: to the page that it is for, or to all."""
@@ -242,8 +242,8 @@ def _values(inputs: Any) -> dict[str, list[float]]:
         if not isinstance(numbers, list):
             raise Refused(f"{name}: an input is a list of numbers")
         size += len(numbers)
-        if size > MOST_NUMBERS:
-            raise Refused(f"a move has {MOST_NUMBERS} numbers at most")
+        if size > MAX_NUMBERS:
+            raise Refused(f"a move has {MAX_NUMBERS} numbers at most")
         for number in numbers:
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise Refused(f"{name}: an input is a list of numbers")
@@ -255,7 +255,7 @@ def _values(inputs: Any) -> dict[str, list[float]]:
 
 def _chosen(values: Any) -> dict[str, str | bool]:
     """{key: another value} of a message; whether the case can have it, its reader says."""
-    if not isinstance(values, dict) or len(values) > MOST_CHOICES:
+    if not isinstance(values, dict) or len(values) > MAX_CHOICES:
         raise Refused("choices are a table of words and switches")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:

@@ -15,15 +15,15 @@ from snapo.solver.derivatives.verdict import plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import LEVEL, Estimate, critical
 
-MOST_DAYS = 62  # dates that are handles of their own; more of them are moved by month
-MOST_ROWS = 60  # of one input in a table of derivatives
+MAX_DAYS = 62  # dates that are handles of their own; more of them are moved by month
+MAX_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
 
 
 def handles(entry: Input) -> list[tuple[str, list[int]]]:
     """(label, positions) of the parts of an input that are moved together: days go by month."""
     labels = entry.names()
-    if len(labels) > MOST_DAYS and _days(labels):
+    if len(labels) > MAX_DAYS and _days(labels):
         months: dict[str, list[int]] = {}
         for i, label in enumerate(labels):
             months.setdefault(label[:7], []).append(i)
@@ -49,7 +49,7 @@ def described(name: str, entry: Input, slope: np.ndarray | None, source: str) ->
     factor, trade_unit = own_unit(entry)
     return {
         "name": name,
-        "words": entry.words,
+        "words": entry.meaning,
         "group": entry.group or "other",
         "unit": entry.unit,
         "trade_unit": trade_unit,
@@ -67,9 +67,9 @@ def own_unit(entry: Input) -> tuple[float, str]:
     """How many units in which its owner thinks make one unit of the input, and their name; 1 and ""
     where the field on the page has the input's own."""
     # A temperature's other units have another zero, which a factor does not tell.
-    if not entry.trade_unit or entry.unit == "K":
+    if not entry.display_unit or entry.unit == "K":
         return 1.0, ""
-    return entry.trade_factor, entry.trade_unit
+    return entry.display_factor, entry.display_unit
 
 
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
@@ -87,7 +87,7 @@ def _slopes(derivative: Reported) -> np.ndarray:
     value, by = derivative.value.ravel(), derivative.by.ravel()
     if np.isfinite(value).all():
         return value
-    complete, square = float(np.mean(derivative.whole)), float(by @ by)
+    complete, square = float(np.mean(derivative.total)), float(by @ by)
     return by * (complete / square) if square and np.isfinite(complete) else np.zeros(by.size)
 
 
@@ -146,7 +146,7 @@ def usual(entry: Input) -> np.ndarray:
 
 def _derivative(name: str, deltas: Deltas, of: Input) -> dict[str, Any]:
     bump, rows = one_percent(of), []
-    for label, positions in handles(of)[:MOST_ROWS]:
+    for label, positions in handles(of)[:MAX_ROWS]:
         direction = np.zeros(of.value.size)
         direction[positions] = 1.0
         interval = deltas.along(name, direction.reshape(of.value.shape), bump)

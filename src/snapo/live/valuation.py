@@ -18,38 +18,43 @@ from snapo.problem.policy import Policy
 from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.bound import bound
-from snapo.solver.by_block.passes import Way
-from snapo.solver.evaluate import Value, estimate, kept, worth_of_groups
+from snapo.solver.by_block.passes import DerivativePass
+from snapo.solver.evaluate import Value, estimate, finite_totals, value_of_groups
 from snapo.solver.finite_paths import finite
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate
-from snapo.solver.train import begin, train
-from snapo.study.chapters.profile import KINDS, MOST_ENTRIES, bands, leaves
-from snapo.study.study import Measured, Setup, Study
+from snapo.solver.train import initial_progress, train
+from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
+from snapo.study.study import PathTotals, Setup, Study
 
-from .case.places import Places
-from .case.refusals import MOST, no_value
+from .case.places import InputPositions
+from .case.refusals import MAXIMUM, no_value
 from .counts import Counts
-from .moves import NONE, Anew, Chosen, Moves, Values
-from .rolled import Rolled, roll, totals_of
+from .moves import NONE, Chosen, Rebuild, Values, WhatIf
+from .rolled import Simulated, simulate, totals_of
 from .terms import Deltas, derivatives, slopes
 
 HEALTH_PATHS, BOUND_PATHS = 1024, 512
 TOLD = 12  # times that a training tells how far it is
 
 
-class Valuation(Moves):
+class Valuation(WhatIf):
     """A run with a policy, ready to be valued at other inputs."""
 
     def __init__(
-        self, study: Study, solution: Solution, digits: Places, counts: Counts, rebuilt: Anew
+        self,
+        study: Study,
+        solution: Solution,
+        digits: InputPositions,
+        counts: Counts,
+        rebuilt: Rebuild,
     ):
         assert study.setup is not None
         self.setup = study.setup()
-        super().__init__(study, self.setup.problem.named, digits, rebuilt)
+        super().__init__(study, self.setup.problem.inputs_by_name, digits, rebuilt)
         self.solution, self.counts = solution, counts
-        self.slopes = slopes(solution.sensitivities, self.named)
+        self.slopes = slopes(solution.sensitivities, self.inputs_by_name)
         self._base: np.ndarray | None = None
         self._held: dict[str, Estimate] | None = None
         self._trained: tuple[float, float] | None = None
@@ -72,19 +77,19 @@ class Valuation(Moves):
         study, setup = self._at(values, selected)
         policy = self.solution.policy
         assert policy is not None
-        rollout = roll(setup, policy, self.counts)
+        rollout = simulate(setup, policy, self.counts)
         if (changed or selected) and (invalid := _too_many(setup, rollout.totals)):
             raise self._no_value(changed, selected, invalid)
         yield "value", self._value(setup, rollout, changed, bool(changed or selected))
-        if study.shown is not None:
+        if study.live_tables is not None:
             source = setup.problem.sources.evaluation
             groups = source.groups(np.arange(source.available(self.counts.value)))
-            result = study.shown(Measured(setup, rollout.totals, groups))
+            result = study.live_tables(PathTotals(setup, rollout.totals, groups))
             yield "sections", [item._asdict() for item in result]
         yield "deltas", self._deltas(setup, rollout, bool(changed or selected))
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
-        yield "fans", fans(rollout.shown)
+        yield "fans", fans(rollout.tables)
         self._last = setup
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
@@ -103,7 +108,7 @@ class Valuation(Moves):
         assert policy is not None
         steps = setup.training.steps
         training = replace(setup.training, validation_every=max(1, steps // TOLD))
-        state = begin(policy, training)
+        state = initial_progress(policy, training)
         summary(0, steps)
         state = train(
             setup.problem, state, training, setup.engines.train,
@@ -133,7 +138,7 @@ class Valuation(Moves):
         """
         policy, (_, setup) = self.solution.policy, self._at(values, selected)
         assert policy is not None
-        relaxation = self.anew(self.moved(values, selected).case).relaxation
+        relaxation = self.rebuild(self.case_at(values, selected).case).relaxation
         if isinstance(relaxation, str):
             raise CaseError("the bound", "", None, relaxation)
         engine = setup.engines.evaluate
@@ -143,12 +148,12 @@ class Valuation(Moves):
 
     def _at(self, values: Values, selected: Chosen = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""
-        changed, moved = self.changed(values), self.moved(values, selected)
+        changed, moved = self.changed(values), self.case_at(values, selected)
         study, setup = self._variant(selected) if selected else (self.study, self.setup)
         if not changed:
             return study, setup
-        assert study.moved is not None
-        return study, study.moved(setup, moved.case)
+        assert study.setup_at is not None
+        return study, study.setup_at(setup, moved.case)
 
     def _variant(self, selected: Chosen) -> tuple[Study, Setup]:
         """The study of other choices: made and compiled once for each.
@@ -157,7 +162,7 @@ class Valuation(Moves):
         """
         key = repr(sorted(selected.items()))
         if key not in self._variants:
-            study = self.anew(self.moved({}, selected).case)
+            study = self.rebuild(self.case_at({}, selected).case)
             if study.setup is None or not _alike(study.setup().policy, self.setup.policy):
                 message = (
                     "the run's policy decides something else; keep this as a case, and solve it"
@@ -170,23 +175,25 @@ class Valuation(Moves):
         """The refusal of numbers without a value; of several, those that have none alone."""
         wrong, policy = dict(changed), self.solution.policy
         assert policy is not None
-        if 1 < len(changed) <= MOST:
+        if 1 < len(changed) <= MAXIMUM:
             for name, new in changed.items():
                 setup = self._at({name: new}, selected)[1]
                 if not _too_many(setup, totals_of(setup, policy, self.counts.value)):
                     del wrong[name]
         source = self.setup.problem.sources.evaluation
-        return no_value(wrong or changed, self.named, invalid, source.available(self.counts.value))
+        return no_value(
+            wrong or changed, self.inputs_by_name, invalid, source.available(self.counts.value)
+        )
 
     def _value(
-        self, setup: Setup, rollout: Rolled, changed: Values, differs: bool
+        self, setup: Setup, rollout: Simulated, changed: Values, differs: bool
     ) -> dict[str, Any]:
         groups, result = _worth(setup, rollout.totals)
         if self._base is None:
             self._base = self._totals_worth(self.setup)[0] if differs else groups
         change = statistics.of_shares(groups - self._base)
         first = {
-            name: float(self.slopes[name] @ (new - self.named[name].value).ravel())
+            name: float(self.slopes[name] @ (new - self.inputs_by_name[name].value).ravel())
             for name, new in changed.items()
         }
         return {
@@ -205,19 +212,19 @@ class Valuation(Moves):
         assert policy is not None
         return _worth(setup, totals_of(setup, policy, self.counts.value))
 
-    def _deltas(self, setup: Setup, rollout: Rolled, differs: bool) -> list[dict[str, Any]]:
+    def _deltas(self, setup: Setup, rollout: Simulated, differs: bool) -> list[dict[str, Any]]:
         """The reported derivatives, with their intervals."""
         if differs and self._held is None:
             policy = self.solution.policy
             assert policy is not None
-            self._held = self._held_at(self.setup, roll(self.setup, policy, self.counts))
+            self._held = self._held_at(self.setup, simulate(self.setup, policy, self.counts))
         now = self._held_at(setup, rollout) if differs or self._held is None else self._held
         self._held = now if self._held is None else self._held
         return derivatives(
-            Deltas(self.solution.sensitivities, self._held, now), setup.problem.named
+            Deltas(self.solution.sensitivities, self._held, now), setup.problem.inputs_by_name
         )
 
-    def _held_at(self, setup: Setup, rollout: Rolled) -> dict[str, Estimate]:
+    def _held_at(self, setup: Setup, rollout: Simulated) -> dict[str, Estimate]:
         policy = self.solution.policy
         assert policy is not None
         return sensitivities(
@@ -243,7 +250,7 @@ class Valuation(Moves):
         source = problem.sources.evaluation
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)
         bound = setup.engines.evaluate.bind(problem, controls=False)
-        path = Way(problem, bound, policy, smooth, held=False, inputs=False)
+        path = DerivativePass(problem, bound, policy, smooth, held=False, inputs=False)
         return path.derivatives(blocks).policy.norm()
 
 
@@ -260,7 +267,7 @@ def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
         for name, values in leaves(displayed[kind]).items():
             values = np.asarray(values, np.float64)
             values = values.reshape(*values.shape[:2], -1)
-            if values.shape[2] > MOST_ENTRIES:
+            if values.shape[2] > MAX_ENTRIES:
                 continue
             for i in range(values.shape[2]):
                 full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
@@ -272,7 +279,7 @@ def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _too_many(setup: Setup, totals: Totals) -> int:
     """The number of paths that are not finite, where that leaves no value; else 0."""
     objective = setup.problem.objective
-    available = len(kept(objective, totals)[objective.outputs[0]])
+    available = len(finite_totals(objective, totals)[objective.outputs[0]])
     return 0 if available else int(np.sum(~finite(totals, objective.outputs)))
 
 
@@ -281,4 +288,4 @@ def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:
     problem = setup.problem
     values = problem.objective, totals, problem.sources.evaluation
     controls = problem.simulator.control_variates()
-    return worth_of_groups(*values, controls), estimate(*values, controls)
+    return value_of_groups(*values, controls), estimate(*values, controls)

@@ -26,10 +26,10 @@ from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
 
 from .case.files import read_files
-from .case.places import Places
+from .case.places import InputPositions
 from .case.refusals import stopped
 from .counts import Counts
-from .moves import Moves
+from .moves import WhatIf
 from .recalculation import Recalculation
 from .rolled import numbers_of_a_path
 from .valuation import Valuation
@@ -40,7 +40,7 @@ def open_run(
     simulator: tuple[str, str] | None = None,
     engine: str = "auto",
     counts: Counts | None = None,
-) -> Moves:
+) -> WhatIf:
     """The run in a folder.
 
     **Raises:** `CaseError` where there is no such run, or nothing to move.
@@ -49,7 +49,7 @@ def open_run(
     domain = domain_of_run(run, record, simulator)
     file, data = case_of_run(run, record)
 
-    def anew(case: Any) -> Study:
+    def rebuild(case: Any) -> Study:
         return domain.study(case, Options(engine))
 
     case = domain.read(file, data)
@@ -57,20 +57,20 @@ def open_run(
     files = read_files(file.parent, data)
     if study.setup is None and study.recalculated is not None:
         values = study.recalculated()
-        digits = Places(domain.read, files, values.named, study.inputs, case)
-        return Recalculation(study, values, digits, anew)
+        digits = InputPositions(domain.read, files, values.inputs_by_name, study.inputs, case)
+        return Recalculation(study, values, digits, rebuild)
     if study.setup is None:
         message = "this run trained no policy, and there is none to value again"
         raise CaseError(str(run), "", None, message)
-    if study.moved is None:
+    if study.setup_at is None:
         message = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
         raise CaseError("snapo open", "", None, message)
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
-    digits = Places(domain.read, files, setup.problem.named, study.inputs, case)
+    digits = InputPositions(domain.read, files, setup.problem.inputs_by_name, study.inputs, case)
     if counts is None:
         counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
-    return Valuation(study, solution, digits, counts, anew)
+    return Valuation(study, solution, digits, counts, rebuild)
 
 
 REST = 0.4  # seconds without an order, after which what can wait is computed
@@ -122,7 +122,7 @@ class Desk:
         return self.newest.get(order["page"]) != order["n"]
 
 
-def serve(valuation: Moves, desk: Desk, post: Post, module: str | None = None) -> None:
+def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) -> None:
     """Answers until there are no more lines; `module`: of the user's own simulator."""
     while (order := desk.orders.get()) is not None:
         try:
@@ -144,7 +144,7 @@ def serve(valuation: Moves, desk: Desk, post: Post, module: str | None = None) -
             post(page=order["page"], n=order["n"], stage="refused", message=text)
 
 
-def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+def _move(valuation: WhatIf, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
     started, stage = time.perf_counter(), ("", None)
     stages = valuation.stages(order["values"], order.get("chosen") or {})
     while not desk.stale(order):
@@ -160,7 +160,7 @@ def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) ->
             post(page=order["page"], n=order["n"], stage=name, table=table)
 
 
-def _write(valuation: Moves, order: Mapping[str, Any]) -> None:
+def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
     """The case in a folder; or as a workbook in it, with the files that no sheet can hold."""
     files, folder = valuation.files(order["values"], order.get("chosen") or {}), order["folder"]
     if not order.get("workbook"):
@@ -184,13 +184,13 @@ class Cancelled(Exception):
 def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
     address = {"page": order["page"], "n": order["n"]}
 
-    def told(step: int, of: int) -> None:
+    def report(step: int, of: int) -> None:
         if desk.stale(order):
             raise Cancelled
         post(**address, stage="training", table={"step": step, "of": of})
 
     try:
-        result = valuation.train_again(order["values"], told, order.get("chosen") or {})
+        result = valuation.train_again(order["values"], report, order.get("chosen") or {})
     except Cancelled:
         post(**address, stage="cancelled")
     else:

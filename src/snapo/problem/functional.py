@@ -12,7 +12,7 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
-from .code.version import Version, followed, following, of_formula
+from .code.version import Version, followed, of_formula, read_context
 
 Formula = Callable[[Mapping[str, jax.Array]], jax.Array]
 REFERENCE = 512  # paths of the sample by which a sensitivity curve is measured
@@ -89,7 +89,7 @@ def _massed_formula(
 ) -> tuple[Callable, Callable]:
     """The compiled formula of masses and totals, and its derivative by the masses."""
     shape = jax.ShapeDtypeStruct((size,), np.float64)
-    with following(version):
+    with read_context(version):
         closed = jax.make_jaxpr(objective.formula)(dict.fromkeys(names, shape))
 
     def weighted(mass, totals):
@@ -154,7 +154,7 @@ def _by_curve(objective, totals, size: int) -> np.ndarray:
         joined = {name: jnp.append(sample[name], path[name]) for name in sample}
         return objective.formula(joined)
 
-    with following(of_formula(objective, totals)):
+    with read_context(of_formula(objective, totals)):
         many = jax.jit(lambda paths: jax.lax.map(with_one_more, paths, batch_size=1024))(totals)
     return (len(selected) + 1) * (np.asarray(many) - value(objective, sample))
 

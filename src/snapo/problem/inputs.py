@@ -54,10 +54,10 @@ class Input(eqx.Module):
     )
     bump: float | None = eqx.field(static=True, default=None)
     move: float | None = eqx.field(static=True, default=None)
-    trade_unit: str = eqx.field(static=True, default="")
-    trade_factor: float = eqx.field(static=True, default=1.0)
+    display_unit: str = eqx.field(static=True, default="")
+    display_factor: float = eqx.field(static=True, default=1.0)
     group: str = eqx.field(static=True, default="")
-    words: str = eqx.field(static=True, default="")
+    meaning: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
         if self.labels and len(self.labels) != self.value.size:
@@ -101,7 +101,7 @@ class Frozen(eqx.Module):
         return jax.lax.stop_gradient(self.array)
 
 
-class Named(NamedTuple):
+class NamedInput(NamedTuple):
     """An input and its name in tables, such as `forward_curve` or `factors.0.volatility`."""
 
     name: str
@@ -123,15 +123,15 @@ def unnamed(inputs: PyTree) -> PyTree:
     return jax.tree.map(lambda x: Input(x.value) if is_input(x) else x, inputs, is_leaf=is_input)
 
 
-def named(inputs: PyTree) -> list[Named]:
+def named_inputs(inputs: PyTree) -> list[NamedInput]:
     """All inputs in tree order with their names."""
     result = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]
-    return [Named(name_of(path), leaf) for path, leaf in result if is_input(leaf)]
+    return [NamedInput(name_of(path), leaf) for path, leaf in result if is_input(leaf)]
 
 
 def values(inputs: PyTree) -> list[np.ndarray]:
     """The values of all inputs, in the order of `named`."""
-    return [entry.input.value for entry in named(inputs)]
+    return [entry.input.value for entry in named_inputs(inputs)]
 
 
 def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:

@@ -141,14 +141,14 @@ def outputs_of(problem: Problem) -> list[str]:
     """The names of a simulator's outputs, by tracing one step; nothing is compiled."""
     simulator = problem.simulator
 
-    def whole(schedule):
+    def all_steps(schedule):
         first = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
         action, noise = jnp.zeros(simulator.action.size), jnp.zeros(simulator.noise_size)
         now = at(schedule.steps, 0)
         after, outputs = simulator.step(schedule.constants, now, first, action, noise, Exact())
         return outputs, simulator.terminal(schedule.constants, after, Exact())
 
-    outputs, last = jax.eval_shape(whole, problem.schedule)
+    outputs, last = jax.eval_shape(all_steps, problem.schedule)
     return list(dict.fromkeys([*outputs, *last]))
 
 

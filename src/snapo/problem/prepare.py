@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
-from .code.version import following, of_preparation, of_rollout
+from .code.version import of_preparation, of_rollout, read_context
 from .quickly import compiled_sooner
 from .simulator import Schedule, Simulator
 
 
 def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
     """The schedule in float64 NumPy."""
-    with jax.enable_x64(True), following(of_preparation(simulator, inputs)):
+    with jax.enable_x64(True), read_context(of_preparation(simulator, inputs)):
         part, completed = simulator.prepared_apart()
         schedule = _prepare(part, inputs_.plain(inputs))
         return jax.tree.map(np.asarray, completed(schedule))

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 from . import inputs as inputs_
 from .actions import Actions
 from .code.lost import lost
-from .code.version import Version, following, of_preparation, of_rollout, reading_once
+from .code.version import Version, of_preparation, of_rollout, read_context, reading_once
 from .form import form_of
 from .noise import base as noise
 from .objective import Limit, Objective, as_constraints, as_objective, priced
@@ -88,7 +88,7 @@ class Problem:
     def interface(self) -> Interface:
         """All that a policy has to fit."""
         schedule, version = self.schedule, self.version
-        with following(version):
+        with read_context(version):
             return self._kept("interface", version, lambda: self.simulator.interface(schedule))
 
     @property
@@ -124,16 +124,16 @@ class Problem:
         if self.simulator.fully_observed:
             return ()
         version = self.version
-        with following(version):
+        with read_context(version):
             return self._kept("partly_observed", version, lambda: partly_observed(self))
 
     def _repr_html_(self) -> str:
         """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""
         rows = [
             f"<tr><td style='text-align:left'>{escape(name)}</td>"
-            f"<td style='text-align:left'>{escape(item.words)}</td>"
+            f"<td style='text-align:left'>{escape(item.meaning)}</td>"
             f"<td>{item.value.size}</td><td>{_first(item.value)}</td><td>{escape(item.unit)}</td></tr>"
-            for name, item in self.named.items()
+            for name, item in self.inputs_by_name.items()
         ]
         titles = ("input", "meaning", "numbers", "first", "unit")
         head = "".join(f"<th style='text-align:left'>{title}</th>" for title in titles)
@@ -174,9 +174,9 @@ class Problem:
         return self.simulator.action
 
     @property
-    def named(self) -> dict[str, inputs_.Input]:
+    def inputs_by_name(self) -> dict[str, inputs_.Input]:
         """The inputs by name, in the order of sensitivity tables."""
-        return {entry.name: entry.input for entry in inputs_.named(self.inputs)}
+        return {entry.name: entry.input for entry in inputs_.named_inputs(self.inputs)}
 
     @property
     def in_mean(self) -> tuple[str, ...]:
@@ -198,13 +198,15 @@ class Problem:
 
         **Raises:** `KeyError` for a name that is no input's.
         """
-        if unknown := set(values) - set(self.named):
-            raise KeyError(f"no input {sorted(unknown)}; the inputs are {list(self.named)}.")
+        if unknown := set(values) - set(self.inputs_by_name):
+            raise KeyError(
+                f"no input {sorted(unknown)}; the inputs are {list(self.inputs_by_name)}."
+            )
         return self.with_inputs(
-            [values.get(name, inputs.value) for name, inputs in self.named.items()]
+            [values.get(name, inputs.value) for name, inputs in self.inputs_by_name.items()]
         )
 
-    def moved(self, values: dict[str, Any]) -> "Problem":
+    def at_values(self, values: dict[str, Any]) -> "Problem":
         """The problem at other values of the inputs named, with all that was computed from them
         computed again; the policy of a solution can be valued there as it is.
 
@@ -230,7 +232,7 @@ def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
     """The inputs whose derivative is right in the mean of many paths alone: those that the
     simulator names, and the parameters of every noise whose draws are separate values."""
     values = {*simulator.in_mean(), *noise.in_mean(inputs)}
-    return tuple(entry.name for entry in inputs_.named(inputs) if entry.name in values)
+    return tuple(entry.name for entry in inputs_.named_inputs(inputs) if entry.name in values)
 
 
 def _first(values: np.ndarray) -> str:

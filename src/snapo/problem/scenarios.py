@@ -40,13 +40,13 @@ class Scenarios(abc.ABC):
         """How many paths there are when so many are wanted."""
         return requested
 
-    def words(self, paths: int) -> str:
+    def describe(self, paths: int) -> str:
         """Which paths they are, when so many are wanted: "512 pseudo-random paths"."""
         return f"{self.available(paths):,} paths of {type(self).__name__}"
 
     def batch_words(self, paths: int) -> str:
         """The same for one training step."""
-        return self.words(paths)
+        return self.describe(paths)
 
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Pseudo(Scenarios):
         """As many as are wanted; of an odd number the last pair is completed."""
         return requested + requested % 2 if self.antithetic else requested
 
-    def words(self, paths: int) -> str:
+    def describe(self, paths: int) -> str:
         pairs = ", in pairs of opposite signs" if self.antithetic else ""
         return f"{self.available(paths):,} pseudo-random paths{pairs}"
 
@@ -112,7 +112,7 @@ class Sobol(Scenarios):
     seed: int = 0
     scrambles: int = BLOCKS
 
-    def words(self, paths: int) -> str:
+    def describe(self, paths: int) -> str:
         return f"{paths:,} Sobol points in {self.scrambles} scrambles"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
@@ -168,7 +168,7 @@ class Supplied(Scenarios):
     seed: int = 0
     first: int = 0
 
-    def words(self, paths: int) -> str:
+    def describe(self, paths: int) -> str:
         return f"{self.available(paths):,} of {self._where()}"
 
     def batch_words(self, paths: int) -> str:
@@ -222,16 +222,16 @@ class EqualPaths(Scenarios):
     Two are taken whatever is asked for, since one alone has no standard error: theirs is zero.
     """
 
-    own: Scenarios
+    inner: Scenarios
 
-    def words(self, paths: int) -> str:
+    def describe(self, paths: int) -> str:
         return f"{self.available(paths):,} equal paths, since nothing is random"
 
     def available(self, requested: int) -> int:
-        return min(2, self.own.available(requested))
+        return min(2, self.inner.available(requested))
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
-        return self.own.draws(paths, simulator)
+        return self.inner.draws(paths, simulator)
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths
@@ -276,7 +276,7 @@ class Sources:
     def of_equal_paths(self, equal: bool) -> "Sources":
         """The same where paths differ; where all are equal, few for validation and evaluation."""
         values = self.validation, self.evaluation
-        local = [item.own if isinstance(item, EqualPaths) else item for item in values]
+        local = [item.inner if isinstance(item, EqualPaths) else item for item in values]
         few = [EqualPaths(entry) for entry in local] if equal else local
         return self if few == list(values) else Sources(self.training, *few)
 
@@ -294,8 +294,8 @@ class Sources:
         """{role: which paths it has} for these numbers of paths, in words."""
         return {
             "training": f"{self.training.batch_words(training)}; other ones at every step",
-            "validation": f"{self.validation.words(validation)}; the same at every validation",
-            "evaluation": f"{self.evaluation.words(evaluation)}; used for nothing before",
+            "validation": f"{self.validation.describe(validation)}; the same at every validation",
+            "evaluation": f"{self.evaluation.describe(evaluation)}; used for nothing before",
             "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation's",
         }
 

@@ -161,57 +161,57 @@ class Around(Simulator):
     """A simulator around another one, for the engines: every member is that of `own`, but for those
     that a subclass replaces."""
 
-    own: Simulator
+    inner: Simulator
 
     @property
     def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.horizon
+        return self.inner.horizon
 
     @property
     def action(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.action
+        return self.inner.action
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.noise_size
+        return self.inner.noise_size
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.initial_noise_size
+        return self.inner.initial_noise_size
 
     def prepare(self, inputs):
-        return self.own.prepare(inputs)
+        return self.inner.prepare(inputs)
 
     def on_paths(self):
-        local = self.own.on_paths()
-        return self if local is self.own else eqx.tree_at(lambda around: around.own, self, local)
+        local = self.inner.on_paths()
+        return self if local is self.inner else eqx.tree_at(lambda around: around.own, self, local)
 
     def initial(self, constants, noise):
-        return self.own.initial(constants, noise)
+        return self.inner.initial(constants, noise)
 
     def observe(self, constants, now, state):
-        return self.own.observe(constants, now, state)
+        return self.inner.observe(constants, now, state)
 
     def step(self, constants, now, state, action, noise, smooth):
-        return self.own.step(constants, now, state, action, noise, smooth)
+        return self.inner.step(constants, now, state, action, noise, smooth)
 
     def terminal(self, constants, state, smooth):
-        return self.own.terminal(constants, state, smooth)
+        return self.inner.terminal(constants, state, smooth)
 
     def totals(self):
-        return self.own.totals()
+        return self.inner.totals()
 
     def control_variates(self):
-        return self.own.control_variates()
+        return self.inner.control_variates()
 
     def in_mean(self):
-        return self.own.in_mean()
+        return self.inner.in_mean()
 
     def state_scale(self, constants):
-        return self.own.state_scale(constants)
+        return self.inner.state_scale(constants)
 
     def slack(self, constants, now, state, outputs):
-        return self.own.slack(constants, now, state, outputs)
+        return self.inner.slack(constants, now, state, outputs)
 
 
 def at(steps: PyTree, t: Any) -> PyTree:

@@ -37,7 +37,7 @@ MOVED, SEEN = 1e-9, 1e-6  # relative: a direction that is moved; one that is see
 LARGE = 0.2  # share of a number in a direction, all being in units of their deviation
 ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is told
 MATTERS = 0.02  # of what another state moves
-MOST = 12  # numbers whose effect is tried
+MAXIMUM = 12  # numbers whose effect is tried
 
 
 def partly_observed(problem: Any) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def partly_observed(problem: Any) -> tuple[str, ...]:
         return ()
 
 
-def words(names: tuple[str, ...], remembers: bool = False) -> str:
+def note(names: tuple[str, ...], remembers: bool = False) -> str:
     """What partial observation means for a reader of derivatives; empty where there is none."""
     if not names:
         return ""
@@ -115,7 +115,7 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     names = _names(states)
     requested = _paid_names(problem)
     tail = partial(_paid, simulator, problem.schedule, noise[t:], start=t)
-    doubtful = np.flatnonzero(hidden | in_steps)[:MOST]
+    doubtful = np.flatnonzero(hidden | in_steps)[:MAXIMUM]
     if not doubtful.size:
         return
 
@@ -132,7 +132,7 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
                 break
 
 
-def _matters(one, two, moved_one, moved_two, all_one, all_two) -> bool:
+def _matters(one, two, first, second, all_one, all_two) -> bool:
     """Whether another value of a number moves what is paid by more than the same amount, and by
     more than the same factor above 0, under two sequences of decisions.
 
@@ -140,10 +140,10 @@ def _matters(one, two, moved_one, moved_two, all_one, all_two) -> bool:
     another state. Less than a fiftieth of what another state moves is left aside.
     """
     minimum = MATTERS * max(_size(all_one - one), _size(all_two - two))
-    added = _size((moved_one - one) - (moved_two - two)) <= minimum
+    added = _size((first - one) - (second - two)) <= minimum
     scale = np.maximum(np.abs(one), np.abs(two))
-    apart = (moved_one * two - moved_two * one) / np.where(scale > 0, scale, 1.0)
-    scaled = _size(apart) <= minimum and not np.any(moved_one * one < 0)
+    apart = (first * two - second * one) / np.where(scale > 0, scale, 1.0)
+    scaled = _size(apart) <= minimum and not np.any(first * one < 0)
     return not (added or scaled)
 
 
@@ -232,7 +232,7 @@ def _reached(simulator, schedule, early, noise, actions):
 def _paid(simulator, schedule, noise, actions, states, start):
     """{output: [N]} the sum of all that is paid from these states on."""
 
-    def whole(state, noise, actions):
+    def complete(state, noise, actions):
         def one(state, inputs):
             t, noise, action = inputs
             now = at(schedule.steps, t)
@@ -246,7 +246,7 @@ def _paid(simulator, schedule, noise, actions, states, start):
             paid[name] = paid.get(name, 0.0) + item
         return paid
 
-    return jax.vmap(whole)(states, jnp.swapaxes(noise, 0, 1), jnp.swapaxes(actions, 0, 1))
+    return jax.vmap(complete)(states, jnp.swapaxes(noise, 0, 1), jnp.swapaxes(actions, 0, 1))
 
 
 def _paid_names(problem: Any) -> set[str]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .quantity import MONTHS, MOST, TINY, decimals, number
+from .quantity import MAXIMUM, MONTHS, TINY, decimals, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,7 @@ def number_axis(axis: "Axis", count: int = 6) -> None:
         if abs(gap * 10**digits - round(gap * 10**digits)) > 1e-6:
             digits += 1  # a spacing of 2.5 or 0.25
         if 0 < np.abs(ticks).max() < TINY:
-            digits = max(digits, MOST + 1)  # all of them as powers of ten
+            digits = max(digits, MAXIMUM + 1)  # all of them as powers of ten
         return number(value, digits)
 
     axis.set_major_formatter(FuncFormatter(text))

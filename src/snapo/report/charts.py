@@ -22,7 +22,7 @@ INTERVAL, BLOCK_INTERVAL = critical(), critical(BLOCKS - 1)
 
 
 @dataclass(frozen=True)
-class Rung:
+class LadderBar:
     """One bar of a ladder: its text at the left, its number at the right, an error bar."""
 
     name: str
@@ -44,7 +44,7 @@ class Line:
     step: bool = False
 
 
-def ladder(axes: "Axes", bars: Sequence[Rung]) -> None:
+def ladder(axes: "Axes", bars: Sequence[LadderBar]) -> None:
     """Horizontal bars from zero, the first on top, each with its number written out."""
     from matplotlib.ticker import NullLocator
 

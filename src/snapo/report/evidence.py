@@ -7,7 +7,7 @@ import numpy as np
 
 from . import charts
 from .drawing import draw
-from .folder import Folder
+from .folder import RunFiles
 from .page import Chart, Facts, Mark, Missing, Section, Table, Text
 from .quantity import MINUS, finite, number, seconds
 
@@ -23,7 +23,7 @@ BELOW = (
 TOTAL = "of all parts, before this page"
 
 
-def history(run: Folder, unit: str) -> Section:
+def history(run: RunFiles, unit: str) -> Section:
     """The objective, in its `unit`, and the gradient norm over the steps of training."""
     title, short = "Training history", "Training"
     steps = run.column("history", "step")
@@ -59,7 +59,7 @@ def history(run: Folder, unit: str) -> Section:
     return Section("history", title, short, [Chart(svg, caption)])
 
 
-def notes(run: Folder) -> list[Text]:
+def notes(run: RunFiles) -> list[Text]:
     """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
@@ -67,7 +67,7 @@ def notes(run: Folder) -> list[Text]:
     ]
 
 
-def gradient(run: Folder) -> list[tuple[str, str, str]]:
+def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
     """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
     norm = finite(run.result.get("policy_gradient_norm"))
     noise = finite(run.result.get("policy_gradient_noise"))
@@ -82,7 +82,7 @@ def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried")
     return undecided if passed is None else Mark(bool(passed), valid if passed else invalid)
 
 
-def spent(run: Folder) -> dict[str, float]:
+def spent(run: RunFiles) -> dict[str, float]:
     """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
     of itself."""
     available = run.get("seconds") or run.result.get("seconds") or {}
@@ -91,7 +91,7 @@ def spent(run: Folder) -> dict[str, float]:
     return table | {"total": table["total"] - page} if "total" in table else table
 
 
-def times(run: Folder) -> list[Facts]:
+def times(run: RunFiles) -> list[Facts]:
     """What the run took, part by part."""
     facts = [
         (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
@@ -100,7 +100,7 @@ def times(run: Folder) -> list[Facts]:
     return [Facts(facts)] if facts else []
 
 
-def made_with(run: Folder) -> Table | Missing:
+def made_with(run: RunFiles) -> Table | Missing:
     """Engine, paths, seed and versions."""
     engine = run.get("engine") or run.result.get("engine")
     name = engine.get("name") if isinstance(engine, dict) else engine

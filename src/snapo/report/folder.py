@@ -49,7 +49,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True)
-class Folder:
+class RunFiles:
     """What a run folder holds; a domain's own class adds its units.
 
     **Attributes:**
@@ -138,7 +138,7 @@ class Folder:
     def money(self, value: Any, positions: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, positions, sign)
 
-    def worth(self, value: Any, error: Any, positions: int) -> str:
+    def value_text(self, value: Any, error: Any, positions: int) -> str:
         """A value with its standard error, "EUR 78,312 ± 41"."""
         return f"{self.money(value, positions)} {plus_minus(error, positions)}".rstrip()
 

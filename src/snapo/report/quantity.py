@@ -12,7 +12,7 @@ MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # stands where there is no number
 SPACE = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-12  # relative, of sums in double precision
-TINY, MOST = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
+TINY, MAXIMUM = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
 # A power of a unit; a digit after other letters may belong to a name, as in CO2.
 POWER = re.compile(
     r"((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])"
@@ -48,9 +48,9 @@ def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
     available = finite(value)
     if available is None:
         return NONE
-    if available == 0 and digits is not None and digits > MOST:
+    if available == 0 and digits is not None and digits > MAXIMUM:
         return "0"
-    if 0 < abs(available) < TINY and (digits is None or digits > MOST):
+    if 0 < abs(available) < TINY and (digits is None or digits > MAXIMUM):
         return ("+" if sign and available > 0 else "") + power(available, 3)
     text = f"{abs(available):,.{min(decimals([available], 4), 9) if digits is None else digits}f}"
     if digits is None and "." in text:

@@ -33,7 +33,7 @@ class Column(NamedTuple):
     unit: str = ""
     digits: int = 5
     sign: bool = False
-    places: int | None = None
+    decimal_places: int | None = None
 
     def values(self, records: Sequence[Any]) -> list[Any]:
         """The values of the column, one for each record."""
@@ -54,7 +54,9 @@ class Column(NamedTuple):
         pairs = [x if isinstance(x, WithError) else WithError(x) for x in values]
         if positions is None:
             digits = decimals([x.value for x in pairs], self.digits)
-            positions = [digits if self.places is None else self.places] * len(pairs)
+            positions = [digits if self.decimal_places is None else self.decimal_places] * len(
+                pairs
+            )
         if any(isinstance(x, WithError) for x in values):
             return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, positions)]
         return [(number(x.value, n, self.sign),) for x, n in zip(pairs, positions)]
@@ -66,7 +68,7 @@ def table(
     caption: str = "",
     *,
     folded: str = "",
-    places: int | None = None,
+    decimal_places: int | None = None,
     by_row: bool = False,
 ) -> Table:
     """A table with a row for each record.
@@ -75,7 +77,7 @@ def table(
     - `folded`: the words to click before the table is shown.
     """
     values = [column.values(records) for column in columns]
-    all_places = None if places is None else [places] * len(records)
+    all_places = None if decimal_places is None else [decimal_places] * len(records)
     if by_row:
         all_places = [decimals([x for x in row if not isinstance(x, str)]) for row in zip(*values)]
     head, texts, cells = [], set(), []
@@ -102,7 +104,7 @@ def ladder(anchor: str, bars: Sequence[Bar], caption: str, digits: int | None = 
     """Horizontal bars with their numbers, the first on top, with their description."""
     digits = decimals([bar.value for bar in bars], 5) if digits is None else digits
     rungs = [
-        charts.Rung(bar.name, bar.value, number(bar.value, digits), bar.error, bar.strong)
+        charts.LadderBar(bar.name, bar.value, number(bar.value, digits), bar.error, bar.strong)
         for bar in bars
     ]
     alt = "; ".join(f"{rung.name} {rung.text}" for rung in rungs)

@@ -68,7 +68,7 @@ def value_and_gradient(
 
 
 def weighted_adjoint(
-    bound: BoundEngine,
+    bound_engine: BoundEngine,
     policy: Policy,
     draws: Draws,
     smooth,
@@ -86,13 +86,13 @@ def weighted_adjoint(
     if held or not objective.linear:
         record = ("action",) if held else ()
         window = {key: options[key] for key in ("window", "start") if key in options}
-        first = bound.values(policy, draws, smooth, record=record, **window)
+        first = bound_engine.values(policy, draws, smooth, record=record, **window)
         actions = first.record.get("action")
         weights = objective.climb(float64(first.totals))
     else:
         weights = flat_weights(objective, draws.size)
     decider = None if held else policy
-    result = bound.adjoint(decider, draws, smooth, weights, actions=actions, **options)
+    result = bound_engine.adjoint(decider, draws, smooth, weights, actions=actions, **options)
     return objective.value(float64(result.totals)), result
 
 

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from snapo.engine import COURSE, Engine, Rollout, Xla
+from snapo.engine import TRAJECTORY, Engine, Rollout, Xla
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
@@ -34,7 +34,7 @@ from .statistics import critical, independent, mean, skewed_mean, with_error
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
 TRAINED, BOUND = 256, 257  # streams: of the paths that train a penalty, and of the bound's
-MOST_GAP, MOST_ERROR = 0.02, 0.005  # of the value: above, a bound says little
+MAX_GAP, MAX_ERROR = 0.02, 0.005  # of the value: above, a bound says little
 SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
 
 
@@ -76,7 +76,7 @@ class Bound:
         """Why the bound leaves open how good the policy is; empty where it does not."""
         value = abs(self.lower.value)
         gap, error = self.gap.value, self.upper.standard_error
-        if gap <= MOST_GAP * value and error <= MOST_ERROR * value:
+        if gap <= MAX_GAP * value and error <= MAX_ERROR * value:
             return ""
         summary = f"a gap of {gap:,.3g} ± {error:,.2g}"
         share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
@@ -97,7 +97,7 @@ class Bound:
         low = top - float(independent(gap.value - gap.low, half))
         high = top + float(independent(gap.high - gap.value, half))
         upper = Between(top, wide, low, high)
-        certain = objective.sure(value), objective.sure(top)
+        certain = objective.is_certain(value), objective.is_certain(top)
         return replace(self, lower=lower, upper=upper, sure=certain)
 
     def row(self) -> dict[str, Any]:
@@ -171,21 +171,21 @@ def bound(
     scale = np.full(relaxation.terms, 0.0 if penalty == "none" else 1.0)
     if penalty == "trained" and relaxation.terms:
         learning = _fresh(problem, seed, TRAINED)
-        sample = fresh.rolled(learning, learning.available(training_paths))
+        sample = fresh.sample(learning, learning.available(training_paths))
         scale = _descended(lambda item: float(np.mean(fresh.best(sample, item))), scale)
     paths = source.available(paths)
-    sample = fresh.rolled(source, paths)
+    sample = fresh.sample(source, paths)
     upper, lower = fresh.best(sample, scale), fresh.policy(sample, scale)
     _check(upper - lower, np.abs(lower).max(initial=1.0))
     order = np.argsort(np.concatenate([block for block, _, _ in sample]))
     groups = source.groups(np.arange(paths))
     below, above = _between(lower[order], groups), _between(upper[order], groups)
     gap = skewed_mean((upper - lower)[order], groups)
-    text = relaxation.words if scale.any() else "none: each path knows its own future"
+    text = relaxation.description if scale.any() else "none: each path knows its own future"
     used: Penalty = penalty
     if not scale.any():
         used = "none"
-    certain = problem.objective.sure(below.value), problem.objective.sure(above.value)
+    certain = problem.objective.is_certain(below.value), problem.objective.is_certain(above.value)
     between = Between(gap.value, gap.standard_error, max(gap.low, 0.0), gap.high)
     return Bound(below, above, between, used, text, tuple(scale.tolist()), paths, certain, gap.few)
 
@@ -215,13 +215,13 @@ class _Paths:
 
     def __init__(self, problem: Problem, policy: Policy, relaxation: Relaxation, engine: Engine):
         self.problem, self.policy_, self.relaxation = problem, policy, relaxation
-        self.bound = engine.bind(problem)
+        self.bound_engine = engine.bind(problem)
 
-    def rolled(self, source: Scenarios, paths: int) -> Sample:
+    def sample(self, source: Scenarios, paths: int) -> Sample:
         rows: Sample = []
         for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
             draws = source.draws(block, self.problem.simulator)
-            rollout = self.bound.values(self.policy_, draws, Exact(), record=COURSE)
+            rollout = self.bound_engine.values(self.policy_, draws, Exact(), record=TRAJECTORY)
             rows.append((block, draws, rollout))
         return rows
 

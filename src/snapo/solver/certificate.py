@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine import COURSE, Engine, Xla
+from snapo.engine import TRAJECTORY, Engine, Xla
 from snapo.problem import inputs as inputs_
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
@@ -98,7 +98,7 @@ def nudged(problem: Problem, seed: int = 0) -> Problem:
     moved upwards, by up to its input's `move`; without one it stays zero.
     """
     random, moved = np.random.default_rng(seed), []
-    for entry in problem.named.values():
+    for entry in problem.inputs_by_name.values():
         size = np.where(entry.value == 0, entry.move or 0.0, NUDGE * entry.value)
         low = np.where(entry.value == 0, 0.5, -1.0)
         moved.append(entry.value + size * random.uniform(low, 1.0, entry.value.shape))
@@ -118,7 +118,7 @@ def certify_derivatives(
 
     Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """
-    pathwise = set(problem.named) - set(problem.in_mean)
+    pathwise = set(problem.inputs_by_name) - set(problem.in_mean)
     results = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
     crowded = {bump.input for bump in results if bump.crossing > CROWDED}
     if not crowded:
@@ -143,7 +143,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:
             continue
-        step = float(np.max(np.abs(one_percent(problem.named[name]))))
+        step = float(np.max(np.abs(one_percent(problem.inputs_by_name[name]))))
         error, allowed = abs(verdict.reaction[0]), SIGNIFICANT * verdict.reaction[1]
         if verdict.source != HELD:
             error = 0.0
@@ -188,7 +188,7 @@ def bump_check(
     gradient, random = replay.gradient(), np.random.default_rng(1)
     centre = replay.paths({})
     results = []
-    for name, values in problem.named.items():
+    for name, values in problem.inputs_by_name.items():
         directions = _directions(values, every, random)
         if only is not None and name not in only:
             continue
@@ -227,7 +227,7 @@ class _Replay(NamedTuple):
 
     def paths(self, bumps: dict[str, np.ndarray]) -> np.ndarray:
         """The share of each path in the weighted value, [paths], with these inputs shifted."""
-        by_name = self.problem.named
+        by_name = self.problem.inputs_by_name
         moved = self.problem.at({name: by_name[name].value + bump for name, bump in bumps.items()})
         bound = self.engine.bind(moved, controls=False)
         result = bound.values(self.policy, self.draws, self.smooth, actions=self.actions)
@@ -324,7 +324,7 @@ def feasibility(
     worst: dict[str, Feasibility] = {}
     for block in source.blocks(source.available(paths)):
         draws = source.draws(block, problem.simulator)
-        rollout = bound.values(policy, draws, Exact(), record=COURSE)
+        rollout = bound.values(policy, draws, Exact(), record=TRAJECTORY)
         for name, slack in rollout.record["slack"].items():
             slack = np.asarray(slack)
             step, path = np.unravel_index(np.argmin(slack), slack.shape)

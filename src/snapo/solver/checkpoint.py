@@ -47,7 +47,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "raced": progress.raced,
         "slowed": progress.slowed,
         "redrawn": progress.redrawn,
-        "alike": progress.alike,
+        "alike": progress.unchanged,
         "scale": progress.scale,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],

@@ -19,7 +19,7 @@ from .adjoint import float64
 from .finite_paths import DROPPED, finite
 
 DECIDED = ("action",)  # recorded where decisions are held
-MOST_BYTES = 2**28  # of decisions that are kept
+MAX_BYTES = 2**28  # of decisions that are kept
 
 
 class Value(NamedTuple):
@@ -97,7 +97,7 @@ def totals_and_decisions(
     bound, source = engine.bind(problem), problem.sources.evaluation
     paths = source.available(paths)
     shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
-    decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MOST_BYTES else None
+    decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MAX_BYTES else None
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
         local = block < (0 if decisions is None else shape[1])
@@ -146,7 +146,7 @@ def estimate(
     return Value(result.value, result.standard_error, explained, dropped, false)
 
 
-def worth_of_groups(
+def value_of_groups(
     objective: Objective, totals: Totals, scenarios: Scenarios, controls: tuple[str, ...] = ()
 ) -> np.ndarray:
     """[groups]: the share of each independent group of paths in the objective; its mean is it.
@@ -156,22 +156,22 @@ def worth_of_groups(
     return _controlled(objective, totals, scenarios, controls)[0]
 
 
-def kept(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
+def finite_totals(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
     """The totals of the paths that are finite; none where too many are not."""
     valid = finite(totals, objective.outputs)
     few = np.sum(~valid) <= DROPPED * valid.size
     return {name: np.asarray(total)[valid if few else []] for name, total in totals.items()}
 
 
-def worth(objective: Objective, totals: Totals) -> float:
+def value_of(objective: Objective, totals: Totals) -> float:
     """The objective over the paths that are finite; NaN where too many are not."""
-    left = kept(objective, totals)
+    left = finite_totals(objective, totals)
     return objective.value(left) if len(left[objective.outputs[0]]) else np.nan
 
 
 def ruined(objective: Objective, totals: Totals) -> int:
     """The number of paths whose totals are finite, and whose worth is minus infinity."""
-    left = kept(objective, totals)
+    left = finite_totals(objective, totals)
     if not len(left[objective.outputs[0]]):
         return 0
     with np.errstate(invalid="ignore"):
@@ -187,7 +187,7 @@ def _controlled(objective: Objective, totals: Totals, scenarios: Scenarios, cont
 
 def shares_of(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.ndarray:
     """[groups]: the share of each independent group of paths in the objective."""
-    left = kept(objective, totals)
+    left = finite_totals(objective, totals)
     if not len(left[objective.outputs[0]]):
         return np.full(2, np.nan)
     influence = np.zeros(len(totals[objective.outputs[0]]))

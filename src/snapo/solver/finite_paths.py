@@ -28,66 +28,68 @@ def finite(totals: Totals, names: Iterable[str]) -> np.ndarray:
 
 
 def adjoint_of_finite_paths(
-    bound: BoundEngine, policy, draws: Draws, smooth, objective: Objective, **options
+    bound_engine: BoundEngine, policy, draws: Draws, smooth, objective: Objective, **options
 ) -> tuple[float, Adjoint, int]:
     """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
 
     Where no path is finite, or the objective is not a number on paths that all are, that number is
     of all paths.
     """
-    value, result = weighted_adjoint(bound, policy, draws, smooth, objective, **options)
+    value, result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, **options)
     if not np.isnan(value) and all_finite(result, objective.outputs):
         return value, result, 0
-    valid = _good(bound, policy, draws, smooth, objective.outputs, options)
+    valid = _good(bound_engine, policy, draws, smooth, objective.outputs, options)
     invalid = int(np.sum(~valid))
     if invalid == 0 or invalid == valid.size:
         return value, result, valid.size
     draws, options = _replaced(valid, draws, options)
     window = {key: options[key] for key in ("window", "start") if key in options}
-    totals = float64(bound.values(policy, draws, smooth, **window).totals)
+    totals = float64(bound_engine.values(policy, draws, smooth, **window).totals)
     selected = {name: total[valid] for name, total in totals.items()}
     weights = _spread(objective.climb(selected), valid)
-    result = bound.adjoint(policy, draws, smooth, weights, **options)
+    result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     return objective.value(selected), result, invalid
 
 
 def adjoint_of_good_weights(
-    bound: BoundEngine, policy, draws: Draws, smooth, weights: Weights, **options
+    bound_engine: BoundEngine, policy, draws: Draws, smooth, weights: Weights, **options
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
     Those count for nothing; the weights of the others stay what they are.
     """
-    result = bound.adjoint(policy, draws, smooth, weights, **options)
+    result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):
         return result, 0
-    valid = _good(bound, policy, draws, smooth, tuple(weights), options)
+    valid = _good(bound_engine, policy, draws, smooth, tuple(weights), options)
     if valid.all() or not valid.any():
         return result, valid.size
     draws, options = _replaced(valid, draws, options)
     weights = _spread(
         {name: np.asarray(weight)[..., valid] for name, weight in weights.items()}, valid
     )
-    return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~valid))
+    return bound_engine.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~valid))
 
 
-def _good(bound: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
+def _good(bound_engine: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
     """Which paths have a finite value and a finite adjoint.
 
     A forward sweep finds most of the others; only where the adjoint of the rest is not finite
     either, each path is looked at alone.
     """
     values = {key: options[key] for key in ("window", "start", "actions") if key in options}
-    valid = finite(float64(bound.values(policy, draws, smooth, **values).totals), names)
+    valid = finite(float64(bound_engine.values(policy, draws, smooth, **values).totals), names)
     if not valid.all() and valid.any():
         rest, values = _replaced(valid, draws, options)
         weights = {name: np.ones(valid.size) for name in names}
-        if all_finite(bound.adjoint(policy, rest, smooth, weights, **values), names):
+        if all_finite(bound_engine.adjoint(policy, rest, smooth, weights, **values), names):
             return valid
     weights = {name: np.ones(1) for name in names}
     for path in np.flatnonzero(valid):
         alone, values = _only(np.array([path]), draws, options)
-        valid[path] = all_finite(bound.adjoint(policy, alone, smooth, weights, **values), names)
+        valid[path] = all_finite(
+            bound_engine.adjoint(policy, alone, smooth, weights, **values), names
+        )
     return valid
 
 

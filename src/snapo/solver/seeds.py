@@ -16,7 +16,7 @@ from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
 from . import statistics
-from .evaluate import worth_of_groups
+from .evaluate import value_of_groups
 from .learning.settings import Training
 from .solution import Solution
 from .solve import Evaluation, in_order, solve
@@ -48,7 +48,7 @@ class Seeds:
         one, other = self.solutions[self.best], self.solutions[seed]
         assert one.problem is not None
         objective, source = one.problem.objective, one.problem.sources.evaluation
-        shares = [worth_of_groups(objective, item.totals, source) for item in (one, other)]
+        shares = [value_of_groups(objective, item.totals, source) for item in (one, other)]
         return statistics.of_shares(shares[0] - shares[1])
 
     def __str__(self) -> str:

@@ -19,7 +19,7 @@ from snapo.engine import Engine, Xla
 from snapo.engine.base import Uncontrolled
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
-from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
+from snapo.problem.code.version import of_preparation, of_rollout, read_context, reading_once
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Totals
@@ -30,7 +30,7 @@ from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
-from .by_block.passes import Way
+from .by_block.passes import DerivativePass
 from .derivatives.bump import FEWEST, one_percent
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
@@ -197,7 +197,7 @@ HEAD = (
 )  # fmt: skip
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 5, 6)  # columns of words
-LEAST, MOST = 256, 64  # paths of a block where there are more than 32; blocks at most
+MINIMUM, MAXIMUM = 256, 64  # paths of a block where there are more than 32; blocks at most
 DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
@@ -265,20 +265,22 @@ def sensitivities_and_totals(
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     source = problem.sources.evaluation
     paths = source.available(paths)
-    blocks = source.blocks(paths, int(np.clip(paths // LEAST, BLOCKS, MOST)))
+    blocks = source.blocks(paths, int(np.clip(paths // MINIMUM, BLOCKS, MAXIMUM)))
     if isinstance(bound.simulator, Uncontrolled):
         totals = None  # a program without control variates may round in another way
-    held = Way(problem, bound, policy, Exact(), True, actions, totals=totals).derivatives(blocks)
+    held = DerivativePass(
+        problem, bound, policy, Exact(), True, actions, totals=totals
+    ).derivatives(blocks)
     moved = None
     if earlier is not None:
         # Paired, so that a few blocks tell; the weights of another objective are those of all.
         few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
-        before = Way(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
+        before = DerivativePass(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
         moved = {
             name: Estimate(held.inputs[name].blocks[: len(few)] - item.blocks)
             for name, item in before.items()
         }
-    result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
+    result = Sensitivities(problem.inputs_by_name, held.inputs, moved=moved, dropped=held.dropped)
     if isinstance(smooth, Exact):
         return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
@@ -294,21 +296,23 @@ def sensitivities_and_totals(
     return _without(result, problem.lost), table
 
 
-def through_policy(problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None) -> Way:
+def through_policy(
+    problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None
+) -> DerivativePass:
     """How `sensitivities` differentiates the smooth simulator."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
-    return Way(problem, bound, policy, smooth, held=False)
+    return DerivativePass(problem, bound, policy, smooth, held=False)
 
 
 def _without(result: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:
     """A table without adjoint derivatives of the inputs that lose theirs (`Problem.lost`)."""
 
-    def known(table: dict[str, Estimate]) -> dict[str, Estimate]:
+    def without_lost(table: dict[str, Estimate]) -> dict[str, Estimate]:
         unknown = {name: Estimate(np.full_like(table[name].blocks, np.nan)) for name in lost}
         return table | unknown
 
-    smooth = None if result.smooth is None else known(result.smooth)
-    return result._replace(held=known(result.held), smooth=smooth)
+    smooth = None if result.smooth is None else without_lost(result.smooth)
+    return result._replace(held=without_lost(result.held), smooth=smooth)
 
 
 @takes_problem(objective=False)
@@ -326,7 +330,7 @@ def held_of_several(
     block of paths has a column of cotangents for each objective.
     """
     bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
-    path = Way(problem, bound, policy, Exact(), held=True)
+    path = DerivativePass(problem, bound, policy, Exact(), held=True)
     return [result.inputs for result in path.of(objectives, source.blocks(source.available(paths)))]
 
 
@@ -351,7 +355,7 @@ def second_order(
     draws = problem.sources.evaluation.draws(np.arange(paths), simulator)
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     weights = problem.objective.weights(totals)
-    names, values = list(problem.named), inputs_.values(inputs)
+    names, values = list(problem.inputs_by_name), inputs_.values(inputs)
     bare, results = inputs_.unnamed(inputs), []
     for direction in directions:
         unknown = set(direction) - set(names)
@@ -362,7 +366,7 @@ def second_order(
             for n, v in zip(names, values)
         ]
         version = of_preparation(simulator, inputs), of_rollout(simulator, policy, problem.schedule)
-        with engine.numbers(), following(version):
+        with engine.numbers(), read_context(version):
             moved = _second(engine, simulator, bare, policy, draws, smooth, weights, values, along)
             results.append({name: np.asarray(x) for name, x in zip(names, moved)})
     return results

@@ -184,7 +184,7 @@ class Solution:
             "window": self.window,
             "clip": self.clip,
             "keep": self.keep,
-            "adjoints": "" if self.growth is None else self.growth.words(),
+            "adjoints": "" if self.growth is None else self.growth.describe(),
             "limits": [constraint._asdict() for constraint in self.constraints],
         }
 

@@ -26,7 +26,7 @@ from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
 from .learning.features import scale_of, to_be_drawn, undrawn
-from .learning.following import fitted
+from .learning.following import resolve_auto
 from .learning.settings import TrainingPlan
 from .learning.starts import others, race
 from .learning.told import recorded
@@ -35,9 +35,9 @@ from .measure.settings import Evaluation as Evaluation
 from .provenance.clock import Clock
 from .provenance.versions import versions
 from .solution import Solution
-from .train import Callback, Progress, Training, begin, train
+from .train import Callback, Progress, Training, initial_progress, train
 
-Given = TypeVar("Given")  # settings of one kind
+Settings = TypeVar("Settings")  # settings of one kind
 
 
 @reading_once()
@@ -95,7 +95,7 @@ def solve(
             result += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
-        plan = fitted(training, problem, policy, fresh=drawn)
+        plan = resolve_auto(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
             if progress is None:
                 progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
@@ -123,7 +123,7 @@ def solve(
     )
 
 
-def _settings(name: str, values: Given | None, kind: type[Given]) -> Given:
+def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:
     """The settings given, or the usual ones.
 
     **Raises:** `ValueError` where they are of another kind, such as a dictionary.
@@ -164,7 +164,7 @@ def _begun(
     scale = scale_of(policy, problem) if fresh else None
     if scale is not None:
         starts = [scale.plain(start) for start in starts]
-    started = [replace(begin(item, training, problem), scale=scale) for item in starts]
+    started = [replace(initial_progress(item, training, problem), scale=scale) for item in starts]
 
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)

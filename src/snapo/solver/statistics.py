@@ -55,7 +55,7 @@ class Sampled(NamedTuple):
         half = critical(self.degrees, level, comparisons) * self.standard_error
         return self.value - half, self.value + half
 
-    def holds(self, expected: float, level: float = LEVEL, comparisons: int = 1) -> bool:
+    def contains(self, expected: float, level: float = LEVEL, comparisons: int = 1) -> bool:
         """Whether a number lies within the interval."""
         low, high = self.interval(level, comparisons)
         return low <= expected <= high

@@ -23,19 +23,19 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
-from .evaluate import estimate, worth
+from .evaluate import estimate, value_of
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
-from .learning.following import fitted
+from .learning.following import resolve_auto
 from .learning.growth import Growth
-from .learning.optimiser import anew, begun, memory, updater
-from .learning.practice import practised
+from .learning.optimiser import initial_state, memory, restarted, updater
+from .learning.practice import perturbed_problem
 from .learning.progress import Progress, Record, begin_again, go_slower, marks, may_be_slower
-from .learning.progress import begin as begin
+from .learning.progress import initial_progress as initial_progress
 from .learning.settings import Training as Training
 from .learning.settings import TrainingPlan
 from .limits.dual import Dual
-from .limits.dual import moved as moved_prices
+from .limits.dual import updated_prices as moved_prices
 from .verdict import idle
 from .windows.critic import Learner, has_worth_ahead, learner
 from .windows.window import UPDATES, sweep, window_adjoint
@@ -54,8 +54,8 @@ class Loop(NamedTuple):
 
     problem: Problem
     training: TrainingPlan
-    bound: BoundEngine
-    own: Problem
+    bound_engine: BoundEngine
+    inner: Problem
     exact: BoundEngine
     update: Callable
     update_by_windows: Callable
@@ -80,7 +80,7 @@ def train(
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
-    plan = fitted(training, remembering(problem, progress.policy), progress.policy)
+    plan = resolve_auto(training, remembering(problem, progress.policy), progress.policy)
     last = plan.steps if until is None else min(until, plan.steps)
     loop = _loop(problem, plan, progress, engine)
     before = progress.history[-1].seconds if progress.history else 0.0
@@ -114,7 +114,7 @@ def train(
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> Loop:
     """That of a training as it stands: one that did nothing draws a part of its decisions."""
     local = remembering(problem, progress.policy)
-    perturbed = practised(
+    perturbed = perturbed_problem(
         problem, idle.exploring(plan, problem.action) if progress.redrawn else plan
     )
     observed = local if perturbed is problem else remembering(perturbed, progress.policy)
@@ -179,7 +179,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
 
 def _dual(loop: Loop, progress: Progress, smooth: Smooth) -> Dual:
     """The prices of the limits for this step, from its exact paths."""
-    problem, training, dual = loop.own, loop.training, progress.dual
+    problem, training, dual = loop.inner, loop.training, progress.dual
     if not problem.constraints:
         return dual
     draws = problem.sources.training.batch(progress.step, training.paths, problem.simulator)
@@ -191,7 +191,7 @@ def _dual(loop: Loop, progress: Progress, smooth: Smooth) -> Dual:
     return moved_prices(dual, problem.objective, problem.constraints, totals, left)
 
 
-class Moved(NamedTuple):
+class StepResult(NamedTuple):
     """The part of the progress that a step changes, and the norm of its gradient."""
 
     policy: Policy
@@ -201,31 +201,38 @@ class Moved(NamedTuple):
     critic: Learner | None = None
 
 
-def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[Moved, float, int]:
+def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[StepResult, float, int]:
     """One update over the whole horizon; its objective, and the number of bad paths."""
     policy, objective = progress.policy, loop.problem.objective
     options = _options(progress)
-    adjoint = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, objective, **options)
+    adjoint = adjoint_of_finite_paths(
+        loop.bound_engine, policy, draws, smooth, objective, **options
+    )
     value, result, invalid = adjoint
     number = np.float32(progress.step)
     *moved, norm = loop.update(policy, progress.average, progress.optimiser, result.policy, number)
-    return Moved(*moved, norm=float(norm)), value, invalid
+    return StepResult(*moved, norm=float(norm)), value, invalid
 
 
 def _climbed_by_windows(
     loop: Loop, progress: Progress, draws, smooth, length: int
-) -> tuple[Moved, float, int]:
+) -> tuple[StepResult, float, int]:
     """Updates on several windows of one sweep, whose objective is that of the whole horizon."""
     assert progress.critic is not None
     problem, step, invalid = loop.problem, progress.step, 0
-    moved = Moved(progress.policy, progress.average, progress.optimiser)
-    swept = sweep(problem, loop.bound, progress.critic, moved.policy, draws, smooth, length, step)
+    moved = StepResult(progress.policy, progress.average, progress.optimiser)
+    swept = sweep(
+        problem, loop.bound_engine, progress.critic, moved.policy, draws, smooth, length, step
+    )
     for number in range(UPDATES):
         turn = UPDATES * step + number
-        window = (problem, loop.bound, swept, moved.policy, draws, smooth, length, turn)
+        window = (problem, loop.bound_engine, swept, moved.policy, draws, smooth, length, turn)
         _, result, lost = window_adjoint(*window, **_options(progress))
         *after, norm = loop.update_by_windows(*moved[:3], result.policy, np.float32(step))
-        moved, invalid = Moved(*after, norm=float(norm), critic=swept.known), max(invalid, lost)
+        moved, invalid = (
+            StepResult(*after, norm=float(norm), critic=swept.critic),
+            max(invalid, lost),
+        )
     return moved, swept.objective, invalid
 
 
@@ -262,19 +269,19 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
-        if may_window and (length := horizon.window(measured.whole)):
+        if may_window and (length := horizon.window(measured.total)):
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
-        wild = wild and horizon.grows(measured.whole)
+        wild = wild and horizon.grows(measured.total)
         # Nor is a share of the adjoints kept back where training leaves what was wild by itself.
         if wild and training.keep == "auto" and not horizon.fell(norms):
-            progress = replace(progress, keep=horizon.share(measured.whole))
+            progress = replace(progress, keep=horizon.share(measured.total))
     if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
         progress = _clipped(loop, progress, smooth)
     if not auto or not (fell or leapt or wild or held_down):
         return progress
     # Adam's memory of gradients that were far larger would hold its steps down.
-    fresh = anew(training, progress.policy, progress.optimiser, 1)
+    fresh = restarted(training, progress.policy, progress.optimiser, 1)
     return replace(progress, optimiser=fresh, since=step)
 
 
@@ -297,23 +304,23 @@ def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         measured = clipping.measured(loop.problem, progress.policy, smooth, step)
         if progress.growth is None:
             progress = replace(progress, growth=Growth.of(measured, step))
-        elif not horizon.grows(measured.whole):
+        elif not horizon.grows(measured.total):
             return replace(progress, clip=None)
     norms = clipping.short(loop.problem, progress.policy, smooth, step)
-    return replace(progress, clip=clipping.bound(norms) or progress.clip)
+    return replace(progress, clip=clipping.clip_level(norms) or progress.clip)
 
 
 def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
     """On windows of a length from here on, with a critic that knows nothing yet."""
     training = loop.training
-    fresh = anew(training, progress.policy, progress.optimiser, UPDATES)
+    fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= horizon.FIRST:
         # The first steps were led by chaos: back to the average of the first few of them, and
         # slowly up again. At the full rate a critic that knows little leads to where no action
         # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)
-        fresh = begun(training, early, UPDATES)
+        fresh = initial_state(training, early, UPDATES)
     return replace(
         progress,
         window=length,
@@ -332,12 +339,12 @@ def stopped(progress: Progress) -> Progress:
 
 def _validate(loop: Loop, progress: Progress) -> Progress:
     """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
-    problem, source = loop.own, loop.own.sources.validation
+    problem, source = loop.inner, loop.inner.sources.validation
     paths = np.arange(source.available(loop.training.validation_paths))
     draws = source.draws(paths, problem.simulator)
     totals = loop.exact.values(progress.average, draws, Exact()).totals
     totals = float64(totals)
-    value = worth(problem.objective, totals)
+    value = value_of(problem.objective, totals)
     # Within limits the newest is the best: an earlier one may have more, and not meet them.
     better = np.isfinite(value) and (value > progress.best_value or bool(problem.constraints))
     best = progress.average if better else progress.best
@@ -348,7 +355,7 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
         available = {"exact": value, "best": best_value, "exact_error": error}
         history = (*history[:-1], history[-1]._replace(**available))
     stale = 0 if better else progress.stale + 1
-    same = progress.alike + 1 if idle.equal_on_all_paths(problem, totals) else 0
+    same = progress.unchanged + 1 if idle.equal_on_all_paths(problem, totals) else 0
     table = {"best": best, "best_value": best_value, "stale": stale, "alike": same}
     return replace(progress, history=history, **table)
 

@@ -19,13 +19,13 @@ from .chapters.bound import BOUND, measure
 from .choice import no_policy
 from .domain import GOOD, Domain
 from .report import write_report
-from .study import Part, Study, StudyRun, Tell
+from .study import Part, ProgressCallback, Study, StudyRun
 from .training import TRAINING
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
 # A report is written before the end where the work since took so many times its own time, and no
 # less than so many seconds: one costs a second or two, and an interrupted run writes its own.
-OFTEN, LEAST = 30.0, 60.0
+OFTEN, MINIMUM = 30.0, 60.0
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 
@@ -36,7 +36,7 @@ def carry_out(
     out: Path,
     decides: Mapping[str, Any],
     resume: bool,
-    progress: Tell,
+    progress: ProgressCallback,
     preparing: float = 0.0,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def carry_out(
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
     record["about"] = run_folder.plain_json(study.about)
-    run.found |= json.loads(json.dumps(record["about"]))
+    run.results |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
     record["beside"] |= adjacent or {}
     writer = _Writer(domain, run, record)
@@ -65,7 +65,12 @@ def carry_out(
 
 
 def certify(
-    domain: Domain, study: Study, out: Path, progress: Tell, paths: int, penalty: Penalty
+    domain: Domain,
+    study: Study,
+    out: Path,
+    progress: ProgressCallback,
+    paths: int,
+    penalty: Penalty,
 ) -> dict[str, Any]:
     """The bounds of a run that was carried out, kept with it: what its result.json says now.
 
@@ -78,11 +83,11 @@ def certify(
         raise no_policy(out, record)
     run_folder.check_whole(out, record, (POLICY, SOLUTION))
     run = StudyRun(study, out, progress, True, mark=run_folder.mark(record["decides"]))
-    run.found |= record["about"]
+    run.results |= record["about"]
     for part in study.parts:
         state = record["parts"].get(part.name, {})
         if part.name != BOUND.name and not changed_files(out, state.get("files")):
-            run.found |= run_folder.read_part(out, part) or {}
+            run.results |= run_folder.read_part(out, part) or {}
     record["parts"].pop(BOUND.name, None)
     _do(replace(BOUND, measure=lambda run: measure(run, paths, penalty)).part, run, record)
     return _Writer(domain, run, record).write()
@@ -95,10 +100,10 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         changed = changed_files(run.folder, states[part.name].get("files"))
         tables = None if changed else run_folder.read_part(run.folder, part)
         if tables is not None:
-            run.found |= tables
+            run.results |= tables
             return
         message = changed[0] if changed else f"parts/{part.file}"
-        run.tell(
+        run.progress(
             f"{part.name} is done again: {message} was changed or damaged since it was written"
         )
     missing = [name for name in part.needs if states.get(name, {}).get("state") != DONE]
@@ -106,15 +111,15 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         note = f"it needs {', '.join(missing)}"
         states[part.name] = {"state": SKIPPED, "note": note, "seconds": 0.0}
         return
-    run.tell(part.name)
+    run.progress(part.name)
     started = time.perf_counter()
     state: dict[str, Any] = {"state": DONE, "note": ""}
     before = stamps(run.folder)
     try:
         tables = part.work(run)
-        if twice := set(tables) & set(run.found):
+        if twice := set(tables) & set(run.results):
             raise ValueError(f"another part gives {sorted(twice)} already")
-        run.found |= run_folder.write_part(run.folder, part, tables)
+        run.results |= run_folder.write_part(run.folder, part, tables)
         state["files"] = written_since(run.folder, before, NOT_OF_A_PART)
         for other in states.values():  # a file is that of the part that wrote it last
             for name in state["files"]:
@@ -123,7 +128,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         raise
     except Exception as error:
         state = {"state": FAILED, "note": _words(error)}
-        run.tell(f"{part.name} failed: {state['note']}")
+        run.progress(f"{part.name} failed: {state['note']}")
     states[part.name] = state | {"seconds": time.perf_counter() - started}
     _guarded(run, lambda: run_folder.save(run.folder, record))
 
@@ -142,7 +147,7 @@ def _guarded(run: StudyRun, write) -> None:
         write()
     except OSError as error:
         run.troubles.append(f"{error.filename or run.folder}: {error.strerror}")
-        run.tell(f"could not write: {run.troubles[-1]}")
+        run.progress(f"could not write: {run.troubles[-1]}")
 
 
 class _Writer:
@@ -155,7 +160,7 @@ class _Writer:
 
     def part_done(self) -> None:
         """Writes where the last time is long enough ago."""
-        if time.perf_counter() - self.last > max(OFTEN * self.took, LEAST):
+        if time.perf_counter() - self.last > max(OFTEN * self.took, MINIMUM):
             self.write()
 
     def write(self) -> dict[str, Any]:

@@ -16,9 +16,9 @@ from typing import Annotated, Any, Generic, TypeVar
 import numpy as np
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationError
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Section
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 
 from .study import Part, StudyRun
 from .training import TRAINING
@@ -74,7 +74,7 @@ class Chapter(Generic[Result]):
         entries = plain(result)
         return {self.key: entries} if self.key else entries
 
-    def of(self, run: StudyRun | Folder) -> Result | None:
+    def of(self, run: StudyRun | RunFiles) -> Result | None:
         """The result, during the run or from its files; None where there is none."""
         if self.key:
             entries = run.get(self.key)
@@ -100,14 +100,16 @@ class Chapter(Generic[Result]):
         """A further section of the report that shows the same result."""
         return replace(self, anchor=anchor, title=title, short=short, show=show)
 
-    def __call__(self, run: Folder) -> Section:
+    def __call__(self, run: RunFiles) -> Section:
         """Its section of the report; without a result, the reason."""
         anchor = self.anchor or re.sub(r"\W", "-", self.name)
         short = self.short or self.name.capitalize()
         if run.left_out(self.name):
             return Section(anchor, "", "", [])
         result = self.of(run)
-        blocks = [lacking(run, self.name, self.table)] if result is None else self.show(run, result)
+        blocks = (
+            [why_missing(run, self.name, self.table)] if result is None else self.show(run, result)
+        )
         title = self.title if isinstance(self.title, str) else self.title(run)
         return Section(anchor, title, short, list(blocks))
 

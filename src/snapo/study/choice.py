@@ -11,7 +11,7 @@ from .study import Part
 from .training import TRAINING
 
 
-def chosen(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
+def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
     """The parts with these names, and all that they need; all where none is named."""
     if not requested:
         return list(parts)
@@ -26,7 +26,7 @@ def chosen(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
     return [part for part in parts if part.name in selected]
 
 
-def told(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
+def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
     """What a study's `about` says of them, for a report: names of parts, `kept` and left out."""
     return {
         PLANNED: [part.name for part in selected],

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
 
-from .domain import Asked, Domain, RunsCode, find, installed, load, remarks
+from .domain import CaseRequest, Domain, RunsCode, find, installed, load, remarks
 
 if TYPE_CHECKING:
     from snapo.solver.bound import Penalty
 
-    from .study import Tell
+    from .study import ProgressCallback
 
 
 def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
@@ -24,7 +24,7 @@ def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
         except CaseError as error:
             rows.append((kind, error.allowed, ()))
         else:
-            rows.append((kind, domain.words, tuple(domain.templates)))
+            rows.append((kind, domain.description, tuple(domain.templates)))
     return rows
 
 
@@ -90,7 +90,7 @@ def next_command(kind: str, folder: Path) -> str:
     return f"snapo check {folder}{code}"
 
 
-def check(request: Asked, progress: "Tell") -> list[str]:
+def check(request: CaseRequest, progress: "ProgressCallback") -> list[str]:
     """The case in a few lines; nothing is trained."""
     loaded = load(request)
     remarks(loaded.case.notes, progress)
@@ -98,8 +98,8 @@ def check(request: Asked, progress: "Tell") -> list[str]:
 
 
 def solve(
-    request: Asked,
-    tell: "Tell",
+    request: CaseRequest,
+    progress: "ProgressCallback",
     *,
     out: Path | None = None,
     engine: str = "auto",
@@ -117,24 +117,24 @@ def solve(
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
-    from .solving.prepare import Wanted, carried_out, made_ready, place
+    from .solving.prepare import Wanted, carried_out, made_ready, output_folder
 
     began, requested = time.perf_counter(), Wanted(engine, reference, resume, policy)
     if seeds is not None:
         from .solving.seeds import solve_seeds
 
-        return solve_seeds(request, tell, out, requested, seeds)
+        return solve_seeds(request, progress, out, requested, seeds)
     loaded = load(request)
-    remarks(loaded.case.notes, tell)
-    out = place(loaded, out)
+    remarks(loaded.case.notes, progress)
+    out = output_folder(loaded, out)
     ready = made_ready(loaded, out, requested)
-    remarks(ready.study.about["notes"], tell, known=loaded.case.notes)
-    return carried_out(ready, resume, tell, began)
+    remarks(ready.study.about["notes"], progress, ignored=loaded.case.notes)
+    return carried_out(ready, resume, progress, began)
 
 
 def certify(
     run: Path,
-    progress: "Tell",
+    progress: "ProgressCallback",
     *,
     paths: int | None = None,
     penalty: "Penalty" = "value",
@@ -234,7 +234,7 @@ def tables(run: Path) -> Path:
         raise CaseError(str(run), "", None, message) from None
 
 
-def bench(kind: str | None, engine: str, progress: "Tell") -> dict[str, str]:
+def bench(kind: str | None, engine: str, progress: "ProgressCallback") -> dict[str, str]:
     """{kind: table of times} of one kind, or of all that can be timed.
 
     **Raises:** `CaseError` where the kind that was asked for has nothing to time.

@@ -17,11 +17,11 @@ from snapo.solver.statistics import Estimate
 from . import run_folder
 from .run_folder import GROUPS, Difference, differences, in_words
 
-MOST = 12  # sensitivities that a person sees; all of them are in the table
+MAXIMUM = 12  # sensitivities that a person sees; all of them are in the table
 SHARE = 0.01  # of an input: by so much it is moved where it does not say its `move`
 
 
-class Moved(NamedTuple):
+class DerivativePair(NamedTuple):
     """The reported derivative in both runs, per one `unit` of the input.
 
     - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
@@ -62,7 +62,7 @@ class Comparison:
     paired: bool
     why: str
     settings: tuple[Difference, ...]
-    sensitivities: tuple[Moved, ...]
+    sensitivities: tuple[DerivativePair, ...]
 
     def table(self) -> dict[str, Any]:
         """The comparison as plain data."""
@@ -101,14 +101,14 @@ class Comparison:
             yield "no sensitivity of an input that both have differs"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
-        for sensitivity in self.sensitivities[:MOST]:
+        for sensitivity in self.sensitivities[:MAXIMUM]:
             name = f"{sensitivity.input} {sensitivity.label}".strip()
             numbers = f"{_figure(sensitivity.first):>14}{_figure(sensitivity.second):>14}"
             last = f"{_figure(sensitivity.difference):>14} {_error(sensitivity.standard_error)}"
             room = f" and {sensitivity.policy:,.2g}" if sensitivity.policy > 0 else ""
             yield f"  {name:<32}{numbers}{last}{room} per {sensitivity.unit or '1'}"
-        if len(self.sensitivities) > MOST:
-            yield f"  and {len(self.sensitivities) - MOST} smaller differences"
+        if len(self.sensitivities) > MAXIMUM:
+            yield f"  and {len(self.sensitivities) - MAXIMUM} smaller differences"
 
 
 def compare(first: Path, second: Path) -> Comparison:
@@ -185,7 +185,7 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
     return float(statistics.independent(errors[0], errors[1]))
 
 
-def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
+def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
     """Reported derivatives that differ, by the difference that they make for the input's own move.
     Those that are not known in one of the runs are left out."""
     try:
@@ -194,14 +194,16 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
         return []
     if one is None or other is None:
         return []
-    results: list[Moved] = []
+    results: list[DerivativePair] = []
     for name in one.held:
         if name in other.held:
             results += _of_input(one.inputs[name], name, one.of(name), other.of(name), paired)
     return sorted(results, key=lambda item: -abs(item.effect))
 
 
-def _of_input(inputs, name: str, first: Reported, second: Reported, paired: bool) -> list[Moved]:
+def _of_input(
+    inputs, name: str, first: Reported, second: Reported, paired: bool
+) -> list[DerivativePair]:
     """One input, entry by entry; nothing where it has another shape in the other run."""
     one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
@@ -218,7 +220,7 @@ def _of_input(inputs, name: str, first: Reported, second: Reported, paired: bool
     columns = (*values, difference, np.ravel(errors), policy, difference * moves)
     rows = zip(inputs.names(), *(np.ravel(column).tolist() for column in columns))
     return [
-        Moved(name, label, inputs.unit, a, b, change, error, policy, effect, sources)
+        DerivativePair(name, label, inputs.unit, a, b, change, error, policy, effect, sources)
         for label, a, b, change, error, policy, effect in rows
         if np.isfinite(change) and change != 0
     ]

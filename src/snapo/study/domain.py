@@ -17,10 +17,10 @@ from snapo.case.error import CaseError, Unquoted, nearest
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-    from snapo.report.folder import Folder
+    from snapo.report.folder import RunFiles
     from snapo.report.page import Section
 
-    from .study import Study, Tell
+    from .study import ProgressCallback, Study
 
 GROUP = "snapo.domains"
 GOOD = ("ok", "trained", "stopped early")  # statuses of a run whose numbers are in order
@@ -60,7 +60,7 @@ class Report:
     """
 
     title: str
-    folder: "type[Folder]"
+    folder: "type[RunFiles]"
     about: "Callable[[Any], Sequence[tuple[str, str]]]"
     sections: "Sequence[Callable[[Any], Section]]"
 
@@ -74,7 +74,7 @@ class Domain(Protocol):
     """
 
     kind: str
-    words: str
+    description: str
 
     @property
     def templates(self) -> "Mapping[str, Traversable]": ...
@@ -95,7 +95,7 @@ class Domain(Protocol):
         """How a run is told."""
         ...
 
-    def bench(self, engine: str, progress: "Tell") -> str:
+    def bench(self, engine: str, progress: "ProgressCallback") -> str:
         """Times of values and gradients on this machine, as a table in text."""
         ...
 
@@ -163,7 +163,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
 _MEMBERS = ("kind", "words", "templates", "read", "check", "study", "report", "bench")
 
 
-class Asked(NamedTuple):
+class CaseRequest(NamedTuple):
     """What a command asks of a case.
 
     - `path`: a TOML file, or a folder with case.toml.
@@ -185,7 +185,7 @@ class Loaded(NamedTuple):
     case: Any
 
 
-def load(request: Asked) -> Loaded:
+def load(request: CaseRequest) -> Loaded:
     """Reads a case with the domain that its `kind` names."""
     from snapo.case.table import load as load_tables
 
@@ -211,8 +211,10 @@ def load(request: Asked) -> Loaded:
         raise
 
 
-def remarks(notes: Iterable[str], progress: "Tell", known: Collection[str] = ()) -> None:
+def remarks(
+    notes: Iterable[str], progress: "ProgressCallback", ignored: Collection[str] = ()
+) -> None:
     """Prints the remarks that the owner of a case should see, without those `known` already."""
     for note in notes:
-        if note not in known:
+        if note not in ignored:
             progress(f"note: {note}")

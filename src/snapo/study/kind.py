@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from snapo.case.table import Formats
 
     from .domain import Case, Options, Report
-    from .study import Study, Tell
+    from .study import ProgressCallback, Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Kind:
     """
 
     kind: str
-    words: str
+    description: str
     package: str
     sizes: Mapping[str, str]
     reader: str = "read.case:read_case"
@@ -64,7 +64,7 @@ class Kind:
         tables: Any = self.loaded(self.tables)
         return tables() if isfunction(tables) else tables
 
-    def bench(self, engine: str, progress: "Tell") -> str:
+    def bench(self, engine: str, progress: "ProgressCallback") -> str:
         if not self.timer:
             allowed = (
                 "nothing of this kind is timed by itself; `snapo solve` reports the times of a case"

@@ -16,7 +16,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator, at
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 
@@ -71,7 +71,7 @@ def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engi
         raise CaseError("--engine", "", requested, message) from None
 
 
-def following(
+def with_auto(
     engine: EngineName, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
 ) -> Setup:
     """The setup of a general policy, in which all that is not given follows the problem, as it
@@ -81,7 +81,7 @@ def following(
     """
     policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
-    plan = fitted(training, problem, policy)
+    plan = resolve_auto(training, problem, policy)
     return Setup(problem, policy, plan, evaluation, engines, recipe)
 
 

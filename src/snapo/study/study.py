@@ -22,7 +22,7 @@ from snapo.solver.relaxations.known import Relaxation
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 
-Tell = Callable[[str], None]
+ProgressCallback = Callable[[str], None]
 
 
 class Setup(NamedTuple):
@@ -49,13 +49,13 @@ class Today(NamedTuple):
     - `columns`: (name, unit) of the table, and its `rows`.
     """
 
-    words: str
+    description: str
     facts: Sequence[tuple[str, float | None, str]] = ()
     columns: Sequence[tuple[str, str]] = ()
     rows: Sequence[Sequence[Any]] = ()
 
 
-class Shown(NamedTuple):
+class LiveTable(NamedTuple):
     """A section of the domain's own on the live page.
 
     - `title`; `words`: one line above; `columns`: (name, unit) of the table, and its `rows`, of
@@ -65,10 +65,10 @@ class Shown(NamedTuple):
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[Any]]
-    words: str = ""
+    description: str = ""
 
 
-class Measured(NamedTuple):
+class PathTotals(NamedTuple):
     """What a policy did on the paths of the page's value: all that a section is made from.
 
     - `totals`: {output: [N]}, exact; `groups` [N]: paths of one group are not independent.
@@ -96,7 +96,7 @@ class Recalculated(Protocol):
     """
 
     @property
-    def named(self) -> Mapping[str, Input]: ...
+    def inputs_by_name(self) -> Mapping[str, Input]: ...
 
     def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
         """(name, table) one after another: "value" ("value", "standard_error", "paths", and
@@ -152,11 +152,11 @@ class Study:
     relaxation: Callable[[], Relaxation] | str = (
         "no bound from above is known for this kind of case"
     )
-    moved: Callable[[Setup, Any], Setup] | None = None
+    setup_at: Callable[[Setup, Any], Setup] | None = None
     checks: Sequence[str] = ()
     today: Callable[[Setup, Policy], "Today"] | None = None
     inputs: Callable[[Any], Mapping[str, Input]] | None = None
-    shown: Callable[[Measured], Sequence[Shown]] | None = None
+    live_tables: Callable[[PathTotals], Sequence[LiveTable]] | None = None
     recalculated: Callable[[], Recalculated] | None = None
 
     def __post_init__(self):
@@ -181,16 +181,16 @@ class StudyRun:
 
     study: Study
     folder: Path
-    tell: Tell
+    progress: ProgressCallback
     resume: bool = False
-    found: dict[str, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)
     troubles: list[str] = field(default_factory=list)
     trained: Solution | None = None
     mark: str = ""
 
     def get(self, path: str, default: Any = None) -> Any:
         """The entry "today.spot" of the tables, or `default` where it is missing or null."""
-        table: Any = self.found
+        table: Any = self.results
         for key in path.split("."):
             table = table.get(key) if isinstance(table, dict) else None
         return default if table is None else table

@@ -8,14 +8,14 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
-from snapo.solver.evaluate import worth_of_groups
+from snapo.solver.evaluate import value_of_groups
 from snapo.solver.files import write_csv
-from snapo.solver.learning.convergence import CONVERGED, SURE, UNDECIDED, without_advice
+from snapo.solver.learning.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
-from snapo.solver.train import Progress, Record, begin
+from snapo.solver.train import Progress, Record, initial_progress
 from snapo.solver.verdict.room import Room, room
 
 from .run_folder import CHECKPOINT, GROUPS
@@ -39,7 +39,7 @@ def train(run: StudyRun) -> dict[str, Any]:
     _keep_groups(run, solution)
     # Whether to train on is said with the bound, where one follows.
     automatic = any(part.name == "bound" for part in run.study.parts)
-    run.tell("\n".join(without_advice(solution.lines()) if automatic else solution.lines()))
+    run.progress("\n".join(without_advice(solution.lines()) if automatic else solution.lines()))
     return {
         "solution": solution.summary(),
         "engine": {"name": solution.engine, "reason": solution.reason},
@@ -52,13 +52,15 @@ def train(run: StudyRun) -> dict[str, Any]:
 TRAINING = Part("training", train)
 
 
-Lead = tuple[str, float | None, float | None]  # a rule, what the trained policy is above it, error
+Advantage = tuple[
+    str, float | None, float | None
+]  # a rule, what the trained policy is above it, error
 
 
 def trained(
     run: StudyRun,
     references: Mapping[str, float | None] | None = None,
-    leads: Iterable[Lead] = (),
+    advantages: Iterable[Advantage] = (),
     exact: float | None = None,
 ) -> dict[str, Any]:
     """What result.json says of a study that trains; empty while it has not yet.
@@ -74,7 +76,7 @@ def trained(
     first = {key: result.pop(key) for key in head}
     if left := room(first["value"], first["standard_error"], run.get("bound"), exact):
         result |= _with_room(result, left)
-    if beaten := _beaten(leads):
+    if beaten := _beaten(advantages):
         result |= {"notes": [*result.get("notes", ()), beaten], "verdict": beaten}
     return first | {"references": dict(references or {})} | result
 
@@ -86,13 +88,13 @@ def _with_room(result: Mapping[str, Any], left: Room) -> dict[str, Any]:
     if left.near:
         notes = without_advice(notes)
         word = CONVERGED if word in UNDECIDED else word
-    return {"notes": [left.words, *notes], "convergence": word, "verdict": left.words}
+    return {"notes": [left.description, *notes], "convergence": word, "verdict": left.description}
 
 
-def _beaten(advantages: Iterable[Lead]) -> str:
+def _beaten(advantages: Iterable[Advantage]) -> str:
     """The rule that is furthest above the trained policy, in a sentence; empty where none is."""
     available = [(name, -lead, error) for name, lead, error in advantages if lead is not None]
-    certain = [item for item in available if item[1] > SURE * (item[2] or 0.0)]
+    certain = [item for item in available if item[1] > SIGNIFICANT * (item[2] or 0.0)]
     if not certain:
         return ""
     name, more, error = max(certain, key=lambda entry: entry[1])
@@ -108,7 +110,7 @@ def _keep_groups(run: StudyRun, solution: Solution) -> None:
     problem = run.setup.problem
     source, simulator = problem.sources.evaluation, problem.simulator
     controls = simulator.control_variates()
-    value = worth_of_groups(problem.objective, solution.totals, source, controls)
+    value = value_of_groups(problem.objective, solution.totals, source, controls)
     noise = (simulator.horizon, simulator.initial_noise_size, simulator.noise_size)
     scenarios = {"source": fingerprint(source), "noise": noise, "paths": solution.paths["evaluate"]}
     checkpoint.save_named(run.folder / GROUPS, {("groups",): value}, scenarios)
@@ -131,14 +133,14 @@ def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
         key, why = result
         raise CaseError("case.toml", f"training.{key}", getattr(training, key), why)
     try:
-        fresh = begin(setup.policy, training, setup.problem)
+        fresh = initial_progress(setup.policy, training, setup.problem)
     except ValueError as error:
         message = str(error).removeprefix("Training: window ").rstrip(".")
         raise CaseError("case.toml", "training.window", training.window, message) from None
     if not (run.resume and file.exists()):
         return None
     state = load_checkpoint(file, fresh, run.mark)
-    run.tell(f"resuming after step {state.step}")
+    run.progress(f"resuming after step {state.step}")
     return state
 
 
@@ -159,7 +161,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
     """Best policy and history so far, on disk; a write that fails does not lose the run."""
     if state.history:
         last = state.history[-1]
-        run.tell(
+        run.progress(
             f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
             f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
         )
@@ -168,4 +170,4 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
         write_csv(run.folder / HISTORY, Record._fields, state.history)
     except OSError as error:
         run.troubles.append(f"{error.filename or run.folder}: {error.strerror}")
-        run.tell(f"could not write: {run.troubles[-1]}")
+        run.progress(f"could not write: {run.troubles[-1]}")

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 from snapo.case.csv import NUMBER
 from snapo.solver.show.tables import TRAINING, flat, sensitivities
-from snapo.solver.show.workbook import MOST_NAME, Picture, Table, write_tables
+from snapo.solver.show.workbook import MAX_NAME, Picture, Table, write_tables
 
 from . import run_folder
 
-MOST_DRAWN, MOST_LINES = 400, 4  # rows and columns of a chart
+MAX_DRAWN, MAX_LINES = 400, 4  # rows and columns of a chart
 LEFT = ("seconds",)
 NAME = "name"  # of that of records in a table of tables
 ROW = "row"  # the header of the first column, where rows have no label of their own
@@ -38,11 +38,11 @@ def write_run(run: Path) -> Path:
             positions[file.stem] = file.name
     for file in sorted((run / run_folder.PARTS).glob("*.json")):
         for results in tables_in(run_folder.read_table(file) or {}):
-            name = _name(results.way or (file.stem,), tables)
+            name = _name(results.path or (file.stem,), tables)
             single = results.header == SINGLE  # values that have nothing in common
             picture = None if single else _picture(name, results.header, _floats(results.rows))
             tables[name] = Table(results.header, results.rows, picture)
-            positions[name] = ", ".join((f"parts/{file.name}", *results.way))
+            positions[name] = ", ".join((f"parts/{file.name}", *results.path))
     contents = Table(("sheet", "of"), list(positions.items()))
     write_tables(run / run_folder.TABLES, {"contents": contents, **tables})
     return run / run_folder.TABLES
@@ -52,12 +52,12 @@ def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
     """A name for a sheet that is not taken, as much of the way as there is room for."""
     complete = re.sub(r"[\[\]:*?/\\']", " ", " ".join(path)).strip() or "table"
     used = {item.lower() for item in (*taken, "contents")}
-    short = complete[:MOST_NAME].strip()
+    short = complete[:MAX_NAME].strip()
     for number in count(2):
         if short.lower() not in used:
             return short
         end = f" {number}"
-        short = complete[: MOST_NAME - len(end)].strip() + end
+        short = complete[: MAX_NAME - len(end)].strip() + end
     raise AssertionError
 
 
@@ -87,8 +87,8 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
         for i, column in enumerate(header)
         if i and rows and all(len(row) == len(header) and type(row[i]) is float for row in rows)
     ]
-    selected = [column for column in numbers if column not in LEFT][:MOST_LINES]
-    if not selected or not 2 <= len(rows) <= MOST_DRAWN:
+    selected = [column for column in numbers if column not in LEFT][:MAX_LINES]
+    if not selected or not 2 <= len(rows) <= MAX_DRAWN:
         return None
     if {"value", "label", "input"} <= set(header):
         return sensitivities(list(rows))
@@ -98,7 +98,7 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 class Part(NamedTuple):
     """A table, and the way to it in the part's data."""
 
-    way: tuple[str, ...]
+    path: tuple[str, ...]
     header: tuple[str, ...]
     rows: Sequence[Sequence[Any]]
 

@@ -33,11 +33,11 @@ class Miniature(NamedTuple):
     simulator: tuple[str, str] | None = None
     texts: Callable[[], Mapping[str, str]] | None = None
 
-    def asked(self, folder: Path) -> commands.Asked:
+    def request(self, folder: Path) -> commands.CaseRequest:
         """What a command is asked for, of the case that lies in `folder`/case."""
-        return commands.Asked(folder / CASE, self.assignments, self.simulator)
+        return commands.CaseRequest(folder / CASE, self.assignments, self.simulator)
 
-    def write(self, folder: Path) -> commands.Asked:
+    def write(self, folder: Path) -> commands.CaseRequest:
         """The template, or the case of its own, in `folder`/case."""
         if self.texts is None:
             commands.new(self.kind, folder / CASE, self.size)
@@ -45,7 +45,7 @@ class Miniature(NamedTuple):
             (folder / CASE).mkdir(parents=True)
             for name, text in self.texts().items():
                 (folder / CASE / name).write_text(text, encoding="utf-8")
-        return self.asked(folder)
+        return self.request(folder)
 
     def solve(self, folder: Path, **options: Any) -> dict[str, Any]:
         """The case in `folder`/case and its run in `folder`/run; returns the result.

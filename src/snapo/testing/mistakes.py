@@ -21,7 +21,7 @@ from snapo.case.error import CaseError
 from snapo.case.table import load
 
 Read = Callable[[Path, dict[str, Any]], Any]
-Way = tuple[str | int, ...]
+Route = tuple[str | int, ...]
 
 UNKNOWN = "a_key_that_nobody_knows"
 
@@ -39,7 +39,7 @@ class Mistake:
 
     name: str
     spoil: Callable[[Path, dict[str, Any]], None]
-    named: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
@@ -73,13 +73,13 @@ def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> It
         read(file, data)
     except CaseError as error:
         message = str(error)
-        missing = [word for word in mistake.named if word not in message]
+        missing = [word for word in mistake.names if word not in message]
         if missing:
             yield f"{mistake.name}: the message lacks {', '.join(missing)}: {message}"
     except Exception as error:
         yield f"{mistake.name}: {type(error).__name__} in place of a CaseError: {error}"
     else:
-        if mistake.named:
+        if mistake.names:
             yield f"{mistake.name}: accepted"
 
 
@@ -108,7 +108,7 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
             yield Mistake(f"{position}: left out", _leave_out(path))
 
 
-def _keys(path: Way, value: Any) -> Iterator[tuple[Way, Any]]:
+def _keys(path: Route, value: Any) -> Iterator[tuple[Route, Any]]:
     """Every table, key and entry with its place, from the top down."""
     yield path, value
     if isinstance(value, dict):
@@ -141,30 +141,30 @@ def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
     return [*results, ("a number", 12.5, False), ("no text", "", False)]
 
 
-def _place(path: Way) -> str:
+def _place(path: Route) -> str:
     return ".".join(map(str, path)) or "the case"
 
 
-def _named(path: Way) -> str:
+def _named(path: Route) -> str:
     """The word that a message must contain: the last key, or the key of the list."""
     return str(next((item for item in reversed(path) if isinstance(item, str)), ""))
 
 
-def _put(path: Way, value: Any) -> Callable[[Path, dict[str, Any]], None]:
+def _put(path: Route, value: Any) -> Callable[[Path, dict[str, Any]], None]:
     def spoil(folder: Path, data: dict[str, Any]) -> None:
         _inside(data, path)[path[-1]] = copy.deepcopy(value)
 
     return spoil
 
 
-def _leave_out(path: Way) -> Callable[[Path, dict[str, Any]], None]:
+def _leave_out(path: Route) -> Callable[[Path, dict[str, Any]], None]:
     def spoil(folder: Path, data: dict[str, Any]) -> None:
         del _inside(data, path)[path[-1]]
 
     return spoil
 
 
-def _inside(data: Any, path: Way) -> Any:
+def _inside(data: Any, path: Route) -> Any:
     for key in path[:-1]:
         data = data[key]
     return data

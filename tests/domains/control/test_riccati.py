@@ -7,8 +7,8 @@ import snapo
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.linear import LinearQuadratic
 from snapo.domains.control.regulator import Linear, optimum, riccati, solved
-from snapo.domains.control.rules import rivals
-from snapo.problem.inputs import named, plain
+from snapo.domains.control.rules import classical_rules
+from snapo.problem.inputs import named_inputs, plain
 
 A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]])
 STEPS = 12
@@ -65,7 +65,7 @@ def test_cost_and_every_derivative_of_c1():
     plant = LinearQuadratic(made, STEPS)
     sources = snapo.Sources(moments(), moments(), moments())
     problem = snapo.Problem(plant, made, snapo.Mean("reward"), sources)
-    rule = rivals(plant, made)["linear regulator"]
+    rule = classical_rules(plant, made)["linear regulator"]
     value, gradient = snapo.value_and_gradient(problem, rule, paths=4 * STEPS)
     assert -value == pytest.approx(cost(), rel=1e-10)
     slopes = {name: -slope for name, slope in gradient.inputs.items()}
@@ -74,7 +74,7 @@ def test_cost_and_every_derivative_of_c1():
     x0 = np.array([1.0, -0.5])
     assert np.allclose(slopes["start.x.at"], 2 * found.P[0] @ x0, rtol=1e-6)
     # By G: 2 P_(t+1) G_t, which is P_(t+1) by the covariance W_t = G_t G_t'.
-    given = named(made)
+    given = named_inputs(made)
     shocks = {each.name: each.input.value for each in given}["noise.x"]
     by_covariance = slopes["noise.x"] @ np.linalg.inv(shocks) / 2
     assert np.allclose(by_covariance, found.P[1:], rtol=1e-6, atol=1e-8)
@@ -114,6 +114,8 @@ def test_a_trained_network_comes_within_three_thousandths(seed):
         evaluation=snapo.Evaluation(65536, 0, 0, 0),
     )  # fmt: skip
     problem = snapo.Problem(plant, made, snapo.Mean("reward"), snapo.Sources.of(None, seed))
-    best = snapo.evaluate(problem, rivals(plant, made)["linear regulator"], paths=65536).value
+    best = snapo.evaluate(
+        problem, classical_rules(plant, made)["linear regulator"], paths=65536
+    ).value
     print(f"seed {seed}: {solution.value / best - 1:.4%} above the best rule")
     assert solution.value > best - 0.003 * abs(best)

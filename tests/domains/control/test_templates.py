@@ -9,7 +9,7 @@ import pytest
 import snapo
 from snapo.case.table import load
 from snapo.domains.control import DOMAIN
-from snapo.domains.control.rules import rivals
+from snapo.domains.control.rules import classical_rules
 from snapo.domains.control.study import make_setup
 from snapo.engine import Xla
 from snapo.solver.evaluate import path_totals
@@ -48,7 +48,7 @@ def values(size: str, seed: int = 0) -> tuple[float, float]:
         totals = path_totals(problem, policy, paths, engine=Xla(precision="float64"))
         return float(np.mean(totals["reward"]))
 
-    rules = {name: mean(rule) for name, rule in rivals(case.plant, problem.inputs).items()}
+    rules = {name: mean(rule) for name, rule in classical_rules(case.plant, problem.inputs).items()}
     best, own = max(rules, key=lambda name: rules[name]), mean(solution.policy)
     print(f"{size}: {own:.5g}, best rule {rules[best]:.5g} ({best}), {seconds:.0f} s")
     return own, rules[best]

@@ -55,7 +55,7 @@ def folder(tmp_path_factory):
 
 def solve(folder, out, tell=lambda text: None, **options):
     """`snapo solve` of a case in a folder."""
-    asked = commands.Asked(folder, options.pop("assignments", ()))
+    asked = commands.CaseRequest(folder, options.pop("assignments", ()))
     return commands.solve(asked, tell, out=out, **{"engine": "native"} | options)
 
 

@@ -79,8 +79,8 @@ def test_no_store_is_reported_with_a_policy_worse_than_the_rule_that_it_began_wi
 def test_a_parallel_curve_moves_a_store_as_much_upwards_as_downwards(tmp_path):
     """Within one percent, and the slope within half a percent of the lattice's."""
     problem, found = solved(tmp_path, 3)
-    curve = problem.named["forward_curve"].value
-    moved = [problem.moved({"forward_curve": curve + shift}) for shift in (0.25, 0.0, -0.25)]
+    curve = problem.inputs_by_name["forward_curve"].value
+    moved = [problem.at_values({"forward_curve": curve + shift}) for shift in (0.25, 0.0, -0.25)]
     high, middle, low = (evaluate(x, found.policy, paths=16384).value for x in moved)
     up, down = high - middle, middle - low
     exact = [lattice(x.schedule, factors(x), "linear").value for x in moved]

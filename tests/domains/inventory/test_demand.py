@@ -33,7 +33,7 @@ def drawn(demand, values: dict[str, float], spread: bool = False):
 def test_chances_are_those_of_the_distribution(kind):
     table, law = LAWS[kind]
     demand = case(table).demand
-    found = demand.chances(demand.values())
+    found = demand.probabilities(demand.values())
     assert found == pytest.approx(law.pmf(np.arange(len(found))), rel=1e-9)
     assert found.sum() == pytest.approx(1, abs=1e-7)
     assert demand.deviation(demand.values(), 1.0) == pytest.approx(law.std())

@@ -17,7 +17,7 @@ from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver import statistics
 from snapo.solver.adjoint import value_and_gradient
-from snapo.solver.evaluate import evaluate, path_totals, worth_of_groups
+from snapo.solver.evaluate import evaluate, path_totals, value_of_groups
 from snapo.solver.solve import Evaluation, solve
 
 NORMAL = {"kind": "normal", "mean": 5.0, "deviation": 1.6}
@@ -153,7 +153,7 @@ def compared(case, numbers: Numbers | None = None):
     rule = echelon_rule(setup, *best(setup, Numbers(batch, wait=wait)))
     objective, source = setup.problem.objective, setup.problem.sources.evaluation
     totals = path_totals(setup.problem, rule, 65536, engine=setup.engines.evaluate)
-    shares = [worth_of_groups(objective, each, source) for each in (found.totals, totals)]
+    shares = [value_of_groups(objective, each, source) for each in (found.totals, totals)]
     paired = statistics.of_shares(shares[0] - shares[1])
     cost = -statistics.of_shares(shares[1]).value
     print(f"trained {-found.value:.4f} ± {found.standard_error:.4f}, (s, S) {cost:.4f}, "

@@ -55,7 +55,7 @@ def test_a_season_is_an_input_of_its_place(folder):
     assert given["north.season"].labels == ("summer", "winter") and "south.season" not in given
     case = stores(folder, north={"demand": {"kind": "poisson", "mean": 4.0}},
                   south={"demand": {"kind": "poisson", "mean": 4.0}})  # fmt: skip
-    assert case.whole
+    assert case.integer
     assert make_setup(case).problem.simulator.in_mean() == (
         "north.demand_mean", "north.season", "south.demand_mean",
     )  # fmt: skip
@@ -101,7 +101,7 @@ def test_derivatives_are_differences_and_both_engines_agree(folder):
     assert first == pytest.approx(second, rel=1e-10)
     for name, slope in one.inputs.items():
         assert slope == pytest.approx(other.inputs[name], rel=1e-7, abs=1e-10), name
-        value = np.asarray(problem.named[name].value, np.float64)
+        value = np.asarray(problem.inputs_by_name[name].value, np.float64)
         for k in range(value.size):
             step = np.zeros(value.size)
             step[k] = 1e-4

@@ -26,7 +26,7 @@ def test_a_history_is_divided_by_its_factors(tmp_path):
     assert found.demand.values() == pytest.approx({
         "demand_mean": 5.5, "demand_deviation": np.std(np.arange(2, 10)),
     })  # fmt: skip
-    assert found.item.whole and not found.item.lost
+    assert found.item.integer and not found.item.lost
 
 
 def test_a_season_is_an_input_and_its_orders_are_not_whole(tmp_path):
@@ -34,7 +34,7 @@ def test_a_season_is_an_input_and_its_orders_are_not_whole(tmp_path):
     demand = {"kind": "empirical", "history": "h.csv"}
     found = written(tmp_path, demand, files, season={"file": "s.csv"})
     assert found.seasonal and found.season.labels == ("summer", "winter")
-    assert not found.item.whole
+    assert not found.item.integer
 
 
 def test_weights_add_up_or_are_discount_factors():

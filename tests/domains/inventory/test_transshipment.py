@@ -83,9 +83,9 @@ def test_two_tables_of_the_same_places_are_refused():
 
 
 def test_orders_are_whole_where_demand_is_and_a_case_may_say_otherwise():
-    assert stores(2, demand=POISSON).whole
-    assert not stores(2).whole
-    assert not stores(2, demand=POISSON, network={"whole": False}).whole
+    assert stores(2, demand=POISSON).integer
+    assert not stores(2).integer
+    assert not stores(2, demand=POISSON, network={"whole": False}).integer
 
 
 def test_amounts_in_pieces_keep_their_sum():
@@ -229,7 +229,7 @@ def test_both_engines_agree_and_the_adjoint_is_the_difference(demand):
     assert first == pytest.approx(second, rel=1e-10)
     for name, slope in one.inputs.items():
         assert slope == pytest.approx(other.inputs[name], rel=1e-7, abs=1e-10), name
-        given, step = problem.named[name].value, 1e-4
+        given, step = problem.inputs_by_name[name].value, 1e-4
         way = np.zeros(given.shape) if given.ndim else np.ones(())
         way[(0,) * given.ndim] = 1.0
         ends = [

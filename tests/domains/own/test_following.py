@@ -13,9 +13,9 @@ from snapo.domains.control.study import make_setup as make_plant
 from snapo.domains.own import DOMAIN
 from snapo.domains.own.study import make_setup
 from snapo.solver.learning.features import scale_of, undrawn
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 from snapo.study import commands
-from snapo.study.commands import Asked
+from snapo.study.commands import CaseRequest
 
 CALL = """
 from examples import max_call
@@ -57,7 +57,7 @@ def test_what_is_left_out_is_what_solve_takes(tmp_path):
     setup = setup_of(tmp_path)
     recipe = snapo.MLP()
     made = recipe.for_problem(setup.problem.interface, jax.random.key(0))
-    assert setup.training == fitted(snapo.Training(), setup.problem, made)
+    assert setup.training == resolve_auto(snapo.Training(), setup.problem, made)
     assert setup.training.steps == 3840 and setup.training.paths == 512
     assert setup.recipe is not None and undrawn(setup.recipe)
     assert scale_of(setup.policy, setup.problem) is not None
@@ -79,7 +79,7 @@ def test_a_plant_without_settings_is_trained_as_solve_does():
     setup = make_plant(CONTROL.read(file, data), "xla")
     recipe = snapo.MLP()
     made = recipe.for_problem(setup.problem.interface, jax.random.key(0))
-    assert setup.training == fitted(snapo.Training(), setup.problem, made)
+    assert setup.training == resolve_auto(snapo.Training(), setup.problem, made)
     assert setup.recipe is not None and undrawn(setup.recipe)
 
 
@@ -94,9 +94,9 @@ def solved(folder: Path, stop: str = "", engine: str = "xla") -> dict:
 
     if stop:
         with pytest.raises(KeyboardInterrupt):
-            commands.solve(Asked(folder, (), CODE), tell, engine=engine)
+            commands.solve(CaseRequest(folder, (), CODE), tell, engine=engine)
         assert seen
-    commands.solve(Asked(folder, (), CODE), tell, resume=bool(stop), engine=engine)
+    commands.solve(CaseRequest(folder, (), CODE), tell, resume=bool(stop), engine=engine)
     return json.loads((folder / "run" / "result.json").read_text())
 
 

@@ -39,8 +39,8 @@ def test_a_case_is_read(folder):
     demand, price = case.inputs["demand"], case.inputs["price"]
     assert demand.value.tolist() == [10, 11, 12, 13, 14, 15, 16, 17]
     assert demand.labels[:2] == ("d0", "d1")
-    assert (price.move, price.trade_unit, price.trade_factor) == (0.1, "cents", 100)
-    assert case.inputs["stock"].words == "at the start"
+    assert (price.move, price.display_unit, price.display_factor) == (0.1, "cents", 100)
+    assert case.inputs["stock"].meaning == "at the start"
     assert case.simulator.horizon == 8
     assert case.code == folder / "simulator.py"
 

@@ -14,7 +14,7 @@ from snapo.domains.own import DOMAIN
 from snapo.solver.limits.found import LimitFound
 from snapo.solver.solution import Solution
 from snapo.study import commands
-from snapo.study.commands import Asked
+from snapo.study.commands import CaseRequest
 from snapo.study.report import write_report
 
 CODE = ("simulator", "Shop")
@@ -133,7 +133,7 @@ def stopped(folder: Path, line: str) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        commands.solve(Asked(folder, (), CODE), tell)
+        commands.solve(CaseRequest(folder, (), CODE), tell)
     assert seen
 
 

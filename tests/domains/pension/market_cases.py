@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.cash import Cash
@@ -22,25 +22,25 @@ from snapo.domains.pension.records.people import CashFlows
 from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, Plan
 
 
-def given(name: str, values, index=None, unit="1") -> Given:
+def given(name: str, values, index=None, unit="1") -> CaseInput:
     """A number or a row of numbers; `index` where it is used, by default each once."""
     values = np.asarray(values, float)
     shape = values.shape
     flat = values.ravel()
     labels = ("",) if not shape else tuple(str(i) for i in range(len(flat)))
     places = np.arange(len(flat)).reshape(shape) if index is None else index
-    return Given(name, flat, labels, unit, places)
+    return CaseInput(name, flat, labels, unit, places)
 
 
-def steady(name: str, values, steps: int, unit="1/sqrt(year)") -> Given:
+def steady(name: str, values, steps: int, unit="1/sqrt(year)") -> CaseInput:
     """The same number in every step: index [T] for one, [T, m] for several."""
     values = np.asarray(values, float)
     places = np.broadcast_to(np.arange(values.size).reshape(values.shape), (steps, *values.shape))
     return given(name, values, places, unit)
 
 
-def none(name: str, *shape: int) -> Given:
-    return Given(name, np.zeros(0), (), "1", np.zeros(shape, int))
+def none(name: str, *shape: int) -> CaseInput:
+    return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, int))
 
 
 def curve(name: str, tenor, rate, quote="zero") -> Curve:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, TrainingTable
 from snapo.domains.pension.market.assets.cash import Cash
 from snapo.domains.pension.market.rates.hull_white import HullWhite
@@ -31,15 +31,15 @@ FIRST_AGE, AGES = 20, 91
 GOMPERTZ = np.array([[-10.44730, 0.095853, 0.0], [-11.51027, 0.104929, 0.0]])
 
 
-def given(name: str, values: Any, index: Any = None) -> Given:
+def given(name: str, values: Any, index: Any = None) -> CaseInput:
     """Numbers under a name; by default each stands for itself."""
     array = np.asarray(values, float)
     place = np.arange(array.size).reshape(array.shape) if index is None else np.asarray(index)
-    return Given(name, array.ravel(), tuple(map(str, range(array.size))), "1", place)
+    return CaseInput(name, array.ravel(), tuple(map(str, range(array.size))), "1", place)
 
 
-def nothing(name: str, shape: tuple[int, ...] = ()) -> Given:
-    return Given(name, np.zeros(0), (), "1", np.zeros(shape, int))
+def nothing(name: str, shape: tuple[int, ...] = ()) -> CaseInput:
+    return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, int))
 
 
 def gompertz_table() -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 from tests.domains.pension import market_cases, people_cases
 from tests.domains.pension.people_cases import members
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.records.pots import PotRules, Pots
 
@@ -19,7 +19,7 @@ def pots(case, protection, exposure, **changes):
 
     def by_cohort(name, values):
         index = np.broadcast_to(np.arange(len(values)), (case.steps, len(values)))
-        return Given(name, np.array(values, float), tuple(map(str, values)), "1", index)
+        return CaseInput(name, np.array(values, float), tuple(map(str, values)), "1", index)
 
     usual = {"reserve": 0.1, "fill_contribution": 0.1, "fill_return": 0.1, "release": 0.2}
     numbers = usual | {"largest": 0.15} | changes

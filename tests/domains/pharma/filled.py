@@ -5,7 +5,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.study.chapter import Chapter
 
 Record = TypeVar("Record")
@@ -34,12 +34,12 @@ def _nothing(hint: Any) -> Any:
     return {} if origin is dict else None
 
 
-def folder(*results: tuple[Chapter, Any], result: Any = None, **about: Any) -> Folder:
+def folder(*results: tuple[Chapter, Any], result: Any = None, **about: Any) -> RunFiles:
     """The files of a run with the results of these chapters."""
     details = dict(about)
     for chapter, record in results:
         details |= chapter.data(record)
-    return Folder(result or {}, details, {}, (), {}, {})
+    return RunFiles(result or {}, details, {}, (), {}, {})
 
 
 def plain(record: Any) -> dict[str, Any]:

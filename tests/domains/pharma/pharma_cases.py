@@ -12,7 +12,7 @@ import snapo
 from snapo.domains.pharma.flowsheet.case import PharmaCase
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.read.case import resolve
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.study import commands
 from snapo.testing.miniature import quiet
 
@@ -310,7 +310,7 @@ def small(text: str) -> str:
     return kept + "[evaluation]\npaths = 128\nsensitivity_paths = 64\n[numerics]\nrefine = false\n"
 
 
-def solve(folder: Path, out: Path, *changes: str) -> tuple[dict[str, Any], Folder]:
+def solve(folder: Path, out: Path, *changes: str) -> tuple[dict[str, Any], RunFiles]:
     """A run of the case in a folder as the command does it: result.json, and what was found."""
-    result = commands.solve(commands.Asked(folder, changes), quiet, out=out)
-    return result, Folder.read(out)
+    result = commands.solve(commands.CaseRequest(folder, changes), quiet, out=out)
+    return result, RunFiles.read(out)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, TrainingTable
 from snapo.domains.pharma.control.records import Goal
 from snapo.domains.pharma.flowsheet.case import Connection, PharmaCase
@@ -26,12 +26,14 @@ from snapo.domains.pharma.units.reactor import Reactor
 
 
 def number(name, value, unit="1"):
-    return Given(name, np.array([float(value)]), ("",), unit, np.array(0))
+    return CaseInput(name, np.array([float(value)]), ("",), unit, np.array(0))
 
 
 def series(name, values, unit="1"):
     values = np.asarray(values, float)
-    return Given(name, values, tuple(map(str, range(len(values)))), unit, np.arange(len(values)))
+    return CaseInput(
+        name, values, tuple(map(str, range(len(values)))), unit, np.arange(len(values))
+    )
 
 
 def constant(name, value, unit="K"):

@@ -22,7 +22,7 @@ from snapo.domains.pharma.quality.boundary import Boundary
 from snapo.domains.pharma.quality.ranges import AcceptableRange, ProvenRange
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.study import study
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Missing
 from snapo.study.domain import Options
 
@@ -59,7 +59,7 @@ def test_progress_is_told_some_seconds_apart(monkeypatch):
     clock, lines = [0.0], []
     monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
     progress.say("nobody listens")
-    with progress.told(lines.append):
+    with progress.reporting(lines.append):
         for clock[0] in (1.0, 11.0, 12.0, 25.0):
             progress.say(f"{clock[0]:.0f} of 30")
     assert lines == ["  11 of 30, 11 s", "  25 of 30, 25 s"]
@@ -75,7 +75,7 @@ def test_progress_is_told_some_seconds_apart(monkeypatch):
     ],
 )
 def test_a_section_says_why_it_is_empty(details, parts, words):
-    block = SPACE(Folder({}, details, parts, (), {}, {})).blocks[0]
+    block = SPACE(RunFiles({}, details, parts, (), {}, {})).blocks[0]
     assert isinstance(block, Missing) and words in block.text
 
 

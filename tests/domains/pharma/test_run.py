@@ -22,7 +22,7 @@ from snapo.domains.pharma.chapters.ranges import RANGES
 from snapo.domains.pharma.chapters.verification import CONVERGENCE, DIFFERENCES
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.report import SECTIONS
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.study import commands
 from snapo.study.chapter import Chapter
 from snapo.testing.miniature import quiet
@@ -43,7 +43,7 @@ def whole(solved):
 
 @pytest.fixture(scope="module")
 def found(whole):
-    return Folder.read(whole[1]).details
+    return RunFiles.read(whole[1]).details
 
 
 def test_the_result(whole):
@@ -119,7 +119,7 @@ def test_the_report_says_what_is_there_and_what_is_not(whole, tmp_path, capsys):
 
 def test_every_result_reads_back_as_its_type(whole):
     """A record that does not fit its type would count as missing, and no check would look at it."""
-    files = Folder.read(whole[1])
+    files = RunFiles.read(whole[1])
     chapters = [each for each in vars(study).values() if isinstance(each, Chapter)]
     done = [each.name for each in chapters if each.name in files.parts]
     assert len(done) >= 14
@@ -134,7 +134,7 @@ def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     before = {name: json.loads(file.read_text()) for name, file in lost.items()}
     for file in lost.values():
         file.unlink()
-    asked = commands.Asked(folder, MINIATURES["pharma"].assignments)
+    asked = commands.CaseRequest(folder, MINIATURES["pharma"].assignments)
     result = commands.solve(asked, quiet, out=out, resume=True)
     assert result["status"] == "ok" and result["value"] == whole[0]["value"]
     assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before

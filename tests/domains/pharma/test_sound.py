@@ -25,7 +25,7 @@ from snapo.domains.pharma.chapters.verification import (
     CheckedPoint,
 )
 from snapo.domains.pharma.derivatives.convergence import Convergence, ConvergenceRow
-from snapo.domains.pharma.flowsheet.possible import least
+from snapo.domains.pharma.flowsheet.possible import smallest
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.capability import Capability
 from snapo.domains.pharma.quality.limits import Limits
@@ -73,8 +73,8 @@ def test_a_limit_is_not_kept_by_what_cannot_be():
     good = np.array([27.0, 80.0, 0.1, 500.0, 80.0, 200.0])
     assert limits.hold(good).all()
     assert limits.hold(np.where(np.arange(6) == 5, -20.9, good)).tolist() == [True] * 5 + [False]
-    assert least("crystalliser.supersaturation") == pytest.approx(-1)
-    assert least("process.yield.C.A") == -np.inf
+    assert smallest("crystalliser.supersaturation") == pytest.approx(-1)
+    assert smallest("process.yield.C.A") == -np.inf
 
 
 def balance(**values) -> tuple[Balance]:

@@ -170,8 +170,8 @@ def test_a_result_prints_itself():
         Round(800, 500, errors, Compared.of(np.array([-10.0, -18.0]), np.zeros(2)), 1.0),
     ]
     learned = Learned(
-        policy=snapo.MLP(), found=rounds[1].found, steps=1000, hold=1, limit=100,
-        rounds=tuple(rounds), chosen=2, seconds=3.2, seed=0, model=None, inputs=None,
+        policy=snapo.MLP(), comparison=rounds[1].comparison, steps=1000, hold=1, limit=100,
+        rounds=tuple(rounds), selected=2, seconds=3.2, seed=0, model=None, inputs=None,
         environment=Counter(),
     )  # fmt: skip
     told = str(learned).splitlines()
@@ -187,7 +187,7 @@ def test_an_episode_begins_only_where_all_of_it_has_room():
     known.play(nothing)
     assert known.real.steps == 10 and known.room(20) and not known.room(19)
     known.play(nothing)
-    assert known.seen.count == 20 and known.settled().units.scale[0] == pytest.approx(
+    assert known.transitions.count == 20 and known.settled().units.scale[0] == pytest.approx(
         np.append(np.arange(10), np.arange(1, 11)).std()
     )
 
@@ -217,8 +217,8 @@ def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
     steps = 10 * rounds_.fewest(rounds) + more
     learned = snapo.learn(made, steps, rounds=rounds, limit=10)
     assert steps - 10 < learned.steps <= steps
-    assert len(learned.rounds) == rounds and min(r.found.episodes for r in learned.rounds) >= 1
-    assert learned.found.episodes >= 1
+    assert len(learned.rounds) == rounds and min(r.comparison.episodes for r in learned.rounds) >= 1
+    assert learned.comparison.episodes >= 1
 
 
 class Still(snapo.Simulator):
@@ -247,7 +247,7 @@ def test_middle_rounds_train_half_of_the_steps(monkeypatch):
     shares = []
     monkeypatch.setattr(rounds_, "trained", lambda *given: shares.append(given[5]))
     inside = SimpleNamespace(model=Still(), inputs={"one": snapo.Input(1.0)})
-    policy = rounds_.begun(inside, None, None, 0)
+    policy = rounds_.initial_policy(inside, None, None, 0)
     plan = SimpleNamespace(training=snapo.Training(paths=64), rounds=3, engine="xla")
     for number in range(3):
         rounds_.improved(plan, inside, policy, number)

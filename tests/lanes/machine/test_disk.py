@@ -27,7 +27,7 @@ def only(folder):
 @pytest.mark.parametrize("spoil", range(16))
 def test_a_file_that_is_not_whole_is_made_anew(spoil, tmp_path, made):
     """Emptied, cut short, made longer, and a byte changed in each part of it."""
-    good = disk.kept(TEXT, tmp_path)
+    good = disk.cached(TEXT, tmp_path)
     file = only(tmp_path)
     data = bytearray(file.read_bytes())
     if spoil < 4:
@@ -39,40 +39,40 @@ def test_a_file_that_is_not_whole_is_made_anew(spoil, tmp_path, made):
     else:
         data[(spoil - 6) * len(data) // 10] ^= 0x10
     file.write_bytes(data)
-    assert disk.kept(TEXT, tmp_path) == good and len(made) == 2
-    assert disk.kept(TEXT, tmp_path) == good and len(made) == 2
+    assert disk.cached(TEXT, tmp_path) == good and len(made) == 2
+    assert disk.cached(TEXT, tmp_path) == good and len(made) == 2
 
 
 def test_code_under_another_name_is_not_taken(tmp_path, made):
-    disk.kept(TEXT, tmp_path)
+    disk.cached(TEXT, tmp_path)
     only(tmp_path).rename(tmp_path / f"{disk.key('another')}{disk.ENDING}")
-    disk.kept("another", tmp_path)
+    disk.cached("another", tmp_path)
     assert made == [TEXT, "another"]
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owners here")
 def test_code_that_others_may_have_written_is_not_taken(tmp_path, made, monkeypatch):
-    disk.kept(TEXT, tmp_path)
+    disk.cached(TEXT, tmp_path)
     for mode in (0o620, 0o602):
         only(tmp_path).chmod(mode)
-        disk.kept(TEXT, tmp_path)
+        disk.cached(TEXT, tmp_path)
     assert len(made) == 3 and only(tmp_path).stat().st_mode & 0o777 == 0o600
     user = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: user + 1)
-    disk.kept(TEXT, tmp_path)
+    disk.cached(TEXT, tmp_path)
     assert len(made) == 4
 
 
 def test_code_is_evicted_by_age_and_size(tmp_path, made, monkeypatch):
     texts = [f"{TEXT} ; {i}" for i in range(5)]
     for age, text in enumerate(texts):
-        disk.kept(text, tmp_path)
+        disk.cached(text, tmp_path)
         file = tmp_path / f"{disk.key(text)}{disk.ENDING}"
         os.utime(file, (time.time() - 100 * age,) * 2)
     monkeypatch.setattr(disk, "MOST_SECONDS", 350)
     disk.evict(tmp_path)
     assert len(list(tmp_path.iterdir())) == 4
-    disk.kept(texts[3], tmp_path)  # used again: the youngest now
+    disk.cached(texts[3], tmp_path)  # used again: the youngest now
     monkeypatch.setattr(disk, "MOST_BYTES", 2 * only_size(tmp_path))
     disk.evict(tmp_path)
     left = {each.name for each in tmp_path.iterdir()}

@@ -62,14 +62,14 @@ def test_the_instructions_shown_are_those_that_run():
 def test_code_of_other_passes_is_not_found_on_disk(change, tmp_path, monkeypatch):
     module = written()
     before = disk.key(module)
-    disk.kept(module, tmp_path)
+    disk.cached(module, tmp_path)
     changed = replace(PIPELINE, **change)
     monkeypatch.setattr(disk, "PIPELINE", changed)
     assert disk.key(module) != before
     made = []
     monkeypatch.setattr(disk, "object_code", lambda text: made.append(text) or b"other")
-    assert disk.kept(module, tmp_path) == b"other" and made == [module]
-    assert disk.kept(module, tmp_path) == b"other" and len(made) == 1
+    assert disk.cached(module, tmp_path) == b"other" and made == [module]
+    assert disk.cached(module, tmp_path) == b"other" and len(made) == 1
 
 
 def test_code_of_another_llvm_or_processor_is_not_found_on_disk(monkeypatch):
@@ -94,4 +94,4 @@ def test_a_disk_that_cannot_be_written_is_no_reason_to_fail(tmp_path, monkeypatc
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
     monkeypatch.setattr(disk, "object_code", lambda text: b"code")
-    assert disk.kept("module", blocked / "kernels") == b"code"
+    assert disk.cached("module", blocked / "kernels") == b"code"

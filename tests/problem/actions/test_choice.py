@@ -71,7 +71,7 @@ def test_the_likelihood_ratio_is_unbiased(name, step):
     given = {"smooth": smooth, "engine": engine}
     table = snapo.sensitivities(problem, policy, paths=PATHS, smooth_paths=PATHS, **given).smooth
     found = float(table[name].value), float(table[name].standard_error)
-    value = problem.named[name].value
+    value = problem.inputs_by_name[name].value
     high, low = (
         path_totals(problem.at({name: value + by}), policy, PATHS, **given)["cash"]
         for by in (step, -step)

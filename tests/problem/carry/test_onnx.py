@@ -106,7 +106,7 @@ def test_the_head_of_a_store_and_one_state_alone():
 @pytest.mark.study
 def test_the_limits_of_a_fund(tmp_path):
     commands.new("pension", tmp_path / "fund", "small")
-    case = commands.load(commands.Asked(tmp_path / "fund")).case
+    case = commands.load(commands.CaseRequest(tmp_path / "fund")).case
     policy = PensionPolicy(case, 4, key=KEY, hidden=(8,))
     policy = _large(policy)
     seen = np.random.default_rng(4).normal(size=(64, 4))

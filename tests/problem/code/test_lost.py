@@ -103,7 +103,7 @@ class Drawn(Sales):
     """Its derivative is right in the mean."""
 
     def sold(self, size, uniform, smooth, state):
-        return snapo.noise.Poisson(size, most=20).draw(jnp.stack([uniform]))
+        return snapo.noise.Poisson(size, maximum=20).draw(jnp.stack([uniform]))
 
 
 class Stopped(Sales):

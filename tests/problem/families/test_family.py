@@ -120,8 +120,8 @@ def test_refused():
 
 def test_inputs_of_the_ranges_have_no_derivative_in_the_training():
     """They are each member's own: zeros would be told as if they were known."""
-    assert set(FAMILY.training.named) == set(PROBLEM.named) - set(FAMILY.ranges)
-    assert FAMILY.at({}).named.keys() == PROBLEM.named.keys()
+    assert set(FAMILY.training.inputs_by_name) == set(PROBLEM.inputs_by_name) - set(FAMILY.ranges)
+    assert FAMILY.at({}).inputs_by_name.keys() == PROBLEM.inputs_by_name.keys()
 
 
 def test_sensitivities_of_a_member_as_the_docs_write_it():

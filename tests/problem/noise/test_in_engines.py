@@ -55,7 +55,7 @@ class Everything(snapo.Simulator):
         weight = state["weight"] * likelihood
         squares = {name: drawn[name] ** 2 for name in rest if name != "pair"}
         # A rate of this step's own: the distribution is worked out here.
-        own = noise.Poisson(now["rate"], most=20).draw(normals[-1:])
+        own = noise.Poisson(now["rate"], maximum=20).draw(normals[-1:])
         outputs = {
             **squares,
             "pair": drawn["pair"][0] * drawn["pair"][1],
@@ -135,7 +135,7 @@ def test_derivatives_by_all_parameters(tables):
 @pytest.mark.prove
 def test_both_engines_differentiate_alike(tables):
     xla, native = tables
-    for name in PROBLEM.named:
+    for name in PROBLEM.inputs_by_name:
         assert np.asarray(native[name].value) == pytest.approx(
             np.asarray(xla[name].value), rel=1e-9, abs=1e-11
         ), name

@@ -8,7 +8,7 @@ from scipy import stats
 
 import snapo
 from snapo import noise
-from snapo.problem.inputs import Input, named
+from snapo.problem.inputs import Input, named_inputs
 from snapo.problem.noise.base import in_mean
 from snapo.problem.noise.counter import normal, threefry
 
@@ -165,7 +165,7 @@ def test_parameters_of_separate_draws_are_right_in_the_mean_alone():
         "rate": Input(0.03),
     }
     assert set(in_mean(inputs)) == {"both.noises.calls.mean", "regimes.0.transition"}
-    assert set(in_mean(inputs)) < {entry.name for entry in named(inputs)}
+    assert set(in_mean(inputs)) < {entry.name for entry in named_inputs(inputs)}
 
 
 @pytest.mark.prove
@@ -187,7 +187,7 @@ def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
             return state[None] / 5
 
         def step(self, constants, now, state, action, normals, smooth):
-            wanted = noise.Poisson(constants["rate"], most=20).draw(normals)
+            wanted = noise.Poisson(constants["rate"], maximum=20).draw(normals)
             return action[0], {"cash": -((wanted - action[0]) ** 2)}
 
     class Named(Shop):
@@ -209,10 +209,12 @@ def test_a_corner_is_off_by_what_the_page_says(mean, corner):
     with jax.enable_x64(True):
         k = np.arange(41)
         slope = np.where(k < corner, -1.0, np.where(k == corner, -0.5, 0.0))
-        law = noise.Poisson(mean, most=40).prepare()
-        moves = jax.jvp(lambda m: noise.Poisson(m, most=40).prepare().moves, (mean,), (1.0,))[1]
-        chances = jax.jvp(lambda m: noise.Poisson(m, most=40).prepare().chance, (mean,), (1.0,))[1]
-    p = np.asarray(law.chance)
+        law = noise.Poisson(mean, maximum=40).prepare()
+        moves = jax.jvp(lambda m: noise.Poisson(m, maximum=40).prepare().moves, (mean,), (1.0,))[1]
+        chances = jax.jvp(
+            lambda m: noise.Poisson(m, maximum=40).prepare().probability, (mean,), (1.0,)
+        )[1]
+    p = np.asarray(law.probability)
     right, off = -p[:corner].sum(), ((p[corner - 1] if corner else 0.0) - p[corner]) / 4
     assert (p * np.asarray(moves) * slope).sum() == pytest.approx(right + off, abs=1e-12)
     weighed = (np.asarray(chances) * np.maximum(corner - k, 0)).sum()

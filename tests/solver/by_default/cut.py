@@ -7,7 +7,7 @@ from tests.solver.learning.test_convergence import INPUTS, Regulator
 from tests.solver.learning.test_pendulum import Pendulum
 
 import snapo
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 
 from . import problems
 
@@ -39,7 +39,7 @@ PROBLEMS = {
 def cut(problem: snapo.Problem, share: float, paths: int = 8192) -> snapo.Solution:
     """The problem solved in a share of its steps."""
     policy = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
-    steps = fitted(snapo.Training(), problem, policy).steps
+    steps = resolve_auto(snapo.Training(), problem, policy).steps
     few = {"paths": paths, "sensitivity_paths": 1024, "smooth_paths": 1024, "judge_paths": 0}
     return snapo.solve(
         problem,

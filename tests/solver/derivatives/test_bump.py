@@ -58,14 +58,14 @@ def follows(rebuild=built):
 
 def test_what_was_built_for_more_of_an_input_is_mirrored_for_less():
     problem = follows()
-    less = opposite(problem, problem.moved({"target": 2.02}), {"target": 1.98})
-    assert less.named["target"].value == 1.98
+    less = opposite(problem, problem.at_values({"target": 2.02}), {"target": 1.98})
+    assert less.inputs_by_name["target"].value == 1.98
     np.testing.assert_allclose(less.simulator.table, 2 * 4.0 - 2.02**2, rtol=1e-15)
     np.testing.assert_allclose(less.simulator.table, 1.98**2, rtol=3e-4)
 
 
 def test_what_was_built_in_another_form_is_not_mirrored():
-    problem, more = follows(), follows().moved({"target": 2.02})
+    problem, more = follows(), follows().at_values({"target": 2.02})
     longer = replace(more, simulator=replace(more.simulator, table=np.zeros(2)))
     assert opposite(problem, longer, {"target": 1.98}) is None
     whole = replace(more, simulator=replace(more.simulator, table=np.array([4])))

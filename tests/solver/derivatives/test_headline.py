@@ -40,7 +40,7 @@ def headlines(kind, paths: int) -> list[tuple]:
     rows = []
     for name in solution.sensitivities.verdicts:
         seen = moved(of, solution.policy, name, paths)
-        interval = solution.sensitivities.along(name, one_percent(of.named[name]))
+        interval = solution.sensitivities.along(name, one_percent(of.inputs_by_name[name]))
         rows.append((name, interval, interval.sampling / critical(31), *seen))
     return rows
 

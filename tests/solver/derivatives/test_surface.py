@@ -9,7 +9,7 @@ from scipy import stats
 import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
-from snapo.solver.derivatives.coordinates import coordinates, moved
+from snapo.solver.derivatives.coordinates import coordinates, shifted_policy
 from snapo.solver.derivatives.margin import margin_of, with_margin
 from snapo.solver.derivatives.surface import surface_of
 from snapo.solver.derivatives.verdict import held_alone
@@ -85,7 +85,7 @@ def test_the_interval_of_a_wrong_order_holds_the_derivative_of_the_best_one(prob
     found = with_margin(problem, policy, table, margin, gap, ENGINE)
     for name, slope in slopes.items():
         alone, wide = table[name].along(np.ones(())), found[name].along(np.ones(()))
-        assert not alone.holds(slope) and wide.holds(slope), (name, alone, wide, slope)
+        assert not alone.contains(slope) and wide.contains(slope), (name, alone, wide, slope)
         assert wide.high - wide.low < 6 * abs(wide.value - slope) + 0.1
 
 
@@ -98,9 +98,9 @@ def test_coordinates_of_networks_and_rules():
     around = coordinates(network)
     assert around.directions.shape == (4, parameters(network).size)
     # A shift of the first output moves its bias alone; a gain is its row once more.
-    shifted = moved(network, around.directions[0])
+    shifted = shifted_policy(network, around.directions[0])
     assert np.allclose(shifted.network.biases[-1] - network.network.biases[-1], [1.0, 0.0])
-    gained = moved(network, around.directions[1])
+    gained = shifted_policy(network, around.directions[1])
     assert np.allclose(gained.network.weights[-1][0], 2 * network.network.weights[-1][0])
     assert np.allclose(gained.network.weights[-1][1], network.network.weights[-1][1])
     many = snapo.MLP(snapo.Box(-np.inf, np.inf, 9), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))
@@ -113,7 +113,7 @@ def test_coordinates_of_networks_and_rules():
 
 def network_like(policy):
     """The same policy a little elsewhere."""
-    return moved(policy, np.full(parameters(policy).size, 0.01))
+    return shifted_policy(policy, np.full(parameters(policy).size, 0.01))
 
 
 class Indifferent(Newsvendor):

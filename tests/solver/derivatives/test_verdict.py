@@ -73,7 +73,7 @@ def test_where_the_state_is_not_seen_the_bump_is_reported():
     assert table.source("w") == THROUGH
     assert table.held["w"].value == 0 and table.held["w"].standard_error == 0
     interval = table.along("w", np.ones(()))
-    assert interval.holds(-(k**2)) and interval.high - interval.low < 0.2 * k**2
+    assert interval.contains(-(k**2)) and interval.high - interval.low < 0.2 * k**2
     assert interval.policy == 0  # no search was made
     assert abs(table.verdicts["w"].bump[0] + 0.01 * w * k**2) < 4 * table.verdicts["w"].bump[1]
 
@@ -182,7 +182,7 @@ def test_at_a_kink_the_range_of_both_sides_is_reported():
         assert verdict.down == pytest.approx(0.1, abs=3 * verdict.side_error + 1e-12)
         assert verdict.source == RANGE and verdict.two_sided and verdict.corner == "kink"
         interval = table.along(name, np.ones(()))
-        assert interval.holds(0.0) and interval.holds(1.0)
+        assert interval.contains(0.0) and interval.contains(1.0)
         assert interval.low > -0.1 and interval.high < 1.1
     problem = snapo.Problem(Sale(), inputs, snapo.Mean("cash"))
     bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), paths=64)}
@@ -235,5 +235,5 @@ def test_without_noise_a_bend_is_no_doubt_and_a_jump_is_one():
     assert table.source("size") == HELD
     assert table.source("width") == UNKNOWN
     size = table.along("size", np.ones(()))
-    assert size.holds(27.0) and size.high - size.low < 0.1
+    assert size.contains(27.0) and size.high - size.low < 0.1
     assert not np.isfinite(table.along("width", np.ones(())).value)

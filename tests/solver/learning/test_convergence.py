@@ -93,8 +93,8 @@ def test_a_bound_is_measured_more_rarely_as_training_goes_on():
 
 
 def test_a_gain_is_sure_above_two_standard_errors_and_on_one_net_where_it_is_positive():
-    assert Gain(3.0, 1.0).sure and not Gain(1.0, 1.0).sure
-    assert Gain(1.0, np.nan).sure and not Gain(-1.0, np.nan).sure
+    assert Gain(3.0, 1.0).is_significant and not Gain(1.0, 1.0).is_significant
+    assert Gain(1.0, np.nan).is_significant and not Gain(-1.0, np.nan).is_significant
 
 
 @pytest.mark.prove
@@ -106,7 +106,7 @@ def test_adjoint_norms_are_those_of_the_closed_form():
     problem = Problem(simulator, INPUTS, snapo.Mean("value"))
     draws = Pseudo(0).draws(np.arange(8), simulator)
     weights = {"value": np.full(8, 1 / 8)}
-    found = adjoint_norms(problem, Linear(-gain), draws, Exact(), weights).whole
+    found = adjoint_norms(problem, Linear(-gain), draws, Exact(), weights).total
     x, closed = np.array([1.0, 0.0]), A - B @ gain
     noise = (
         Xla("float64").bind(problem).values(Linear(-gain), draws, Exact()).state["x"] - closed @ x
@@ -123,7 +123,7 @@ def test_a_short_memory_forgets_what_comes_after_its_part_of_the_horizon():
         problem = Problem(Regulator(horizon=6), INPUTS, snapo.Mean("value"))
         draws = Pseudo(0).draws(np.arange(8), problem.simulator)
         weights = {"value": np.full(8, 1 / 8)}
-        found.append(adjoint_norms(problem, rule, draws, Exact(), weights, memory).whole)
+        found.append(adjoint_norms(problem, rule, draws, Exact(), weights, memory).total)
     whole, same, short = found
     np.testing.assert_array_equal(whole, same)
     np.testing.assert_array_equal(whole[3:], short[3:])
@@ -138,9 +138,9 @@ def test_a_short_memory_forgets_what_comes_after_its_part_of_the_horizon():
 def test_the_bound_is_the_usual_size_of_the_largest_adjoint_of_a_path():
     """The way to rest is longer than the rest, and one path of three is chaos."""
     norms = np.array([[8.0, 9.0, 1e6], [2.0, 3.0, np.nan], [0.1, 0.1, 0.1]])
-    assert clipping.bound(norms) == 9.0
-    assert clipping.bound(np.full((3, 3), np.nan)) is None
-    assert clipping.bound(np.zeros((3, 3))) is None
+    assert clipping.clip_level(norms) == 9.0
+    assert clipping.clip_level(np.full((3, 3), np.nan)) is None
+    assert clipping.clip_level(np.zeros((3, 3))) is None
 
 
 @pytest.mark.prove
@@ -266,7 +266,7 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     on = (rng.random((3, 8)) > 0.5).astype(float)
     taken = np.stack([on, 1 - on, np.full((3, 8), 1.0)], axis=-1)
     found = constant.constant_decisions(both, taken)
-    assert constant.words(found, 2) == "Decision 2 of 2 (size) never changes (1, at its limit)"
+    assert constant.describe(found, 2) == "Decision 2 of 2 (size) never changes (1, at its limit)"
     assert constant.at_limit(found)
     # An option that is never taken is no decision that never changes, and a bare set has no names.
     three = np.insert(taken[..., :2], 1, 0.0, -1)
@@ -274,10 +274,10 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     many = constant.constant_decisions(
         snapo.Box(-np.inf, np.inf, 6), np.insert(np.full((2, 2, 5), 0.5), 5, on[:2, :2], -1)
     )
-    assert constant.words(many, 6) == (
+    assert constant.describe(many, 6) == (
         "5 of 6 decisions never change: 1 (0.5), 2 (0.5), 3 (0.5) and 2 more"
     )
-    assert constant.words(many, 5) == "The decision never changes (0.5, 0.5, 0.5, 0.5, 0.5)"
+    assert constant.describe(many, 5) == "The decision never changes (0.5, 0.5, 0.5, 0.5, 0.5)"
     assert not constant.at_limit(many)
 
 
@@ -338,7 +338,7 @@ def test_options_that_are_never_taken_are_told_with_the_name_of_their_choice():
 def test_a_rule_is_compared_with_its_mean_and_with_the_limits_where_they_are_few():
     def of(action, mean):
         taken = np.broadcast_to(np.asarray(mean, float), (2, 3, action.size))
-        return [each.tolist() for each in constant.rivals(action, taken)]
+        return [each.tolist() for each in constant.constant_baselines(action, taken)]
 
     assert of(snapo.Box(0.0, 2.0), [0.5]) == [[0.5], [0.0], [2.0]]
     assert of(snapo.Stop(), [0.2]) == [[0.0], [1.0]]  # the mean, settled, is one of both

@@ -12,7 +12,7 @@ from examples import american_put, max_call
 import snapo
 from snapo.problem.smooth import Exact
 from snapo.solver.learning.features import Scale, fixed, scale_of, undrawn
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 
 HORIZON, LEVEL, SPREAD = 12, 60.0, 15.0
 
@@ -163,7 +163,7 @@ def test_where_the_decision_is_when_to_stop_price_and_time_are_scaled():
     left = 1 - np.arange(50) / 50
     assert found.mean[1] == pytest.approx(left.mean(), rel=1e-5)
     assert found.deviation[1] == pytest.approx(left.std(), rel=1e-5)
-    assert fitted(snapo.Training(), of, snapo.MLP()).learning_rate == 0.01
+    assert resolve_auto(snapo.Training(), of, snapo.MLP()).learning_rate == 0.01
 
 
 class Sized(american_put.Put):
@@ -193,7 +193,7 @@ def test_a_stop_in_a_product_and_under_a_policy_with_memory_is_a_stop_as_well():
         of = snapo.Problem(simulator, american_put.inputs, snapo.Mean("cash"))
         made = kind.for_problem(of.interface, jax.random.key(0))
         assert scale_of(made, of) is not None
-        assert fitted(snapo.Training(), of, made).learning_rate == 0.01
+        assert resolve_auto(snapo.Training(), of, made).learning_rate == 0.01
 
 
 @pytest.mark.study

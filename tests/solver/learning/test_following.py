@@ -11,7 +11,7 @@ from tests.solver.twelve import Regulator, policy, problem
 import snapo
 from snapo.problem.policy import widths
 from snapo.problem.simulator import Interface
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.train import Training
 
@@ -20,7 +20,7 @@ def numbers(horizon: int, hidden=(32, 32)) -> tuple[int, int]:
     of = problem(Regulator)
     of = replace(of, simulator=Regulator(horizon=horizon))
     made = snapo.MLP(hidden=hidden).for_problem(of.interface, jax.random.key(0))
-    found = fitted(Training(), of, made)
+    found = resolve_auto(Training(), of, made)
     return found.steps, found.paths
 
 
@@ -35,33 +35,33 @@ def test_a_short_horizon_has_more_steps_and_a_long_one_with_a_large_network_fewe
 def test_the_rate_follows_the_steps_and_the_width_unless_one_of_them_is_given():
     of = problem(Regulator)
     made = snapo.MLP(hidden=(128, 128)).for_problem(of.interface, jax.random.key(0))
-    narrow, wide = (fitted(Training(), of, each) for each in (policy(of), made))
+    narrow, wide = (resolve_auto(Training(), of, each) for each in (policy(of), made))
     # Half of the steps that a horizon of 20 has room for, 4,800, ten times 240.
     assert narrow.learning_rate == pytest.approx(0.01 * 10**0.5)
     noisy = (512 / wide.paths) ** 0.4
     assert wide.learning_rate == pytest.approx(0.01 * (0.5 * 10 * noisy) ** 0.5)
-    assert fitted(Training(steps=960), of, made).learning_rate == 0.01
-    assert fitted(Training(learning_rate=0.02), of, made).learning_rate == 0.02
+    assert resolve_auto(Training(steps=960), of, made).learning_rate == 0.01
+    assert resolve_auto(Training(learning_rate=0.02), of, made).learning_rate == 0.02
 
 
 def test_where_nothing_is_random_a_few_paths_do_in_as_many_steps():
     of = problem(Regulator)
     sure = replace(of, simulator=Regulator(noise_size=0, horizon=100))
-    found = fitted(Training(), sure, policy(of))
+    found = resolve_auto(Training(), sure, policy(of))
     assert (found.steps, found.paths) == (960, 64)
     # Decisions that explore make paths differ again.
-    assert fitted(Training(exploration=0.1), sure, policy(of)).paths == 512
+    assert resolve_auto(Training(exploration=0.1), sure, policy(of)).paths == 512
 
 
 def test_numbers_that_are_given_stay_and_the_rest_follows():
     of = problem(Regulator)
     assert Training().steps == Training().paths == "auto"
-    found = fitted(Training(steps=7), of, policy(of))
+    found = resolve_auto(Training(steps=7), of, policy(of))
     assert found.steps == 7 and found.paths == 512
     assert set(found.automatic) == {
         "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
     }  # fmt: skip
-    assert fitted(found, of, policy(of)) == found
+    assert resolve_auto(found, of, policy(of)) == found
     assert Training(steps=0).steps == 0
 
 
@@ -71,12 +71,12 @@ def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_
         replace(of, simulator=Regulator(action=snapo.Box(-math.inf, math.inf, 9))),
         policy(of),
     )
-    found = fitted(Training(), many, made)
+    found = resolve_auto(Training(), many, made)
     # The rate is half as large on average: a weight that nothing holds ends at a quarter.
     assert math.exp(-found.decay * found.learning_rate * found.steps / 2) == pytest.approx(0.25)
-    assert fitted(Training(), of, made).decay == 0
-    assert fitted(Training(steps=50), many, made).decay == 0
-    assert fitted(Training(steps=50, decay=0.3), many, made).decay == 0.3
+    assert resolve_auto(Training(), of, made).decay == 0
+    assert resolve_auto(Training(steps=50), many, made).decay == 0
+    assert resolve_auto(Training(steps=50, decay=0.3), many, made).decay == 0.3
     with pytest.raises(ValueError, match="decay is -1; allowed is a number, 0 or more"):
         Training(decay=-1)
 
@@ -86,10 +86,12 @@ def test_decisions_explore_where_many_numbers_are_decided_unless_steps_or_a_shar
     made = policy(of)
 
     def share(training=Training(), action=snapo.Box(-1.0, 1.0, 9)):
-        return fitted(training, replace(of, simulator=Regulator(action=action)), made).exploration
+        return resolve_auto(
+            training, replace(of, simulator=Regulator(action=action)), made
+        ).exploration
 
     assert share() == share(action=snapo.Integers(0, 4, 9)) == share(action=snapo.Simplex(9)) == 0.1
-    assert fitted(Training(), of, made).exploration == 0
+    assert resolve_auto(Training(), of, made).exploration == 0
     assert share(Training(steps=50)) == 0
     assert share(Training(steps=50, exploration=0.3)) == 0.3
     assert share(Training(exploration=0.0)) == 0
@@ -101,8 +103,8 @@ def test_none_explore_that_have_no_bounds_or_a_temperature_that_stays():
     choices = replace(of, simulator=Regulator(action=snapo.Choice(9)))
     bounded = replace(of, simulator=Regulator(action=snapo.Box(-1.0, 1.0, 9)))
     for each in (unbounded, choices):
-        assert fitted(Training(), each, policy(of)).exploration == 0
-    assert fitted(Training(temperature_start=0.005), bounded, policy(of)).exploration == 0
+        assert resolve_auto(Training(), each, policy(of)).exploration == 0
+    assert resolve_auto(Training(temperature_start=0.005), bounded, policy(of)).exploration == 0
 
 
 def test_hidden_layers_grow_with_the_numbers_that_are_decided():
@@ -143,8 +145,8 @@ def test_a_training_that_was_written_as_json_is_the_same_training(training):
     of = problem(Regulator)
     again = Training(**json.loads(json.dumps(asdict(training))))
     assert again == training
-    plan = fitted(training, of, policy(of))
-    assert fitted(again, of, policy(of)) == plan
+    plan = resolve_auto(training, of, policy(of))
+    assert resolve_auto(again, of, policy(of)) == plan
     assert plan.steps == (3840 if training.steps == "auto" else training.steps)
     assert TrainingPlan(**json.loads(json.dumps(asdict(plan)))) == plan
 

@@ -28,10 +28,10 @@ def test_the_second_half_of_a_cosine_is_a_small_part_of_the_way():
 def test_more_is_told_where_it_is_sure_and_nothing_where_errors_are_wide():
     assert Further(1.0, 0.1, 2.0, 100.0).improving
     small = Further(0.4, 0.01, 2.0, 100.0)
-    assert small.known and not small.improving
+    assert small.is_small and not small.improving
     for unsure in (Further(1.0, 0.6, 2.0, 100.0), Further(0.0, 1.0, 2.0, 100.0)):
-        assert not unsure.known and not unsure.improving
-    assert not Further(-1.0, 0.1, 2.0, 100.0).known  # it fell
+        assert not unsure.is_small and not unsure.improving
+    assert not Further(-1.0, 0.1, 2.0, 100.0).is_small  # it fell
 
 
 def test_a_gradient_counts_above_its_noise_and_where_it_could_bring_something():

@@ -15,7 +15,7 @@ from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
 from snapo.solver.learning import horizon
 from snapo.solver.learning.growth import Growth
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 from snapo.solver.windows.window import UPDATES
 
 NORMALS = np.array([NormalDist().inv_cdf((path + 0.5) / 64) for path in range(64)])
@@ -64,9 +64,9 @@ def test_a_record_of_adjoints_names_the_step_and_the_state_where_they_explode():
     whole = np.ones((50, 4))
     whole[20] = [2.0, 2.0, 3.0, 5000.0]
     record = Growth.of(Norms(whole, {"level": 0.1 * whole, "price": 0.9 * whole}), 7)
-    words = record.words()
+    words = record.describe()
     assert "step 20 of 50" in words and "'price'" in words and "5e+03-fold" in words
-    assert "no more than usual" in Growth.of(Norms(np.ones((5, 4)), {}), 0).words()
+    assert "no more than usual" in Growth.of(Norms(np.ones((5, 4)), {}), 0).describe()
     assert record.columns == ("step", "usual", "largest", "level", "price")
     assert record.table()[20] == (20, 2.5, 5000.0, *(record.leaves[n][20] for n in record.leaves))
 
@@ -81,7 +81,7 @@ def swings():
     for engine in (Xla(), Native()):
         of, states = problem(Pendulum), []
         policy = snapo.MLP(hidden=(8,)).for_problem(of.interface, jax.random.key(0))
-        done = train(of, begin(policy, SHORT, of), SHORT, engine, [states.append])
+        done = train(of, initial_progress(policy, SHORT, of), SHORT, engine, [states.append])
         found[engine.__class__.__name__] = of, policy, done, states
     return found
 
@@ -111,7 +111,7 @@ def test_windows_begin_with_a_warm_up_of_their_own(swings):
 def test_a_run_that_chose_windows_resumes_with_the_same_bits(swings, tmp_path):
     of, policy, whole, states = swings["Xla"]
     checkpoint.save(states[0], tmp_path / "checkpoint.npz")
-    resumed = checkpoint.load(tmp_path / "checkpoint.npz", begin(policy, SHORT, of))
+    resumed = checkpoint.load(tmp_path / "checkpoint.npz", initial_progress(policy, SHORT, of))
     assert resumed.step == 22 and resumed.window == whole.window
     assert resumed.growth == whole.growth
     again = train(of, resumed, SHORT, Xla())
@@ -126,5 +126,5 @@ def test_windows_are_not_chosen_where_they_are_not_wanted_or_have_no_worth(swing
         (of, replace(plan, window=None)),
         (replace(of, objective=snapo.CVaR("value", 0.5)), plan),
     ):
-        done = train(one, begin(policy, training, one), training, Xla())
+        done = train(one, initial_progress(policy, training, one), training, Xla())
         assert done.window is None and done.critic is None

@@ -11,9 +11,9 @@ from tests.solver.learning.idle_store import IdleStore
 
 import snapo
 from snapo.solver import checkpoint
-from snapo.solver.learning.progress import Record, begin
+from snapo.solver.learning.progress import Record, initial_progress
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.learning.told import chosen
+from snapo.solver.learning.told import start_notes
 from snapo.solver.verdict import idle
 
 DATES = 16
@@ -69,7 +69,7 @@ def stands(step, alike, **more):
     line = Record(0, 0.0, 1.0, 0.02, 0, 0.0, 0.0, 0.0)
     history = tuple(line._replace(step=number + 1) for number in range(step))
     found = {"step": step, "alike": alike, "history": history, **more}
-    return replace(begin(policy, PLAN, PROBLEM), **found)
+    return replace(initial_progress(policy, PLAN, PROBLEM), **found)
 
 
 def test_two_validations_that_are_the_same_on_every_path_are_a_training_that_does_nothing():
@@ -88,8 +88,8 @@ def test_a_checkpoint_and_the_notes_know_where_training_began_anew(tmp_path):
     progress = stands(20, 1, redrawn=(10, 20))
     checkpoint.save(progress, tmp_path / "state.npz")
     again = checkpoint.load(tmp_path / "state.npz", progress)
-    assert (again.redrawn, again.alike) == ((10, 20), 1)
-    (said,) = chosen(progress)
+    assert (again.redrawn, again.unchanged) == ((10, 20), 1)
+    (said,) = start_notes(progress)
     assert said == (
         "Training began anew from other first weights at steps 10 and 20, since every path earned "
         "the same (0)."

@@ -12,14 +12,14 @@ from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver.learning.log import SCALARS, crc32c
 from snapo.solver.learning.progress import Record
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 
 SHORT = snapo.Training(steps=6, paths=32, validation_paths=64, validation_every=2)
 RULE = snapo.Linear(np.zeros((1, 2), np.float32), np.zeros(1, np.float32))
 
 
 def run(callbacks=(), progress=None):
-    progress = progress or begin(RULE, SHORT)
+    progress = progress or initial_progress(RULE, SHORT)
     return train(PROBLEM, progress, SHORT, Xla("float32"), callbacks)
 
 

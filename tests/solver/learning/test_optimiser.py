@@ -23,7 +23,7 @@ def test_the_trained_numbers_and_no_others_move(policy):
     parts = Parts.of(policy)
     vector = parts.vector(policy)
     assert vector.size and np.array_equal(vector, flat(trainable(policy)[0]))
-    moved = parts.moved(policy, vector + 1)
+    moved = parts.with_vector(policy, vector + 1)
     assert jax.tree.structure(moved) == jax.tree.structure(policy)
     assert np.array_equal(flat(trainable(moved)[0]), vector + 1)
     assert np.array_equal(flat(trainable(moved)[1]), flat(trainable(policy)[1]))

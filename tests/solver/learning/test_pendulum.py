@@ -53,7 +53,7 @@ def test_a_pendulum_by_default_settings_is_swung_up(seed):
     assert spent < 60
     assert solution.value > -160
     assert "windows of" in " ".join(solution.notes)
-    assert solution.growth is not None and "a hundredfold before step" in solution.growth.words()
+    assert solution.growth is not None and "a hundredfold before step" in solution.growth.describe()
 
 
 @pytest.mark.prove

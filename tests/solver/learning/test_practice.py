@@ -16,9 +16,9 @@ from snapo.problem.scenarios import Pseudo, Sources, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.evaluate import path_totals
-from snapo.solver.learning.practice import practised
+from snapo.solver.learning.practice import perturbed_problem
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 
 from .idle_store import INPUTS, IdleStore
 
@@ -57,7 +57,7 @@ WEIGHTS = {"value": np.full(PATHS, 1 / PATHS)}
 
 def seen(engine, training):
     """The engine on the problem that training sees, and its paths."""
-    problem = practised(PROBLEM, training)
+    problem = perturbed_problem(PROBLEM, training)
     draws = problem.sources.training.batch(3, PATHS, problem.simulator)
     return engine("float64").bind(problem), draws
 
@@ -68,7 +68,7 @@ def rolled(engine, training, smooth, record):
 
 
 def test_without_practice_the_problem_is_the_same():
-    assert practised(PROBLEM, HOT) is PROBLEM
+    assert perturbed_problem(PROBLEM, HOT) is PROBLEM
 
 
 @pytest.mark.parametrize("engine", [Xla, Native], ids=["xla", "native"])
@@ -140,9 +140,9 @@ def test_a_decision_that_explores_stays_in_its_set(action):
 
 
 def test_a_choice_and_a_stop_explore_by_themselves():
-    assert Choice(3).explores == Stop().explores == 0
+    assert Choice(3).exploration_size == Stop().exploration_size == 0
     both = Product(stop=Stop(), power=Box(0.0, 1.0, 2))
-    assert both.explores == 2
+    assert both.exploration_size == 2
     found = both.explore(jnp.array([0.3, 0.0, 0.0]), jnp.zeros(2), jnp.float32(0.5))
     np.testing.assert_allclose(found, [0.3, 0.25, 0.25])
 
@@ -153,7 +153,9 @@ def test_validations_and_the_start_are_those_of_the_problem_itself():
     for setting in ({}, {"spread": 4.0}, {"exploration": 0.5}):
         training = replace(HOT, steps=0, **setting)
         problem = replace(PROBLEM, sources=Sources.of(None, 5))
-        firsts.append(train(problem, begin(RULE, training, problem), training, Xla()).best_value)
+        firsts.append(
+            train(problem, initial_progress(RULE, training, problem), training, Xla()).best_value
+        )
     assert firsts[0] == firsts[1] == firsts[2]
 
 
@@ -179,12 +181,12 @@ def test_supplied_noise_gets_the_normals_of_exploration_beside_it():
     supplied = Supplied(rng.normal(size=(STEPS, 320, 1)), rng.normal(size=(320, 1)))
     problem = replace(PROBLEM, sources=Sources.of(supplied))
     training = replace(HOT, exploration=0.3, spread=2.0)
-    seen = practised(problem, training)
+    seen = perturbed_problem(problem, training)
     drawn = seen.sources.training.batch(0, PATHS, seen.simulator)
     assert isinstance(drawn, Stored) and drawn.step_noise.shape == (STEPS, PATHS, 2)
     same = problem.sources.training.batch(0, PATHS, problem.simulator)
     np.testing.assert_array_equal(drawn.step_noise[..., :1], same.step_noise)
-    ended = train(problem, begin(RULE, training, problem), training, Xla())
+    ended = train(problem, initial_progress(RULE, training, problem), training, Xla())
     assert ended.status == "trained" and np.isfinite(ended.best_value)
 
 
@@ -207,7 +209,7 @@ class Fixed(Drive):
 def test_what_a_problem_cannot_have_is_refused_in_words(setting, said):
     problem = replace(PROBLEM, simulator=Fixed())
     with pytest.raises(ValueError, match=said):
-        practised(problem, replace(HOT, **setting))
+        perturbed_problem(problem, replace(HOT, **setting))
 
 
 @pytest.mark.parametrize(
@@ -223,6 +225,6 @@ def test_settings_outside_of_their_range_are_refused(setting, said):
 
 
 def test_draws_of_pseudo_random_scenarios_are_counted_and_not_stored():
-    seen = practised(PROBLEM, replace(HOT, exploration=0.3))
+    seen = perturbed_problem(PROBLEM, replace(HOT, exploration=0.3))
     assert not isinstance(seen.sources.training.batch(0, PATHS, seen.simulator), Stored)
     assert isinstance(PROBLEM.sources.training, Pseudo)

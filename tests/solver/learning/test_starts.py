@@ -14,9 +14,9 @@ import snapo
 from snapo.problem.policy import parameters
 from snapo.problem.problem import Problem
 from snapo.solver.learning import starts
-from snapo.solver.learning.following import fitted
+from snapo.solver.learning.following import resolve_auto
 from snapo.solver.learning.progress import Round
-from snapo.solver.train import Training, begin
+from snapo.solver.train import Training, initial_progress
 
 SMALL = snapo.Evaluation(paths=256, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
 
@@ -45,7 +45,7 @@ def test_a_policy_without_a_network_has_one_start():
 
 def test_the_better_half_goes_on_until_one_is_left():
     of = problem(Regulator)
-    one, ran = begin(policy(of), Training()), []
+    one, ran = initial_progress(policy(of), Training()), []
     begun = [replace(one, best_value=float(value)) for value in (3, 5, 4, 1, 2)]
 
     def run(progress, until):
@@ -59,7 +59,7 @@ def test_the_better_half_goes_on_until_one_is_left():
     ]  # fmt: skip
     assert [each.step for each in rounds] == [20, 40, 60]
     assert rounds[1].values == ((1, 5.0), (2, 4.0), (0, 3.0))
-    assert starts.words(rounds) == (
+    assert starts.describe(rounds) == (
         "Of 5 starts, halved every 20 steps, number 2 went on: the others were 80 % lower to 20 % "
         "lower at step 20; the others were 40 % lower to 20 % lower at step 40; the other was 20 % "
         "lower at step 60. Where a policy starts matters here: try more of them (starts=10)."
@@ -71,11 +71,11 @@ def test_the_better_half_goes_on_until_one_is_left():
 def test_starts_are_compared_at_equal_steps_also_where_the_winner_was_behind():
     """What a start had when it fell out is no news of how far it would have come."""
     rounds = (Round(10, ((1, 2.01), (0, 2.0), (2, 1.985))), Round(20, ((0, 3.0), (1, 2.99))))
-    words = starts.words(rounds)
+    words = starts.describe(rounds)
     assert "number 1 went on: the others were 0.75 % lower to 0.5 % higher at step 10" in words
     assert "the other was 0.33 % lower at step 20" in words and "starts=" not in words
     none = (Round(10, ((0, 0.0), (1, -1.0))),)
-    assert "not all of them had a value to compare with" in starts.words(none)
+    assert "not all of them had a value to compare with" in starts.describe(none)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_decisions_of_few_values_have_several_starts_where_nobody_chose(action, 
     one = snapo.MLP().for_problem(of.interface, jax.random.key(0))
 
     def chosen(fresh=True, **given):
-        return fitted(Training(**given), of, one, fresh).starts
+        return resolve_auto(Training(**given), of, one, fresh).starts
 
     assert chosen() == (4 if several else 1)
     assert chosen(starts=1) == 1 and chosen(starts=2) == 2
@@ -105,15 +105,17 @@ def test_decisions_of_few_values_have_several_starts_where_nobody_chose(action, 
 def test_a_short_training_is_validated_at_its_quarters():
     of = problem(Regulator)
     every = {
-        steps: fitted(Training(steps=steps), of, policy(of)).validation_every
+        steps: resolve_auto(Training(steps=steps), of, policy(of)).validation_every
         for steps in (1, 10, 60, 200, 240, 3840)
     }
     assert every == {1: 1, 10: 3, 60: 15, 200: 50, 240: 50, 3840: 50}
-    assert fitted(Training(steps=60, validation_every=50), of, policy(of)).validation_every == 50
+    assert (
+        resolve_auto(Training(steps=60, validation_every=50), of, policy(of)).validation_every == 50
+    )
 
 
 def test_a_race_tells_the_last_two_starts():
-    begun = begin(policy(problem(Regulator)), Training())
+    begun = initial_progress(policy(problem(Regulator)), Training())
     assert begun.last_two is None
     rounds = (Round(10, ((2, 4.0), (0, 3.0), (1, 2.0))), Round(20, ((0, 6.0), (2, 5.5))))
     assert replace(begun, raced=rounds).last_two == (6.0, 5.5)

@@ -13,8 +13,8 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.solver.learning import horizon
 from snapo.solver.learning.growth import Growth
-from snapo.solver.learning.progress import Record, begin
-from snapo.solver.learning.told import chosen
+from snapo.solver.learning.progress import Record, initial_progress
+from snapo.solver.learning.told import start_notes
 
 STEPS = 40
 TRAINING = snapo.Training(steps=4, paths=16, validation_paths=64, validation_every=2)
@@ -72,7 +72,7 @@ def ended(times, window=None, clip=None, keep=1.0):
     """A training of 30 steps that bounded adjoints from step 20 on."""
     line = Record(1, 0.0, 1.0, 0.02, 0, 0.0, 0.0, 0.0)
     later = line._replace(window=window or 0, clip=clip or 0.0, keep=keep)
-    begun = begin(RULE, TRAINING, problem())
+    begun = initial_progress(RULE, TRAINING, problem())
     history = (*(line,) * 20, *(later,) * 10)
     return replace(begun, growth=grown(times), window=window, clip=clip, keep=keep, history=history)
 
@@ -85,21 +85,21 @@ def ended(times, window=None, clip=None, keep=1.0):
      ({}, "Training did nothing about it")],
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):
-    (told,) = chosen(ended(5000.0, **how))
+    (told,) = start_notes(ended(5000.0, **how))
     assert "5e+03-fold" in told and "before step" in told and "'angle'" in told
     assert said in told and ("step 20 of the training" in told or not how)
 
 
 def test_a_bound_that_was_lifted_is_told_with_its_steps():
-    (told,) = chosen(replace(ended(5000.0, clip=12.3), clip=None))
+    (told,) = start_notes(replace(ended(5000.0, clip=12.3), clip=None))
     said = "From step 20 of the training on to step 30, after which they grew no more, each path's"
     assert said in told and "in the end" not in told
 
 
 def test_a_quiet_horizon_is_not_told_of():
     """As of a storage or a fund, whose adjoints add up over a year of steps at most."""
-    assert chosen(ended(99.0, clip=3.0)) == ()
-    assert chosen(begin(RULE, TRAINING, problem())) == ()
+    assert start_notes(ended(99.0, clip=3.0)) == ()
+    assert start_notes(initial_progress(RULE, TRAINING, problem())) == ()
 
 
 @pytest.mark.prove
@@ -113,7 +113,7 @@ def test_a_window_of_ones_own_has_its_record_too(tmp_path):
     found.save(tmp_path)
     again = snapo.Solution.load(tmp_path)
     assert (again.window, again.clip, again.keep) == (10, None, 1.0)
-    assert found.summary()["adjoints"] == found.growth.words()
+    assert found.summary()["adjoints"] == found.growth.describe()
     bounded = replace(TRAINING, clip=2.0, keep=0.9)
     found = snapo.solve(problem(), policy=RULE, training=bounded, evaluation=FEW, engine="xla")
     assert (found.clip, found.keep) == (2.0, 0.9) and found.growth is not None

@@ -13,7 +13,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 from snapo.solver.evaluate import path_totals
 from snapo.solver.learning.convergence import _gain
-from snapo.solver.limits.dual import Dual, moved
+from snapo.solver.limits.dual import Dual, updated_prices
 from snapo.solver.limits.found import LimitFound, limits_found, notes_of
 
 
@@ -158,9 +158,9 @@ def test_names_signs_and_the_priced_objective():
 
 def test_multipliers_move_with_the_excess_and_never_below_zero():
     limits, totals = (snapo.AtMost("x", 1.0),), {"x": np.array([1.0, 3.0])}
-    one = moved(Dual(), snapo.Mean("x"), limits, totals, 1.0)
+    one = updated_prices(Dual(), snapo.Mean("x"), limits, totals, 1.0)
     assert one.multipliers[0] > 0 and one.prices[0] > one.multipliers[0]
-    two = moved(one, snapo.Mean("x"), limits, {"x": np.full(2, -99.0)}, 1.0)
+    two = updated_prices(one, snapo.Mean("x"), limits, {"x": np.full(2, -99.0)}, 1.0)
     assert two.prices == (0.0,) and two.multipliers[0] < 0.9 * one.multipliers[0]
     assert Dual.read([list(each) for each in one]) == one
 
@@ -277,7 +277,7 @@ def test_a_rule_that_breaks_a_limit_is_no_rival():
     mine = {"saved": np.full(8, 7.0), "doses": np.full(8, 2.0)}
     for doses, sure in ((4.0, True), (2.0, False)):
         other = {"saved": np.full(8, 10.0), "doses": np.full(8, doses)}
-        assert _gain(problem, mine, [other], np.arange(8)).sure == sure
+        assert _gain(problem, mine, [other], np.arange(8)).is_significant == sure
     # None at all would look good at the price of the last dose, were it worth eight.
     none = {"saved": np.zeros(8), "doses": np.zeros(8)}
     assert _gain(problem, mine, [none], np.arange(8)).value == 7.0

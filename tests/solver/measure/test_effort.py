@@ -9,15 +9,15 @@ from snapo.solver.measure.settings import BACK, FEWEST, PURPOSES, SMALL, Effort
 
 @pytest.mark.parametrize("horizon", [1, 365])
 def test_the_work_is_a_part_of_the_training_and_a_little_more(horizon):
-    effort = Effort.beside(100_000, horizon, 16384)
+    effort = Effort.for_training(100_000, horizon, 16384)
     assert effort.work == pytest.approx(100_000 / PURPOSES + SMALL / horizon)
     assert effort.valued(40) == min(16384, int(effort.work / 40))
     assert effort.gone_back(20) == min(16384, int(effort.work / 20 / BACK))
 
 
 def test_a_search_has_a_least_number_of_paths_unless_fewer_are_asked_for():
-    assert Effort.beside(100, 1000, 16384).valued(1000) == FEWEST
-    assert Effort.beside(100, 1000, 64).valued(1000) == 64
+    assert Effort.for_training(100, 1000, 16384).valued(1000) == FEWEST
+    assert Effort.for_training(100, 1000, 64).valued(1000) == 64
 
 
 def reaction(value, error, held=10.0, blocks=16):

@@ -52,11 +52,14 @@ def test_a_better_policy_replaces_the_start_and_a_worse_one_does_not(problem):
     gain = (0.4 - V / (V + W)) ** 2 * (V + W)
     assert found.kind == NEWEST and found.policy is best
     assert abs(found.gain - gain) < 4 * found.error and found.error < gain / PLAIN
-    assert "Training gained" in found.words and "over the rule that it began with" in found.words
+    assert (
+        "Training gained" in found.description
+        and "over the rule that it began with" in found.description
+    )
     kept = select(problem, best, {NEWEST: worse}, 16384, ENGINE)
     assert kept.kind == START and kept.policy is best
     assert abs(kept.gain + gain) < 4 * kept.error
-    assert kept.words.startswith("The starting rule was kept: training is -")
+    assert kept.description.startswith("The starting rule was kept: training is -")
 
 
 def test_a_history_that_begins_at_its_best_says_what_training_ended_at(problem):

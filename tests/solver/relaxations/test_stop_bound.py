@@ -9,7 +9,7 @@ import pytest
 import snapo
 from snapo.solver.relaxations.decisions import NotStopping, decisions
 from snapo.solver.relaxations.known import relaxation_of
-from snapo.solver.relaxations.value import MOST, exponents
+from snapo.solver.relaxations.value import MAXIMUM, exponents
 
 STRIKE, RATE, VOLATILITY, DATES = 40.0, 0.06, 0.2, 4
 STEP = 1 / DATES
@@ -89,7 +89,7 @@ def test_two_rights_lie_between_the_bounds_of_a_simple_rule():
 
 def test_there_are_never_too_many_functions():
     assert exponents(2)[:4] == [(), (0,), (1,), (0, 0)]
-    assert all(len(exponents(many)) <= max(MOST, many + 1) for many in range(1, 120))
+    assert all(len(exponents(many)) <= max(MAXIMUM, many + 1) for many in range(1, 120))
 
 
 class Moved(Rights):

@@ -7,7 +7,7 @@ import pytest
 from tests.solver.twelve import Swing, policy, problem
 
 import snapo
-from snapo.solver.show.rolled import rolled
+from snapo.solver.show.rolled import simulated_series
 
 pytestmark = pytest.mark.prove
 
@@ -72,7 +72,7 @@ def test_a_problem_shows_its_inputs():
 
 
 def test_a_fan_holds_nine_tenths_of_the_paths_and_a_policy_is_drawn_against_its_state(solution):
-    series = rolled(solution.problem, solution.policy)
+    series = simulated_series(solution.problem, solution.policy)
     name = next(each for each in series if series[each].std() > 0)
     (axes,) = solution.plot.fan(name).axes
     (line,) = axes.get_lines()

@@ -11,7 +11,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 from snapo.solver.windows.window import starts
 
 
@@ -57,7 +57,7 @@ def optimal_cost(horizon=24, growth=1.0) -> float:
 
 def run(training, progress=None, callbacks=(), problem=PROBLEM, engine=None):
     policy = snapo.Linear(jnp.array([[-0.3]]))  # stable: its costs are of the optimum's size
-    progress = progress or begin(policy, training, problem)
+    progress = progress or initial_progress(policy, training, problem)
     return train(problem, progress, training, engine or Xla("float32"), callbacks)
 
 
@@ -113,4 +113,4 @@ def test_objectives_without_a_worth_ahead_are_refused(objective):
 
 def test_a_window_needs_the_problem():
     with pytest.raises(ValueError, match="give the problem too"):
-        begin(snapo.Constant(0.0), BY_WINDOWS)
+        initial_progress(snapo.Constant(0.0), BY_WINDOWS)

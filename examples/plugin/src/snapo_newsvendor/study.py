@@ -13,7 +13,7 @@ import snapo
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
 from snapo.case.table import Count, Positive, Table, parse
 from snapo.engine import choose
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.sections.proof import history, making
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
@@ -126,7 +126,7 @@ def study(case: Case, options: Options) -> Study:
 
 def make_setup(case: Case, engine: str) -> Setup:
     inputs = {
-        name: snapo.Input(getattr(case.shop, name), unit, move=move, words=words)
+        name: snapo.Input(getattr(case.shop, name), unit, move=move, meaning=words)
         for name, (unit, move, words) in INPUTS.items()
     }
     training = snapo.Training(**case.training.model_dump(exclude_none=True))
@@ -148,9 +148,9 @@ def best_rule(run: StudyRun, case: Case) -> dict[str, Any]:
     return {"best_rule": {"value": found.value, "standard_error": found.standard_error}}
 
 
-def about(run: Folder) -> list[tuple[str, str]]:
+def about(run: RunFiles) -> list[tuple[str, str]]:
     return [("Days", str(run.get("horizon"))), ("Best level", f"{run.get('level'):.1f} pieces")]
 
 
 SECTIONS = (headline, sensitivities, DISTRIBUTION, PROFILE, history, CERTIFICATE, making)
-REPORT = Report("A shop", Folder, about, SECTIONS)
+REPORT = Report("A shop", RunFiles, about, SECTIONS)

@@ -72,7 +72,7 @@ def _beyond(jaxpr, consts, labels=(), inputs=(), caller: str = "") -> Iterator[B
             yield from _beyond(inner.jaxpr, inner.consts, names, passed, line)
         if eqn.primitive.name in _ARITHMETIC and all(x is not None for x in values):
             result = _ARITHMETIC[eqn.primitive.name](eqn, *values)
-            if result is not None and result.size <= MOST and result.dtype.kind in "iub":
+            if result is not None and result.size <= MAXIMUM and result.dtype.kind in "iub":
                 available[eqn.outvars[0]] = result
         elif eqn.primitive.name == "convert_element_type" and not isinstance(
             eqn.invars[0], jex.Literal
@@ -80,7 +80,7 @@ def _beyond(jaxpr, consts, labels=(), inputs=(), caller: str = "") -> Iterator[B
             name[eqn.outvars[0]] = _name_of(eqn.invars[0], name)
 
 
-MOST = 100_000  # entries of an index array that is followed
+MAXIMUM = 100_000  # entries of an index array that is followed
 
 
 def _name_of(atom, names: dict) -> str:

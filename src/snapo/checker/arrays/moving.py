@@ -13,13 +13,13 @@ FEW = 32  # points outside at which the entry that is read is looked at
 
 def moving_indices(notes: Notes, points: Points) -> None:
     """Reads past an end that move a result, and writes past it, which JAX drops."""
-    monitored, summary = points.watched, set()
+    monitored, summary = points.recorder, set()
     if not monitored.reads:
         return
     sites = zip(monitored.reads, points.met.outside)
     for number, (site, (index, axis, is_outside)) in enumerate(sites):
         which = np.flatnonzero(is_outside)
-        if not which.size or (site.line is not None and site.line.own):
+        if not which.size or (site.line is not None and site.line.user_code):
             continue
         if not site.writes and not _matters(points, number, which):
             continue
@@ -33,9 +33,9 @@ def _matters(points: Points, number: int, which: np.ndarray) -> bool:
     """Whether the entry that is read outside moves a result: `jnp.where` may leave it out."""
     which = which[np.unique(np.linspace(0, len(which) - 1, min(len(which), FEW)).astype(int))]
     arguments = points.some(which)
-    here = points.watched.nothing(len(which))._replace(read=np.int32(number))
+    here = points.recorder.nothing(len(which))._replace(read=np.int32(number))
     as_read, up, down = (
-        points.seen(arguments, here._replace(shift=np.float64(shift))).results
+        points.observe(arguments, here._replace(shift=np.float64(shift))).results
         for shift in (0, 1, -1)
     )
     return any(

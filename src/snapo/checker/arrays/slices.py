@@ -25,7 +25,7 @@ from ..program.methods import Line, line_among, methods, preparation
 class Short(NamedTuple):
     """A slice, the length of the axis that it is taken of, and its line."""
 
-    asked: str
+    requested: str
     length: int
     line: Line
 
@@ -39,8 +39,8 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
             for item in dict.fromkeys(result):
                 notes.warning(
                     f"{method.name}, {item.line}",
-                    f"The slice [{item.asked}] is taken of {item.length} entries: it is shorter "
-                    f"than it says, without an error. In: {item.line.text}",
+                    f"The slice [{item.requested}] is taken of {item.length} entries: it is "
+                    f"shorter than it says, without an error. In: {item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )
 
@@ -66,7 +66,7 @@ def _asked() -> Iterator[list[Short]]:
 def _users_line(frame: Any) -> Line | None:
     """The line of a user's code that takes a slice itself; none in libraries and in snapo."""
     line = line_among([(frame.f_code.co_filename, frame.f_lineno)])
-    return None if line is None or line.own else line
+    return None if line is None or line.user_code else line
 
 
 def _past(index: Any, shape: tuple[int, ...]) -> Iterator[tuple[str, int]]:
@@ -80,12 +80,12 @@ def _past(index: Any, shape: tuple[int, ...]) -> Iterator[tuple[str, int]]:
         if part is Ellipsis:
             axis += len(shape) - taken
         elif part is not None:
-            if isinstance(part, slice) and axis < len(shape) and beyond(part, shape[axis]):
+            if isinstance(part, slice) and axis < len(shape) and outside(part, shape[axis]):
                 yield _written(part), shape[axis]
             axis += 1
 
 
-def beyond(part: slice, length: int) -> bool:
+def outside(part: slice, length: int) -> bool:
     """Whether an end that a slice names lies outside of an axis."""
     endpoints = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
     backwards = isinstance(part.step, int) and part.step < 0

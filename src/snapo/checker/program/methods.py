@@ -28,17 +28,17 @@ class Method(NamedTuple):
 
     name: str
     function: Callable[..., Any]
-    given: dict[str, Any]
+    arguments: dict[str, Any]
 
     def traced(self):
         """Its program."""
-        return jax.make_jaxpr(self.function)(*self.given.values())
+        return jax.make_jaxpr(self.function)(*self.arguments.values())
 
     def labels(self) -> list[str]:
         """The names of its arrays, in the order in which JAX takes them."""
         return [
             name + jax.tree_util.keystr(path)
-            for name, tree in self.given.items()
+            for name, tree in self.arguments.items()
             for path, _ in jax.tree_util.tree_flatten_with_path(tree)[0]
         ]
 
@@ -81,7 +81,7 @@ def methods(
 
 def preparation(simulator: Simulator, inputs: PyTree) -> Method:
     """`prepare` as a function of the inputs' values, by their names."""
-    by_name = inputs_.named(inputs)
+    by_name = inputs_.named_inputs(inputs)
     values = inputs_.values(inputs)
     if len(by_name) != len(values):
         return Method(
@@ -102,7 +102,7 @@ class Line(NamedTuple):
     file: str
     number: int
     text: str
-    own: bool
+    user_code: bool
 
     def __str__(self) -> str:
         return f"{short(self.file)}:{self.number}"

@@ -37,26 +37,26 @@ class Points:
         self.arguments: list[Any] = []
         self.moving: list[bool] = []
         dirty: list[bool] = []
-        for name, tree in method.given.items():
+        for name, tree in method.arguments.items():
             leaves = jax.tree.leaves(recorded.get(name, tree))
             self.arguments += leaves
             self.moving += [name in recorded] * len(leaves)
             dirty += (tainted or {}).get(name, [name in ("state", "action")] * len(leaves))
-        self.watched = Watched(method.traced(), dirty)
+        self.recorder = Watched(method.traced(), dirty)
         axes = tuple(0 if moves else None for moves in self.moving)
         changed = Change(None, 0, None, None)  # pyright: ignore[reportArgumentType]
-        self.compiled = jax.jit(jax.vmap(self.watched, (axes, changed)))
+        self.compiled = jax.jit(jax.vmap(self.recorder, (axes, changed)))
 
     @cached_property
     def met(self) -> Seen:
         """All that is met at all points."""
-        return self.seen(self.arguments)
+        return self.observe(self.arguments)
 
-    def seen(self, arguments: Sequence[Any], change: Change | None = None) -> Seen:
+    def observe(self, arguments: Sequence[Any], change: Change | None = None) -> Seen:
         """All that is met at these arguments; the truths of a change have an entry a point."""
         if change is None:
             many = next(len(x) for x, moves in zip(arguments, self.moving) if moves)
-            change = self.watched.nothing(many)
+            change = self.recorder.nothing(many)
         return jax.tree.map(np.asarray, self.compiled(tuple(arguments), change))
 
     def some(self, which: np.ndarray) -> list[Any]:
@@ -69,7 +69,7 @@ def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterat
     run, times = runs[0], _times(simulator.horizon)
     paths = min(PATHS, run.draws.size, max(2, POINTS // (len(runs) * len(times))))
     made = preparation(simulator, inputs)
-    alone = jax.tree.map(lambda x: jnp.asarray(x)[None], made.given)
+    alone = jax.tree.map(lambda x: jnp.asarray(x)[None], made.arguments)
     yield Points(made, alone, 1)
 
     smooth = Smooth(jnp.asarray(run.smooth.temperature, float))
@@ -90,15 +90,15 @@ def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterat
     yield stepped
     # The state after the last step is not recorded: it is made again.
     last = np.arange((len(times) - 1) * len(runs) * paths, len(times) * len(runs) * paths)
-    leaves, tree = jax.tree.flatten(step.given["state"])
-    after = stepped.seen(stepped.some(last)).results
+    leaves, tree = jax.tree.flatten(step.arguments["state"])
+    after = stepped.observe(stepped.some(last)).results
     endpoints = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
     yield Points(terminal, {"state": endpoints}, 1, by_inputs)
 
 
 def _tainted(made: Method, schedule: Any) -> dict[str, list[bool]]:
     """Of the leaves of `constants` and `now`, whether inputs move them."""
-    result = iter(tainted_by(made.function, *made.given.values()))
+    result = iter(tainted_by(made.function, *made.arguments.values()))
     parts = (("constants", schedule.constants), ("now", schedule.steps))
     return {name: [next(result) for _ in jax.tree.leaves(tree)] for name, tree in parts}
 

@@ -62,7 +62,11 @@ def _each(plant: str, parameters: Mapping[str, Parameter], inputs: Mapping[str, 
     values = {name: inputs.get(name, entry.value) for name, entry in parameters.items()}
     return {
         name: Input(
-            values[name], value.unit, words=value.words, group=group, move=_move(values[name])
+            values[name],
+            value.unit,
+            meaning=value.description,
+            group=group,
+            move=_move(values[name]),
         )
         for name, value in parameters.items()
         if np.all(np.isfinite(values[name]))
@@ -72,7 +76,7 @@ def _each(plant: str, parameters: Mapping[str, Parameter], inputs: Mapping[str, 
 def _start(state: Variable, values: Mapping[str, Any]) -> dict[str, Input]:
     return {
         key: Input(
-            value, state.unit, words=START_WORDS[key].format(state.words), group="start",
+            value, state.unit, meaning=START_WORDS[key].format(state.description), group="start",
             move=_move(value),
         )
         for key, value in values.items()
@@ -80,13 +84,13 @@ def _start(state: Variable, values: Mapping[str, Any]) -> dict[str, Input]:
 
 
 def _noise(state: Variable, value: Any) -> Input:
-    text = f"standard deviation of a step's disturbance of the {state.words}"
-    return Input(value, state.unit, words=text, group="disturbance", move=_move(value))
+    text = f"standard deviation of a step's disturbance of the {state.description}"
+    return Input(value, state.unit, meaning=text, group="disturbance", move=_move(value))
 
 
 def _error(state: Variable, value: Any) -> Input:
-    text = f"standard deviation of the error with which the {state.words} is measured"
-    return Input(value, state.unit, words=text, group=MEASURED, move=_move(value))
+    text = f"standard deviation of the error with which the {state.description} is measured"
+    return Input(value, state.unit, meaning=text, group=MEASURED, move=_move(value))
 
 
 def _move(value: Any) -> float | None:

@@ -87,7 +87,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     return ControlCase(
         file=file,
         notes=(*([BLIND] if blur and not isinstance(recipe, Memory) else []), *slips),
-        title=table.title or plant.words,
+        title=table.title or plant.description,
         plant=plant(inputs, selected.horizon, selected.clock),
         inputs=inputs,
         objective=make_objective(objective, "reward"),

@@ -1,6 +1,6 @@
 """How a run of a controlled plant is told."""
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.quantity import number
 from snapo.report.sections.proof import history, making
 from snapo.study.chapters.certificate import CERTIFICATE
@@ -20,7 +20,7 @@ SECTIONS = (
 )  # fmt: skip
 
 
-def about(run: Folder) -> list[tuple[str, str]]:
+def about(run: RunFiles) -> list[tuple[str, str]]:
     """What stands under the title."""
     steps = f"{number(run.get('horizon'), 0)} steps"
     objective = str(run.get("objective", ""))
@@ -28,4 +28,4 @@ def about(run: Folder) -> list[tuple[str, str]]:
             ("Objective", objective)]  # fmt: skip
 
 
-REPORT = Report("A controlled plant", Folder, about, SECTIONS)
+REPORT = Report("A controlled plant", RunFiles, about, SECTIONS)

@@ -59,7 +59,7 @@ class Feedback(Policy):
         return jnp.clip(action, -1.0, 1.0) if self.clipped else action
 
 
-def rivals(plant: Plant, inputs) -> dict[str, Policy]:
+def classical_rules(plant: Plant, inputs) -> dict[str, Policy]:
     """{name: rule} of all classical rules that the plant has."""
     values = plain(inputs)
     p, w = values["plant"], values["cost"]
@@ -80,4 +80,4 @@ def rivals(plant: Plant, inputs) -> dict[str, Policy]:
 def regulator(plant: Plant, p: Values, w: Values) -> np.ndarray:
     """Riccati's gains around the target: one for each step, or the first where time is unseen."""
     gains = riccati(linearised(plant, p, w), plant.horizon).K
-    return gains if plant.clock else gains[:1]
+    return gains if plant.time_feature else gains[:1]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.inputs import named
+from snapo.problem.inputs import named_inputs
 from snapo.problem.problem import Problem
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
@@ -14,7 +14,7 @@ from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import PROFILE
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.ready import at_values, following
+from snapo.study.ready import at_values, with_auto
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -28,11 +28,11 @@ from .records import ControlCase
 
 def lines(case: ControlCase) -> list[str]:
     """The case in a few lines."""
-    plant, numbers = case.plant, [item.input.value.size for item in named(case.inputs)]
+    plant, numbers = case.plant, [item.input.value.size for item in named_inputs(case.inputs)]
     states = ", ".join(f"{name} ({unit(state.unit)})" for name, state in plant.states.items())
     actions = ", ".join(f"{name} ({unit(action.unit)})" for name, action in plant.actions.items())
     return [
-        f"{case.title}: {plant.words}",
+        f"{case.title}: {plant.description}",
         f"{plant.horizon} steps; states {states}; actions {actions}",
         f"{len(numbers)} inputs with {sum(numbers)} numbers, each with a sensitivity",
         f"the {case.objective_words} is made as large as possible",
@@ -72,14 +72,14 @@ def study(case: ControlCase, options: Options) -> Study:
         "units": units(plant),
         "horizon": plant.horizon,
         "plant": plant.type,
-        "plant_words": plant.words,
+        "plant_words": plant.description,
         "objective": case.objective_words,
         "objective_output": "reward",
         "notes": list(case.notes),
     }
 
-    def moved(before: Setup, other: ControlCase) -> Setup:
-        values = {item.name: item.input.value for item in named(other.inputs)}
+    def at_case(before: Setup, other: ControlCase) -> Setup:
+        values = {item.name: item.input.value for item in named_inputs(other.inputs)}
         return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
 
     return Study(
@@ -88,9 +88,9 @@ def study(case: ControlCase, options: Options) -> Study:
         tuple(parts),
         _result,
         lambda: setup,
-        moved=moved,
-        inputs=lambda other: {entry.name: entry.input for entry in named(other.inputs)},
-        shown=reward_and_costs,
+        setup_at=at_case,
+        inputs=lambda other: {entry.name: entry.input for entry in named_inputs(other.inputs)},
+        live_tables=reward_and_costs,
         today=today,
     )
 
@@ -112,4 +112,4 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
-    return following(engine, problem, case.recipe, training, evaluation)
+    return with_auto(engine, problem, case.recipe, training, evaluation)

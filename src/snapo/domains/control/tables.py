@@ -83,12 +83,12 @@ def _kind(parameter: Parameter) -> Any:
 
 def _field(parameter: Parameter) -> Any:
     text = (
-        f"{parameter.words}, {parameter.unit}"
+        f"{parameter.description}, {parameter.unit}"
         if parameter.unit not in ("", "1")
-        else parameter.words
+        else parameter.description
     )
     if parameter.value is None:
-        return Field(description=f"a list of rows: {parameter.words}")
+        return Field(description=f"a list of rows: {parameter.description}")
     above = " above 0" if parameter.positive else ""
     usual = "none" if math.isinf(parameter.value) else f"{parameter.value:g}"
     return Field(None, description=f"a number{above} ({text}; by default {usual})")

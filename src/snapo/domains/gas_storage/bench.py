@@ -11,7 +11,7 @@ from snapo.case.table import load
 from snapo.engine import Native, Xla
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
-from snapo.study.study import Tell
+from snapo.study.study import ProgressCallback
 
 from .read.case import read_case
 from .setup import OUTPUT, make_setup
@@ -19,7 +19,7 @@ from .setup import OUTPUT, make_setup
 PATHS, ROUNDS = 1024, 5
 
 
-def bench(engine: str, progress: Tell) -> str:
+def bench(engine: str, progress: ProgressCallback) -> str:
     """A table of medians in milliseconds, from alternating runs; `engine` "auto" times both."""
     case = read_case(*load(Path(str(files(__package__ or "") / "template"))))
     setup = make_setup(case)

@@ -10,7 +10,7 @@ from snapo.report.page import Section
 from snapo.report.quantity import long_date
 from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
-from snapo.study.chapters.bound import bound
+from snapo.study.chapters.bound import value_bounds
 from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE
@@ -21,7 +21,7 @@ from .chapters.position import POSITION, inventory
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
 from .chapters.today import ladder
-from .chapters.value import VALUES, cash_flow, rungs
+from .chapters.value import VALUES, cash_flow, ladder_bars
 
 HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
 
@@ -33,7 +33,8 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, VALUES, bound, POSITION, inventory, DELTAS, daily, risk, sliders, today, cash_flow,
+    headline, VALUES, value_bounds, POSITION, inventory, DELTAS, daily, risk,
+        sliders, today, cash_flow,
     history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
 
@@ -63,11 +64,15 @@ def readme_picture(folder: Path) -> str:
     run = StorageRun.read(Path(folder))
     values, deltas = VALUES.of(run), DELTAS.of(run)
     months = deltas.deltas_monthly if deltas else ()
-    if values is None or not values.known or not any(np.isfinite(x.undiscounted) for x in months):
+    if (
+        values is None
+        or not values.value_of
+        or not any(np.isfinite(x.undiscounted) for x in months)
+    ):
         raise ValueError("the run has no `value_ladder` or no `deltas_monthly`.")
 
     def paint(left, right):
-        charts.ladder(left, rungs(run, values.known))
+        charts.ladder(left, ladder_bars(run, values.value_of))
         left.set_title("Value of the contract", **HEADING)
         month_painter(run, months)(right)
         right.set_title(f"Delta by delivery month, {run.volume}", **HEADING)

@@ -11,7 +11,7 @@ from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
-from snapo.solver.by_block.passes import Way
+from snapo.solver.by_block.passes import DerivativePass
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
@@ -19,7 +19,7 @@ from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from .bounds.guide import fitted_marginal
-from .bounds.surprise import surprises
+from .bounds.surprise import innovation_table
 from .bounds.value_iteration import FittedValue, fit_guide
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
@@ -34,7 +34,7 @@ from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
-MOST_FACTORS = 3  # of a fitted guide, beside those that move all prices alike
+MAX_FACTORS = 3  # of a fitted guide, beside those that move all prices alike
 BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the value, of the hedge
 
 
@@ -48,7 +48,7 @@ def make_setup(
     case: StorageCase, engine: EngineName = "auto", fit: FittedValue | None = None
 ) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
-    training = TrainingPlan.given(case.training.model_dump())
+    training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
@@ -58,7 +58,7 @@ def make_setup(
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))
 
 
-def moved_setup(setup: Setup, case: StorageCase) -> Setup:
+def setup_at(setup: Setup, case: StorageCase) -> Setup:
     """The setup of a case that differs only in its numbers: `make_setup(case)`.
 
     Nothing is compiled where the case has the same form.
@@ -76,7 +76,7 @@ def rebuilt(problem: Problem) -> Problem:
     The hedge, a control variate that no value depends on, is set to zero.
     """
     problem = _bare(problem)
-    values = {name: inputs.value for name, inputs in problem.named.items()}
+    values = {name: inputs.value for name, inputs in problem.inputs_by_name.items()}
     problem = replace(problem, simulator=simulator_of(problem).scaled(values))
     return _guided(problem, fitted_value(problem))
 
@@ -92,21 +92,23 @@ def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     simulator = simulator_of(problem)
     # No hedge yet, but its place: what is compiled serves before and after.
     adjacent = {"surprises": _surprises(problem, fit), "hedge": np.zeros(simulator.horizon)}
-    return replace(problem, simulator=replace(simulator, guide=guide(problem, fit), **adjacent))
+    return replace(
+        problem, simulator=replace(simulator, guide=value_table(problem, fit), **adjacent)
+    )
 
 
 def _surprises(problem: Problem, fit: FittedValue | None) -> Surprises | None:
     """Those of the fitted value, where prices have no other risks than its factors'."""
     result = factors(problem)
-    if fit is None or result is None or not result.exact or len(fit.basis.kept) > MOST_FACTORS:
+    if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None
-    return Surprises.of(surprises(fit))
+    return Surprises.of(innovation_table(fit))
 
 
 def _hedged(setup: Setup) -> Setup:
     """The setup with a hedge as its control variate, where it has no better one."""
     problem, simulator = setup.problem, simulator_of(setup.problem)
-    if simulator.surprises is not None or not simulator.process.martingale:
+    if simulator.innovations is not None or not simulator.process.martingale:
         return setup
     hedged = replace(simulator, hedge=_hedge(setup))
     return setup._replace(problem=replace(problem, simulator=hedged))
@@ -118,10 +120,10 @@ def fitted_value(problem: Problem) -> FittedValue | None:
     return None if result is None else fit_guide(problem.schedule, result, kind)
 
 
-def guide(problem: Problem, fit: FittedValue | None) -> ValueTable:
+def value_table(problem: Problem, fit: FittedValue | None) -> ValueTable:
     """Marginal values: of the fitted value where several factors matter, else of the fast one."""
     result, schedule = factors(problem), problem.schedule
-    if fit is not None and 1 < len(fit.basis.kept) <= MOST_FACTORS:
+    if fit is not None and 1 < len(fit.basis.selected) <= MAX_FACTORS:
         return ValueTable(FittedKnots(*fitted_marginal(schedule, fit)))  # pyright: ignore
     kind = simulator_of(problem).interpolation
     return ValueTable.of(marginal_values(schedule, result, kind))
@@ -144,7 +146,7 @@ def factors(problem: Problem) -> GaussianFactors | None:
     return simulator_of(problem).process.factors(of_prices(problem.schedule))
 
 
-def beside(setup: Setup) -> Problem:
+def on_independent_paths(setup: Setup) -> Problem:
     """The same problem on other scenarios than those of the value, where there are any."""
     seed = setup.training.seed
     if case_of(setup).model.sources(seed):
@@ -163,7 +165,7 @@ def _hedge(setup: Setup) -> np.ndarray:
     assert isinstance(policy, StoragePolicy)
     plain = replace(problem, objective=Mean(OUTPUT))
     on = _measured_on(plain, Pseudo(setup.training.seed, stream=stream(EVALUATE, HEDGE)))
-    path = Way(on, engine.bind(on), policy.guide, Exact(), held=True)
+    path = DerivativePass(on, engine.bind(on), policy.value_rule, Exact(), held=True)
     derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
     simulator = simulator_of(problem)
     deltas = derivatives.inputs[simulator.curve.name].value[: simulator.horizon]

@@ -21,7 +21,7 @@ from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .contract.records import Market, StorageCase
 from .references.intrinsic import intrinsic
-from .setup import bare_problem, fitted_value, make_setup, moved_setup
+from .setup import bare_problem, fitted_value, make_setup, setup_at
 
 
 def discount(market: Market, days: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ def value_without_decisions(case: StorageCase) -> float:
     inventory = float(case.contract.inventory.used())
     factor = float(discount(case.market, np.array(case.end_day)))
     price = float(case.market.forward_curve.used()[-1]) if case.has_end_price else 0.0
-    return factor * case.contract.at_end.known(inventory, price)
+    return factor * case.contract.at_end.value_known(inventory, price)
 
 
 def fixed_costs_value(case: StorageCase) -> float:
@@ -63,10 +63,10 @@ def lines(case: StorageCase) -> list[str]:
         return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
     problem = bare_problem(case)
     plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
-    numbers = sum(entry.value.size for entry in problem.named.values())
+    numbers = sum(entry.value.size for entry in problem.inputs_by_name.values())
     return [
         f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
-        f"{len(problem.named)} inputs with {numbers} numbers, each with a sensitivity",
+        f"{len(problem.inputs_by_name)} inputs with {numbers} numbers, each with a sensitivity",
         f"intrinsic value {plan.value:,.2f} {case.currency}",
         "the contract can be met",
     ]
@@ -76,7 +76,7 @@ def study(case: StorageCase, options: Options) -> Study:
     """All parts of a run; of a contract without a decision left, its value alone."""
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
-    ready, bare = _Ready(case, options.engine), bare_problem(case)
+    ready, bare = _Prepared(case, options.engine), bare_problem(case)
     chapters = (POSITION, DELTAS, SHADOW_PRICES, CERTIFICATE)
     parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
@@ -92,20 +92,20 @@ def study(case: StorageCase, options: Options) -> Study:
         _result,
         lambda: ready.setup,
         relaxation,
-        moved=moved_setup,
+        setup_at=setup_at,
         today=today,  # pyright: ignore[reportArgumentType]
     )
 
 
-def _relaxation(ready: "_Ready"):
+def _relaxation(prepared: "_Prepared"):
     """The store of known prices; or the reason why a run has no bound from above."""
-    kind = ready.case.objective.kind
+    kind = prepared.case.objective.kind
     if kind != "mean":
         return f'only a mean is bounded from above, and the objective is "{kind}"'
-    return lambda: StoreRelaxation(ready.setup.problem)
+    return lambda: StoreRelaxation(prepared.setup.problem)
 
 
-class _Ready:
+class _Prepared:
     """The case made ready once, when the first part asks for it."""
 
     def __init__(self, case: StorageCase, engine: str):
@@ -113,10 +113,10 @@ class _Ready:
 
     @cached_property
     def setup(self) -> Setup:
-        return make_setup(self.case, self.engine, self.fitted)
+        return make_setup(self.case, self.engine, self.fitted_value)
 
     @cached_property
-    def fitted(self) -> FittedValue | None:
+    def fitted_value(self) -> FittedValue | None:
         """The value function of guide and control variate."""
         return fitted_value(bare_problem(self.case))
 
@@ -144,14 +144,14 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         return about
     inputs = {
         name: {
-            "words": item.words,
+            "words": item.meaning,
             "group": item.group,
             "unit": item.unit,
             "move": item.move,
-            "trade_unit": item.trade_unit,
-            "trade_factor": item.trade_factor,
+            "trade_unit": item.display_unit,
+            "trade_factor": item.display_factor,
         }
-        for name, item in problem.named.items()
+        for name, item in problem.inputs_by_name.items()
     }
     forward = case.market.forward_curve.used()[: len(case.days)]
     return about | {"forward": forward, "inputs": inputs}

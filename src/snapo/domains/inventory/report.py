@@ -1,6 +1,6 @@
 """How an inventory run is told."""
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Section
 from snapo.report.quantity import number
 from snapo.report.sections.proof import history, making
@@ -18,12 +18,12 @@ from .chapters.places import PLACES
 from .chapters.service import headline
 
 
-def decisions(run: Folder) -> Section:
+def decisions(run: RunFiles) -> Section:
     """The rule of an item; the places of a network."""
     return PLACES(run) if CaseSummary.of(run).network else LEVELS(run)
 
 
-def of_its_period(run: Folder, series: BandSeries) -> float:
+def of_its_period(run: RunFiles, series: BandSeries) -> float:
     """The factor that makes an output that of its period: a run has its part of the mean.
 
     A discounted cost has no part of a mean.
@@ -40,7 +40,7 @@ SECTIONS = (
 )  # fmt: skip
 
 
-def about(run: Folder) -> list[tuple[str, str]]:
+def about(run: RunFiles) -> list[tuple[str, str]]:
     """The lines under the title."""
     case = CaseSummary.of(run)
     lead = "" if case.network else f"{number(case.lead_time, 0)} {case.step}s"
@@ -50,4 +50,4 @@ def about(run: Folder) -> list[tuple[str, str]]:
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 
 
-REPORT = Report("Inventory", Folder, about, SECTIONS)
+REPORT = Report("Inventory", RunFiles, about, SECTIONS)

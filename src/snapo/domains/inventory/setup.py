@@ -28,7 +28,7 @@ AnyCase = InventoryCase | NetworkCase
 
 def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
-    training = TrainingPlan.given(case.training.model_dump())
+    training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     objective = make_objective(case.objective, "result")
     sources = evaluation.sources(training.seed)
@@ -38,7 +38,7 @@ def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
     return Setup(problem, policy, training, evaluation, engines)
 
 
-def moved_setup(setup: Setup, case: AnyCase) -> Setup:
+def setup_at(setup: Setup, case: AnyCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     values = {name: entry.value for name, entry in case_inputs(case).items()}
     engine: EngineName = setup.engines.name  # pyright: ignore[reportAssignmentType]
@@ -77,7 +77,7 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
     lot, half = economic_lot(case), mean / 2
     held = item.cost("holding") * lot
     ratio = 1 - held / (item.cost("shortage") * mean + held)
-    periods = item.lead + 1
+    periods = item.lead_time + 1
     below = (safety_factor(case) - float(stats.norm.ppf(ratio))) * np.sqrt(periods) * deviation
     wait = below + half
     return float(lot - wait - half) / deviation, float(wait) / deviation

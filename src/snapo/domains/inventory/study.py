@@ -21,7 +21,7 @@ from .chapters.places import PLACES, network_tables, service_and_places
 from .chapters.service import SERVICE, live_tables
 from .item.records import InventoryCase
 from .network.records import NetworkCase
-from .setup import AnyCase, case_inputs, make_setup, moved_setup, simulator_of
+from .setup import AnyCase, case_inputs, make_setup, setup_at, simulator_of
 
 
 def lines(case: AnyCase) -> list[str]:
@@ -36,27 +36,29 @@ def lines(case: AnyCase) -> list[str]:
 def _item_lines(case: InventoryCase) -> list[str]:
     item = case.item
     unmet = "lost" if item.lost else "delivered later"
-    integers = "whole" if item.whole else "any"
+    integers = "whole" if item.integer else "any"
     problem = Problem(simulator_of(case), case_inputs(case), Mean("result"))
     level = float(problem.schedule.steps["level"][case.warm_up])
     return [
         f"{case.title}: {_periods(case)}",
-        f"demand of a {case.period}: {case.demand.words()}; without stock it is {unmet}",
-        f"an order arrives after {item.lead} {case.period}s; {integers} numbers of {case.unit}s",
+        f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",
+        f"an order arrives after {item.lead_time} {case.period}s; {integers} numbers of "
+        f"{case.unit}s",
         f"base-stock level to start from: {level:,.4g} {case.unit}s",
     ]
 
 
 def _network_lines(case: NetworkCase) -> list[str]:
-    rows = [f"{case.title}: {len(case.places)} places, {_periods(case)}"]
-    for position in case.places:
-        supplier = "outside" if position.supplier is None else case.places[position.supplier].name
-        sells = f"; demand {position.demand.words()}" if position.demand is not None else ""
+    rows = [f"{case.title}: {len(case.sites)} places, {_periods(case)}"]
+    for position in case.sites:
+        supplier = "outside" if position.supplier is None else case.sites[position.supplier].name
+        sells = f"; demand {position.demand.describe()}" if position.demand is not None else ""
         season = (
             f", a season of {len(position.season.values)} {case.period}s" if position.season else ""
         )
         rows.append(
-            f"{position.name}: from {supplier} in {position.lead} {case.period}s{sells}{season}"
+            f"{position.name}: from {supplier} in {position.lead_time} "
+            f"{case.period}s{sells}{season}"
         )
     if (ordering := case.ordering) is not None:
         rows += [
@@ -68,7 +70,7 @@ def _network_lines(case: NetworkCase) -> list[str]:
             f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
             for pool, cost in zip(moving.labels, moving.values)
         ]
-    return [*rows, f"orders are {'whole' if case.whole else 'any'} numbers of {case.unit}s"]
+    return [*rows, f"orders are {'whole' if case.integer else 'any'} numbers of {case.unit}s"]
 
 
 def _periods(case: AnyCase) -> str:
@@ -102,10 +104,10 @@ def study(case: AnyCase, options: Options) -> Study:
         tuple(parts),
         _result,
         lambda: setup,
-        moved=moved_setup,
+        setup_at=setup_at,
         today=None if is_network else today,
         inputs=case_inputs,
-        shown=network_tables if is_network else live_tables,
+        live_tables=network_tables if is_network else live_tables,
     )
 
 

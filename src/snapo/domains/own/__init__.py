@@ -25,23 +25,23 @@ class Own(Kind):
     - `place`: module and class, as in `--simulator simulator:Reservoir`.
     """
 
-    place: tuple[str, str] | None = None
+    location: tuple[str, str] | None = None
     example: str = "simulator:Reservoir"
 
     def with_simulator(self, module: str, name: str) -> "Own":
         return replace(self, place=(module, name))
 
     def decides(self, case: "OwnCase") -> Mapping[str, Any]:
-        return {"simulator": ":".join(case.place), "simulator file": case.code_hash}
+        return {"simulator": ":".join(case.location), "simulator file": case.code_hash}
 
     def read(self, file: Path, data: Mapping[str, Any]) -> "OwnCase":
-        if self.place is None:
+        if self.location is None:
             message = (
                 f'a case of kind "{KIND}" does not name code to run; name its simulator as '
                 f"MODULE:CLASS, such as {OPTION} {self.example}"
             )
             raise CaseError(OPTION, "", None, message)
-        return self.loaded(self.reader)(file, data, self.place)
+        return self.loaded(self.reader)(file, data, self.location)
 
 
 DOMAIN = Own(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import FilePosition, positions
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
@@ -17,7 +17,10 @@ from snapo.problem.inputs import Input
 
 from .tables import InputTable
 
-SAID = ("unit", "words", "group", "bump", "move", "trade_unit", "trade_factor")
+ATTRIBUTES = {  # keys of the table that an input has, and the names that it has for them
+    "unit": "unit", "words": "meaning", "group": "group", "bump": "bump", "move": "move",
+    "trade_unit": "display_unit", "trade_factor": "display_factor",
+}  # fmt: skip
 
 APART = Plausible(-math.inf, math.inf, "", ratio=50.0)  # numbers in a row are not so far apart
 PERCENT = re.compile("%|point|percent")
@@ -62,7 +65,8 @@ def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, P
         raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
     section = Section(file, where, notes)
     values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
-    return Input(values, labels=labels, **{key: getattr(table, key) for key in SAID}), locations
+    attributes = {name: getattr(table, key) for key, name in ATTRIBUTES.items()}
+    return Input(values, labels=labels, **attributes), locations
 
 
 InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
@@ -97,7 +101,7 @@ def _from_csv(section: Section, table: InputTable) -> InputParts:
     if not table.column:
         raise section.error("column", table.column, "allowed is the name of a column of the file")
     column, label = table.column.lower(), (table.label or "").lower()
-    rows = read_rows(Mention(section, "file", table.file), [c for c in (column, label) if c])
+    rows = read_rows(FileReference(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])
     labels = tuple(row.label(label) for row in rows) if label else ()
     return values, labels, tuple(row.position(column) for row in rows)

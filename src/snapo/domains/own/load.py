@@ -20,7 +20,7 @@ OPTION = "--simulator"
 class Code(NamedTuple):
     """A class of the user's own, and the file that it is written in (None: an installed module)."""
 
-    found: Any
+    value: Any
     file: Path | None
     hash: str
 
@@ -59,7 +59,7 @@ def _loaded(module: str, position: Unquoted, folder: Path) -> ModuleType:
     for where in looked:
         file = where.joinpath(*module.split(".")).with_suffix(".py")
         if file.is_file():
-            with beside(where), readable(file):
+            with importable(where), readable(file):
                 return _run(module, file)
     try:
         return importlib.import_module(module)
@@ -86,7 +86,7 @@ def _run(module: str, file: Path) -> ModuleType:
 
 
 @contextmanager
-def beside(folder: Path) -> Iterator[None]:
+def importable(folder: Path) -> Iterator[None]:
     """Modules beside the simulator can be imported while it is run."""
     sys.path.insert(0, str(folder))
     try:

@@ -18,7 +18,7 @@ class Aim(NamedTuple):
     table: ObjectiveTable
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The objective as a phrase."""
         name, table = self.output.replace("_", " "), self.table
         if table.kind == "cvar":
@@ -49,7 +49,7 @@ def words_of(aims: tuple[Aim, ...]) -> str:
     for aim in aims:
         sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "
         factor = "" if abs(aim.weight) == 1 else f"{abs(aim.weight):g} × "
-        text += f"{' ' if text else ''}{sign}{factor}{aim.words}"
+        text += f"{' ' if text else ''}{sign}{factor}{aim.description}"
     return text
 
 

@@ -17,7 +17,7 @@ from snapo.problem.simulator import Simulator
 from snapo.study.solving.prepare import use_every_core
 
 from .inputs import read_inputs
-from .load import beside, load_class, readable
+from .load import importable, load_class, readable
 from .objective import objective_of, read_aims, unit_of, words_of
 from .records import OwnCase
 from .tables import InputTable, OwnTable
@@ -41,13 +41,13 @@ def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) ->
     check_window(training, [aim.table.kind for aim in aims], name)
     use_every_core()  # before the user's module computes anything
     code = load_class(*position, file.parent)
-    simulator = _made(code.found, code.file, table, data, file)
+    simulator = _made(code.value, code.file, table, data, file)
     return OwnCase(
         file=file,
         notes=tuple(notes),
         title=table.title or position[1],
         step=table.step,
-        place=position,
+        location=position,
         code=code.file,
         code_hash=code.hash,
         simulator=simulator,
@@ -74,7 +74,7 @@ def _made(
         )
         raise CaseError(str(file), "simulator", table.simulator, message)
     position = code or Path(simulator.__name__)
-    with beside(position.parent), readable(position):
+    with importable(position.parent), readable(position):
         made: Any = maker(data, file.parent) if maker else simulator()  # pyright: ignore
     if not isinstance(made, Simulator):
         message = f"from_case must return a simulator, and returns a {type(made).__name__}"

@@ -28,7 +28,7 @@ class OwnCase:
     notes: tuple[str, ...]
     title: str
     step: str
-    place: tuple[str, str]
+    location: tuple[str, str]
     code: Path | None
     code_hash: str
     simulator: Simulator

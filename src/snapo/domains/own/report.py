@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Mark, Section, Table, Text
 from snapo.report.quantity import NONE, SPACE, decimals, finite, measured, number
 from snapo.report.sections.proof import history, making
 from snapo.solver.limits.found import LimitFound
-from snapo.study.chapters.bound import bound
+from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline
@@ -23,7 +23,7 @@ CAVEAT = (
 )
 
 
-def limits(run: Folder) -> Section:
+def limits(run: RunFiles) -> Section:
     """A row for each limit; a section without blocks, which no page shows, where there is none."""
     rows = [_row(LimitFound(**entries)) for entries in run.result.get("limits") or ()]
     head = [
@@ -55,11 +55,12 @@ def _row(limit: LimitFound) -> tuple[Any, ...]:
 
 
 SECTIONS = (
-    headline, limits, sensitivities, DISTRIBUTION, PROFILE, bound, history, CERTIFICATE, making,
+    headline, limits, sensitivities, DISTRIBUTION, PROFILE, value_bounds, history, CERTIFICATE,
+        making,
 )  # fmt: skip
 
 
-def about(run: Folder) -> list[tuple[str, str]]:
+def about(run: RunFiles) -> list[tuple[str, str]]:
     """What stands under the title."""
     steps = f"{number(run.get('horizon'), 0)} {run.get('step', 'step')}s"
     objective = str(run.get("objective", ""))
@@ -67,4 +68,4 @@ def about(run: Folder) -> list[tuple[str, str]]:
             ("Objective", objective)]  # fmt: skip
 
 
-REPORT = Report("A simulator of your own", Folder, about, SECTIONS)
+REPORT = Report("A simulator of your own", RunFiles, about, SECTIONS)

@@ -8,7 +8,7 @@ from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
 from snapo.checker.wanted import unknown_outputs
-from snapo.problem.inputs import named
+from snapo.problem.inputs import named_inputs
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
@@ -22,7 +22,7 @@ from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import PROFILE, leaves
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.ready import at_values, following
+from snapo.study.ready import at_values, with_auto
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -55,7 +55,7 @@ def checked(case: OwnCase) -> Findings:
         if output not in available["outputs"]:
             raise CaseError(str(case.file), f"{key}.output", output, there)
     for mistake in unknown_outputs(case.objective, case.constraints, available["outputs"]):
-        raise CaseError(":".join(case.place), mistake.of, Unquoted(mistake.got), there)
+        raise CaseError(":".join(case.location), mistake.of, Unquoted(mistake.got), there)
     every = [name for item in available.values() for name in item]
     for name in case.units:
         if name not in every:
@@ -90,7 +90,7 @@ def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
     numbers = sum(values.value.size for values in case.inputs.values())
     return [
-        f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.place)}",
+        f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
         f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
         f"the {case.objective_words} is made as large as possible",
     ]
@@ -115,14 +115,14 @@ def study(case: OwnCase, options: Options) -> Study:
         "value_unit": case.unit,
         "units": dict(case.units),
         "horizon": case.simulator.horizon,
-        "simulator": ":".join(case.place),
+        "simulator": ":".join(case.location),
         "objective": case.objective_words,
         "objective_output": next(iter(case.outputs.values())),
         "notes": notes,
     }
     relaxation = _relaxation(setup.problem)
 
-    def moved(before: Setup, other: OwnCase) -> Setup:
+    def at_case(before: Setup, other: OwnCase) -> Setup:
         values = {name: inputs.value for name, inputs in other.inputs.items()}
         return at_values(before, other.simulator, values, lambda: make_setup(other, options.engine))
 
@@ -133,15 +133,15 @@ def study(case: OwnCase, options: Options) -> Study:
         _result,
         lambda: setup,
         relaxation,
-        moved=moved,
-        inputs=lambda other: {item.name: item.input for item in named(other.inputs)},
+        setup_at=at_case,
+        inputs=lambda other: {item.name: item.input for item in named_inputs(other.inputs)},
     )
 
 
 def _notes(case: OwnCase) -> list[str]:
     """Remarks on the case and on its simulator, which is checked."""
     warnings = (
-        f"{warning.where}: {warning.what} {warning.fix}" for warning in checked(case).warnings
+        f"{warning.where}: {warning.subject} {warning.fix}" for warning in checked(case).warnings
     )
     return [*case.notes, *warnings]
 
@@ -165,5 +165,5 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")
-        raise CaseError(":".join(case.place), "policy", got, "allowed is a policy, snapo.MLP()")
-    return following(engine, problem, recipe, training, evaluation)
+        raise CaseError(":".join(case.location), "policy", got, "allowed is a policy, snapo.MLP()")
+    return with_auto(engine, problem, recipe, training, evaluation)

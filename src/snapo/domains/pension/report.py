@@ -6,7 +6,7 @@ from snapo.report import evidence
 from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
 from snapo.report.quantity import finite, long_date, number, plus_minus
 from snapo.report.sections.lacking import unless_left_out
-from snapo.study.chapters.bound import bound
+from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
 
@@ -73,7 +73,7 @@ def checks(run: PensionRun) -> list[tuple[str, bool]]:
     """(name of a check, whether it held) for every check with a verdict."""
     figures = RECONCILIATION.of(run)
     lines = figures.reconciliation.lines if figures else ()
-    tests = [(line.name, line.ok) for line in lines if line.given is not None]
+    tests = [(line.name, line.ok) for line in lines if line.supplied is not None]
     tests += [(test.name, test.ok) for test in CONSISTENCY.of(run) or ()]
     verdicts = [(name.replace("_", " "), ok) for name, ok in tests if ok is not None]
     return [*verdicts, *certified(run)]
@@ -170,7 +170,7 @@ def about(run: PensionRun) -> list[tuple[str, str]]:
 SECTIONS = (
     headline, RECONCILIATION, TODAY, FUNDING, POTS, ATTRIBUTION, VARIANCE, CONTRIBUTIONS,
     INDEXATION, POLICIES, FRONTIER, PATHS, OUTPUTS, SENSITIVITIES, LADDERS, LIMITS, STRESS,
-    unless_left_out(history, "training"), unless_left_out(bound, "training"), CERTIFICATE,
+    unless_left_out(history, "training"), unless_left_out(value_bounds, "training"), CERTIFICATE,
     assumptions,
 )  # fmt: skip
 REPORT = Report("Pension fund", PensionRun, about, SECTIONS)

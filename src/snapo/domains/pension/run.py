@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
 from .records.parts import OF_RIGHTS
@@ -16,7 +16,7 @@ SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))
 
 
 @dataclass(frozen=True)
-class PensionRun(Folder):
+class PensionRun(RunFiles):
     """A run folder with the units of the fund."""
 
     @property

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.study.study import Tell
+from snapo.study.study import ProgressCallback
 
 from .derivatives.jacobian import gradient, matrix
 from .flowsheet.process import Process
@@ -18,7 +18,7 @@ from .read.case import resolve
 BATCHES, REPEATS = 4096, 5
 
 
-def bench(engine: str, progress: Tell) -> str:
+def bench(engine: str, progress: ProgressCallback) -> str:
     """A table of best times, compiling apart."""
     if engine not in ("auto", "xla", "native"):
         raise CaseError("--engine", "", engine, 'allowed is "auto", "xla" or "native"')

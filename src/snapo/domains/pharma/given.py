@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 Entry = tuple[str, int]  # the name of a `Given`, and a position in its values
 
@@ -17,7 +17,7 @@ def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
     return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
 
 
-def use(inputs: Mapping[str, Any], values: Given) -> Array:
+def use(inputs: Mapping[str, Any], values: CaseInput) -> Array:
     """The numbers where they are used: input or number held fixed, at `given.index`."""
     if not values.values.size:
         return jnp.zeros(values.index.shape)
@@ -27,7 +27,7 @@ def use(inputs: Mapping[str, Any], values: Given) -> Array:
     return jnp.asarray(value)[index]
 
 
-def absent(inputs: Mapping[str, Any], values: Given) -> bool:
+def absent(inputs: Mapping[str, Any], values: CaseInput) -> bool:
     """Whether a term can be left out: its factor is zero and no input."""
     return values.name not in inputs and not values.used().any()
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.problem.inputs import Input
 from snapo.report.quantity import unit_words
-from snapo.study.study import Shown
+from snapo.study.study import LiveTable
 
 from .chapters.capability import BATCHES
 from .derivatives.jacobian import matrix
@@ -34,7 +34,7 @@ PARTS = (
 )  # fmt: skip
 
 
-def alike(one: PharmaCase, other: PharmaCase) -> bool:
+def same_form(one: PharmaCase, other: PharmaCase) -> bool:
     """Whether the cases differ in numbers of their inputs alone.
 
     Which of them are zero must be the same: a term whose factor is nothing may be left out.
@@ -46,7 +46,7 @@ def alike(one: PharmaCase, other: PharmaCase) -> bool:
 def _same(one: Any, other: Any, held: Iterable[str]) -> bool:
     if type(one) is not type(other):
         return False
-    if isinstance(one, Given):
+    if isinstance(one, CaseInput):
         if (one.name, one.labels, one.unit) != (other.name, other.labels, other.unit):
             return False
         if not np.array_equal(one.index, other.index):
@@ -81,7 +81,7 @@ class Recipe:
         self.case, self._named = case, pharma_inputs(case)
 
     @property
-    def named(self) -> Mapping[str, Input]:
+    def inputs_by_name(self) -> Mapping[str, Input]:
         return self._named
 
     @cached_property
@@ -126,7 +126,7 @@ class Recipe:
         first = self._process
         numerics = replace(case.numerics, steps=first.case.numerics.steps, open=False)
         case = with_stiff_steps(replace(case, numerics=numerics))
-        return _with(first, case) if alike(first.case, case) else Process(case)
+        return _with(first, case) if same_form(first.case, case) else Process(case)
 
     def _sampled(self, process: Process) -> Process:
         """On the mesh for statistics; its code is kept where the process's is."""
@@ -140,7 +140,7 @@ class Recipe:
         numerics = replace(process.case.numerics, steps=steps)
         case = with_stiff_steps(replace(process.case, numerics=numerics))
         available = self._meshes.setdefault(steps, Process(case))
-        return _with(available, case) if alike(available.case, case) else Process(case)
+        return _with(available, case) if same_form(available.case, case) else Process(case)
 
 
 def _with(process: Process, case: PharmaCase) -> Process:
@@ -162,7 +162,7 @@ def limits(low: float | None, high: float | None, unit: str) -> str:
     return f"at most {high:.6g}{local}" if high is not None else "none"
 
 
-def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Shown:
+def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> LiveTable:
     """Every attribute with its limits, and how often batches keep them."""
     rows: list[Sequence[Any]] = [
         (
@@ -173,7 +173,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Show
         for i, attribute in enumerate(case.attributes)
     ]  # fmt: skip
     text = f"{100 * (1 - capability.joint):.4g} % of {capability.batches:,} batches keep all limits"
-    return Shown("Attributes and their limits", COLUMNS, rows, text)
+    return LiveTable("Attributes and their limits", COLUMNS, rows, text)
 
 
 def _deltas(process: Process) -> Iterator[dict[str, Any]]:

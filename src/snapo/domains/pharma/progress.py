@@ -10,7 +10,7 @@ _listeners: list[list] = []  # [tell, when the part began, when it was last told
 
 
 @contextmanager
-def told(progress: Callable[[str], None]) -> Iterator[None]:
+def reporting(progress: Callable[[str], None]) -> Iterator[None]:
     """Within it, `say` reaches `tell`."""
     now = time.perf_counter()
     _listeners.append([progress, now, now])

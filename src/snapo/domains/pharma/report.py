@@ -1,6 +1,6 @@
 """How a run of a pharma case is told."""
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.study.domain import Report
 
 from .chapters import batch
@@ -23,7 +23,7 @@ SECTIONS = (
 )  # fmt: skip
 
 
-def about(run: Folder) -> list[tuple[str, str]]:
+def about(run: RunFiles) -> list[tuple[str, str]]:
     """What stands under the title."""
     case = stated(run)
     return [
@@ -34,4 +34,4 @@ def about(run: Folder) -> list[tuple[str, str]]:
     ]
 
 
-REPORT = Report("Pharmaceutical process", Folder, about, SECTIONS)
+REPORT = Report("Pharmaceutical process", RunFiles, about, SECTIONS)

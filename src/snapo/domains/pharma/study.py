@@ -12,7 +12,7 @@ from snapo.problem.chain import Chain
 from snapo.study import choice
 from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
-from snapo.study.study import Measured, Part, Shown, Study, StudyRun
+from snapo.study.study import LiveTable, Part, PathTotals, Study, StudyRun
 
 from .chapters.attribution import ATTRIBUTION, PROFILES, SECOND
 from .chapters.batch import ONE_BATCH
@@ -32,7 +32,7 @@ from .control.stages import Stage
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .moved import Recipe, limits
-from .progress import told
+from .progress import reporting
 from .quality.limits import Limits
 from .shared import SOUND, OpenLoop, PharmaStudy
 
@@ -72,11 +72,11 @@ def study(case: PharmaCase, options: Options) -> Study:
         rules = [RULES.part] if case.control.rules else []
         needs = (TRAINED.name, *(part.name for part in rules))
         parts += [RECIPES.part, TRAINED, *rules, CLOSED_LOOP.part._replace(needs=needs)]
-        hooks |= {"loop": loop, "setup": loop.setup, "moved": loop.moved, "shown": kept_limits}
+        hooks |= {"loop": loop, "setup": loop.setup, "moved": loop.setup_at, "shown": kept_limits}
     else:
         hooks["recalculated"] = lambda: Recipe(case)
-    selected = choice.chosen(parts, case.parts)
-    entries = about(case) | choice.told(parts, selected)
+    selected = choice.with_needs(parts, case.parts)
+    entries = about(case) | choice.summary(parts, selected)
     telling, entry = [_telling(part) for part in selected], partial(result, case)
     return PharmaStudy(case.kind, entries, telling, entry, inputs=pharma_inputs, **hooks)
 
@@ -110,7 +110,7 @@ def _telling(part: Part) -> Part:
     """The part, with lines of progress while it lasts."""
 
     def work(run: StudyRun) -> Mapping[str, Any]:
-        with told(run.tell):
+        with reporting(run.progress):
             return part.work(run)
 
     return part._replace(work=work)
@@ -158,7 +158,7 @@ def case_of(simulator: Any) -> PharmaCase:
     return stage.case
 
 
-def kept_limits(measured: Measured) -> Sequence[Shown]:
+def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
     """Every attribute with its limits, and how often batches keep them under the policy."""
     case = case_of(measured.setup.problem.simulator)
     names = [f"attribute.{x.name}" for x in case.attributes]
@@ -172,4 +172,4 @@ def kept_limits(measured: Measured) -> Sequence[Shown]:
         rows.append((attribute.name, bounds, mean, spread, 100 * share, 100 * error))
     share, error = measured.mean(measured.totals["success"])
     text = f"{100 * share:.4g} % ± {100 * error:.2g} % of batches keep all limits"
-    return [Shown("Attributes and their limits", COLUMNS, rows, text)]
+    return [LiveTable("Attributes and their limits", COLUMNS, rows, text)]

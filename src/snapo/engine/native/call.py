@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.lanes.machine.disk import cache_home, kept
+from snapo.lanes.machine.disk import cache_home, cached
 from snapo.lanes.machine.linked import Linked
 from snapo.lanes.machine.memory import Memory
 from snapo.lanes.machine.processor import host
 from snapo.lanes.unsupported import ACCIDENTS, Unsupported
-from snapo.problem.code.version import following, of_rollout
+from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -24,7 +24,7 @@ from ..base import Engine, Window, checked
 from ..memory import with_memory
 from .available import unavailable
 from .functions import Setup
-from .given import Given, cast
+from .given import SharedTree, cast
 from .kernel.context import Stages
 from .kernel.kernel import Kernel, emit
 from .rollout import traced
@@ -39,7 +39,7 @@ class Seats(NamedTuple):
     """
 
     path: np.ndarray
-    own: np.ndarray
+    inner: np.ndarray
     edges: np.ndarray
 
     @classmethod
@@ -68,7 +68,7 @@ _runners: OrderedDict[Any, Runner] = OrderedDict()
 
 def linked(kernel: Kernel) -> Linked:
     """The kernel's machine code, from the disk where it was made before."""
-    return Linked(kept(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)
+    return Linked(cached(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)
 
 
 class Call:
@@ -89,13 +89,13 @@ class Call:
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         self.window = checked(simulator, policy, schedule, draws, actions, window)
         self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
-        self.ends = self.window.ends(simulator.horizon)
+        self.has_terminal = self.window.is_last(simulator.horizon)
         self.paths = draws.size
         self.start = jax.tree.map(lambda x: cast(x, engine.dtype), start)
         self.version = of_rollout(simulator, policy, schedule, smooth)
         shared = (policy, schedule.constants, smooth, simulator)
-        self.shared = Given(shared, engine.dtype)
-        self.steps = Given(schedule.steps, engine.dtype)
+        self.shared = SharedTree(shared, engine.dtype)
+        self.steps = SharedTree(schedule.steps, engine.dtype)
 
     def runner(
         self, adjoint: bool, record: tuple[str, ...], clip: bool, wrt: tuple[str, ...]
@@ -106,7 +106,7 @@ class Call:
         setup = Setup(
             self.engine.precision, adjoint, record,
             self.actions is not None, self.start is not None,
-            self.ends, clip, wrt, counter, antithetic,
+            self.has_terminal, clip, wrt, counter, antithetic,
         )  # fmt: skip
         like = self._state_like()
         key = self.key(setup, like)
@@ -135,7 +135,7 @@ class Call:
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
         values = self.shared.split(), self.steps.split()
-        with following(self.version):
+        with read_context(self.version):
             segments = traced(*values, like, setup, sizes, simulator.action.size)
         try:
             return emit(segments, host(), stages)
@@ -156,8 +156,8 @@ class Call:
     ) -> Inputs:
         """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
-        self.seats = Seats.of(parts or (self.paths,), lanes)
-        path, local, blocks = self.seats.path, self.seats.own, self.seats.blocks
+        self.slots = Seats.of(parts or (self.paths,), lanes)
+        path, local, blocks = self.slots.path, self.slots.inner, self.slots.blocks
         first, length, _ = self.window
         filled = self._filled(bounds if weights is not None else None)
         columns = 1 if weights is None else len(next(iter(weights.values())))
@@ -189,7 +189,7 @@ class Call:
             counted = np.where(local, np.asarray(array)[:, path], 0)
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
-        edges = None if parts is None else self.seats.edges
+        edges = None if parts is None else self.slots.edges
         return Inputs(self.paths, length, first, memory, records, columns, edges)
 
     def _filled(self, bounds) -> dict[str, tuple[dict, tuple[int, ...]]]:
@@ -223,8 +223,8 @@ class Call:
         self, runner: Runner, name: str, memory: np.ndarray, key, *axes: int
     ) -> np.ndarray:
         """[*axes, paths, ...] from rows of lanes."""
-        rows = memory.reshape(self.seats.blocks, *axes, -1)
-        return _paths(runner.kernel.layouts[name].view(rows, key), self.seats, len(axes))
+        rows = memory.reshape(self.slots.blocks, *axes, -1)
+        return _paths(runner.kernel.layouts[name].view(rows, key), self.slots, len(axes))
 
     def finals(self, runner: Runner, memory: np.ndarray) -> Any:
         traced = runner.kernel.traced
@@ -260,7 +260,7 @@ class Call:
                 return np.zeros((*lead, *np.shape(array)), dtype) if request else None
             return layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
 
-        result = map(shared, traced.call, self.shared.arrays, traced.asked[0])
+        result = map(shared, traced.call, self.shared.arrays, traced.requested[0])
         policy, constants, _, _ = self.shared.like(result)
         memory = out.step_sums.reshape(*lead, length, -1)
 
@@ -274,7 +274,7 @@ class Call:
                 ].view(memory, leaf)
             return full
 
-        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.asked[1]))
+        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.requested[1]))
         start = None
         if self.start is not None:
             start = jax.tree.unflatten(traced.state_tree, [
@@ -301,7 +301,7 @@ def _paths(view: np.ndarray, slots: Seats, axes: int) -> np.ndarray:
     lanes = view.shape[0] * view.shape[-1]
     flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
     several = len(slots.edges) > 2
-    local = np.flatnonzero(slots.own) if several else slice(0, int(slots.path[-1]) + 1)
+    local = np.flatnonzero(slots.inner) if several else slice(0, int(slots.path[-1]) + 1)
     selected = flat[(slice(None),) * axes + (local,)]
     # A view would keep all that the kernel wrote alive.
     return selected.copy() if np.may_share_memory(selected, view) else selected

@@ -15,7 +15,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
-from ..base import COURSE, Window
+from ..base import TRAJECTORY, Window
 from .available import unavailable
 from .call import KEPT, Call
 from .engine import Native
@@ -92,7 +92,7 @@ def unsupported(
         return missing
     engine = Native(precision)
     with engine.numbers():
-        call, setup = _whole(engine, simulator, schedule, policy, smooth, COURSE, True)
+        call, setup = _whole(engine, simulator, schedule, policy, smooth, TRAJECTORY, True)
         key = call.key(setup, None)
         if key not in _reasons:
             _reasons[key] = _reason(call, setup)

@@ -33,7 +33,7 @@ class Setup:
     record: tuple[str, ...]
     actions: bool
     start: bool
-    ends: bool
+    has_terminal: bool
     clip: bool
     wrt: tuple[str, ...]
     counter: bool
@@ -45,7 +45,7 @@ class Functions:
 
     def __init__(self, setup: Setup, dtype, segments, current, calls: int, nows: int):
         self.setup, self.dtype = setup, dtype
-        self.pieces, self.current = segments, current
+        self.segments, self.current = segments, current
         self.calls, self.nows = calls, nows
 
     def describe(self, call, now, state_like, noise_sizes, action_size) -> None:
@@ -56,7 +56,7 @@ class Functions:
         if state_like is None:
 
             def first(call, noise):
-                _, constants, _, simulator = self.pieces(call)
+                _, constants, _, simulator = self.segments(call)
                 return simulator.initial(constants, noise)
 
             state_like = jax.eval_shape(first, call, self.noise[1])
@@ -71,10 +71,10 @@ class Functions:
         self.record_tree = jax.tree.structure(selected[2])
 
         def last(call, state):
-            _, constants, smooth, simulator = self.pieces(call)
+            _, constants, smooth, simulator = self.segments(call)
             return simulator.terminal(constants, self._state(state), smooth)
 
-        ending = jax.eval_shape(last, call, self.state) if self.setup.ends else {}
+        ending = jax.eval_shape(last, call, self.state) if self.setup.has_terminal else {}
         self.final_names = [*self.names, *(n for n in ending if n not in self.names)]
 
     def _kind(self, x):
@@ -96,7 +96,7 @@ class Functions:
         return [leaf.astype(valid.dtype) for leaf, valid in zip(leaves, self.state)]
 
     def _outputs(self, call, now, leaves, noise, action):
-        policy, constants, smooth, simulator = self.pieces(call)
+        policy, constants, smooth, simulator = self.segments(call)
         now, state = self.current(now), self._state(leaves)
         if not self.setup.actions:
             action = policy(simulator.observe(constants, now, state), smooth)
@@ -111,7 +111,7 @@ class Functions:
 
     def _initial(self, *values):
         call, local = values[: self.calls], values[self.calls :]
-        _, constants, _, simulator = self.pieces(call)
+        _, constants, _, simulator = self.segments(call)
         if self.setup.start:
             leaves = self._leaves(self._state(local))
         else:
@@ -133,7 +133,7 @@ class Functions:
         action = local[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
         result = evaluate(self.once, [*call, *now, *leaves, noise, action])
         after, outputs, selected = jax.tree.unflatten(self.after, result)
-        kinds = self.pieces(call)[3].totals()
+        kinds = self.segments(call)[3].totals()
         totals = [add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
         return [*self._leaves(after), *totals, *jax.tree.leaves(selected), *self._scales(call)]
 
@@ -141,8 +141,8 @@ class Functions:
         call, local = values[: self.calls], values[self.calls :]
         n = len(self.state)
         totals = dict(zip(self.names, local[n:]))
-        _, constants, smooth, simulator = self.pieces(call)
-        if self.setup.ends:
+        _, constants, smooth, simulator = self.segments(call)
+        if self.setup.has_terminal:
             kinds = simulator.totals()
             for name, value in simulator.terminal(
                 constants, self._state(local[:n]), smooth
@@ -170,26 +170,26 @@ class Functions:
         yield "step", self._step, local, [*keys, *records], True
         yield "final", self._final, carry, final, False
 
-    def bound(self) -> Callable | None:
+    def clip(self) -> Callable | None:
         """Bounds and shrinks the cotangents of the state, not those of the totals (`Clip`)."""
         if not self.setup.clip:
             return None
         floats = [i for i, x in enumerate(self.state) if floating(x)]
         tiny = np.finfo(self.dtype).tiny
 
-        def bound(back, outputs, values):
+        def clip(back, outputs, values):
             scales = outputs[len(outputs) - len(floats) :]
             square = sum(jnp.sum((g * s) ** 2) for g, s in zip(back, scales))
             factor = factor_of(jnp.sqrt(jnp.maximum(square, tiny)), values)
             return [*(g * factor for g in back[: len(floats)]), *back[len(floats) :]]
 
-        return bound if floats else None
+        return clip if floats else None
 
     def _scales(self, call) -> list[Any]:
         """`state_scale` of every floating leaf of the state, where adjoints are clipped."""
         if not self.setup.clip:
             return []
-        _, constants, _, simulator = self.pieces(call)
+        _, constants, _, simulator = self.segments(call)
         scale = simulator.state_scale(constants)
         leaves = [1.0] * len(self.state) if scale is None else self.state_tree.flatten_up_to(scale)
         return [

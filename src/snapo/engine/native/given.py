@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 
-class Given:
+class SharedTree:
     """A tree that all paths share, taken apart once per call, as flattening takes time.
 
     Arrays, as NumPy with floating ones in the call's precision, are read anew at every call;

@@ -35,14 +35,14 @@ class Traced:
     setup: Setup
     call: list[Leaf]
     now: list[Leaf]
-    asked: tuple[list[bool], list[bool]]
+    requested: tuple[list[bool], list[bool]]
     state: list[Any]
     state_tree: Any
     names: list[str]
     final_names: list[str]
     record_tree: Any
     phases: dict[str, Phase]
-    bound: Callable | None
+    clip: Callable | None
 
 
 def traced(
@@ -57,13 +57,13 @@ def traced(
     requested = [bool(m) for m in jax.tree.leaves(_differentiable(shared[0], setup.wrt))]
     moving = ["schedule" in setup.wrt and floating(x) for x in step_leaves]
 
-    def pieces(values):
+    def segments(values):
         return eqx.combine(jax.tree.unflatten(tree, values), shared[1])
 
     def current(values):
         return eqx.combine(jax.tree.unflatten(step_tree, values), steps[1])
 
-    builder = Functions(setup, dtype, pieces, current, len(leaves), len(step_leaves))
+    builder = Functions(setup, dtype, segments, current, len(leaves), len(step_leaves))
     builder.describe(call_avals, step_leaves, state_like, noise_sizes, action_size)
     rows, used = [], set()
     for name, function, inputs, outputs, with_now in builder.phases():
@@ -88,7 +88,7 @@ def traced(
         phases[name] = Phase(name, cut(closed, levels, available), inputs, labelled)
     return Traced(
         setup, call, now, (requested, moving), builder.state, builder.state_tree, builder.names,
-        builder.final_names, builder.record_tree, phases, builder.bound(),
+        builder.final_names, builder.record_tree, phases, builder.clip(),
     )  # fmt: skip
 
 

@@ -162,7 +162,7 @@ class Runner:
     def _own(self, context: np.ndarray, sizes: dict[str, int]) -> Iterator[np.ndarray]:
         """The context with scratch memory of its own."""
         scratch = spare.take(self)
-        if scratch is None or not scratch.holds(sizes):
+        if scratch is None or not scratch.suffices(sizes):
             scratch = Memory(sizes)
         local = context.copy()
         for name, position in scratch.where.items():

@@ -12,8 +12,8 @@ from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.following import fitted
-from snapo.solver.train import Training, begin, train
+from snapo.solver.learning.following import resolve_auto
+from snapo.solver.train import Training, initial_progress, train
 
 from .ensemble import Fit
 from .known import Known
@@ -26,7 +26,12 @@ BEYOND = 0.05  # of the range of what was seen: how far the model goes
 
 def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     """The model's numbers: weights, scales, the range that it stays in, and first states."""
-    observed, firsts, units, rng = available.seen, available.firsts, available.units, available.rng
+    observed, firsts, units, rng = (
+        available.transitions,
+        available.firsts,
+        available.units,
+        available.rng,
+    )
     half = STARTS // 2
     started = firsts[rng.integers(0, len(firsts), half)]
     met = observed.before[rng.integers(0, observed.count, STARTS - half)]
@@ -58,9 +63,9 @@ def trained(
     sources = Sources.of(None, training.seed)
     problem = Problem(model, inputs, Mean("reward"), sources)
     engines = choose(engine, problem, policy)
-    plan = fitted(training, problem, policy)
+    plan = resolve_auto(training, problem, policy)
     plan = replace(plan, steps=max(min(1, plan.steps), int(share * plan.steps)))
-    progress = train(problem, begin(policy, plan, problem), plan, engines.train)
+    progress = train(problem, initial_progress(policy, plan, problem), plan, engines.train)
     assert isinstance(progress.best, MLP)
     return progress.best
 

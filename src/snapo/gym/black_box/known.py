@@ -52,12 +52,12 @@ class Known:
 
     def settled(self) -> "Known":
         """With the units of all that was seen so far."""
-        observed = self.seen
+        observed = self.transitions
         every = np.concatenate([observed.before, observed.after]).astype(np.float64)
         return replace(self, units=Units(*scale_of(every)), circles=circles(every))
 
     @property
-    def seen(self) -> Transitions:
+    def transitions(self) -> Transitions:
         """All transitions."""
         return joined([episode.rows for episode in self.episodes])
 

@@ -54,7 +54,7 @@ class Round(NamedTuple):
     steps: int
     rows: int
     error: np.ndarray
-    found: Compared
+    comparison: Compared
     seconds: float
 
 
@@ -73,12 +73,12 @@ class Learned:
     """
 
     policy: MLP
-    found: Compared
+    comparison: Compared
     steps: int
     hold: int
     limit: int
     rounds: tuple[Round, ...]
-    chosen: int
+    selected: int
     seconds: float
     seed: int
     model: Any
@@ -88,22 +88,22 @@ class Learned:
     @property
     def value(self) -> float:
         """The mean sum of rewards of an episode in the real environment."""
-        return self.found.real
+        return self.comparison.real
 
     @property
     def standard_error(self) -> float:
         """Of `value`."""
-        return self.found.real_error
+        return self.comparison.real_error
 
     @property
     def model_value(self) -> float:
         """The same in the model, from the same starts."""
-        return self.found.model
+        return self.comparison.model
 
     @property
     def gap(self) -> float:
         """The value in the real environment less that in the model."""
-        return self.found.gap
+        return self.comparison.gap
 
     def play(self, starts: int | Sequence[int] = 100) -> "Played":
         """More episodes of the policy in the real environment, which `steps` does not count.
@@ -128,20 +128,20 @@ class Learned:
 
     def __str__(self) -> str:
         """Of the rounds the real values are from the starts that all have played."""
-        result = self.found
+        result = self.comparison
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [
             f"real environment {_pair(result.real, result.real_error)}, "
             f"model {_pair(result.model, result.model_error)}, "
             f"gap {_pair(result.gap, result.gap_error)} over {result.episodes} episodes",
             f"{self.steps:,} real steps, {self.seconds:.0f} s of processor time, "
-            f"policy of round {self.chosen} of {len(self.rounds)}",
+            f"policy of round {self.selected} of {len(self.rounds)}",
             "{:>5} {:>7} {:>9} {:>11} {:>18} {:>18}".format(*titles),
         ]
-        shared = min(entry.found.episodes for entry in self.rounds)
+        shared = min(entry.comparison.episodes for entry in self.rounds)
         for number, item in enumerate(self.rounds, 1):
-            real, error, _ = statistics.mean(item.found.rewards[:shared])
-            gap = _pair(item.found.gap, item.found.gap_error)
+            real, error, _ = statistics.mean(item.comparison.rewards[:shared])
+            gap = _pair(item.comparison.gap, item.comparison.gap_error)
             lines.append(
                 f"{number:>5} {item.steps:>7,} {item.rows:>9,} {np.max(item.error[:-1]):>11.2%} "
                 f"{_pair(real, error):>18} {gap:>18}"

@@ -13,7 +13,7 @@ from .explore import random_actions
 from .known import Known
 from .learned import Learned, Round
 from .real import Real
-from .rounds import EXPLORE, Inside, Plan, begun, compared, fitted, improved, until
+from .rounds import EXPLORE, Inside, Plan, compared, fitted_model, improved, initial_policy, until
 
 
 def run(
@@ -32,8 +32,8 @@ def run(
     if environment is not real.inner:
         real.inner.close()
     return Learned(
-        policy=available.units.undone(policies[selected]), found=result, steps=real.steps,
-        hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=selected + 1,
+        policy=available.units.undone(policies[selected]), comparison=result, steps=real.steps,
+        hold=real.hold, limit=real.limit, rounds=tuple(history), selected=selected + 1,
         seconds=time.process_time() - timer, seed=plan.seed, model=inside.model,
         inputs=inside.inputs, environment=environment,
     )  # fmt: skip
@@ -56,9 +56,11 @@ def _rounds(
     raw = first_layers(size + available.real.size, size + 3, plan.hidden, plan.members, plan.seed)
     for number in range(plan.rounds):
         since = time.process_time()
-        inside = fitted(plan, available, raw, number)
+        inside = fitted_model(plan, available, raw, number)
         raw = inside.fit.raw
-        before = policies[-1] if policies else begun(inside, policy, available.units, plan.seed)
+        before = (
+            policies[-1] if policies else initial_policy(inside, policy, available.units, plan.seed)
+        )
         policies.append(improved(plan, inside, before, number))
         result = compared(plan, available, inside, policies[-1], until(plan, number), common)
         spent = time.process_time() - since
@@ -71,5 +73,5 @@ def _rounds(
 
 def _best(history: list[Round]) -> int:
     """The round whose policy earned most on those starts that all rounds have played."""
-    shared = min(item.found.episodes for item in history)
-    return int(np.argmax([np.mean(entry.found.rewards[:shared]) for entry in history]))
+    shared = min(item.comparison.episodes for item in history)
+    return int(np.argmax([np.mean(entry.comparison.rewards[:shared]) for entry in history]))

@@ -31,7 +31,7 @@ class Model(Simulator):
     action: Box
     noise_size: int = eqx.field(static=True)  # one for each observed number
     members: int = eqx.field(static=True)
-    ends: bool = eqx.field(static=True)
+    can_end: bool = eqx.field(static=True)
     circles: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     reward: Reward | None = eqx.field(static=True, default=None)
     over: Over | None = eqx.field(static=True, default=None)
@@ -45,7 +45,7 @@ class Model(Simulator):
     @property
     def may_end(self) -> bool:
         """Whether a path may end before the horizon."""
-        return self.ends or self.over is not None
+        return self.can_end or self.over is not None
 
     def prepare(self, inputs):
         return Schedule(inputs, {"done": jnp.arange(self.horizon) / self.horizon})
@@ -71,7 +71,7 @@ class Model(Simulator):
             reward = self.reward(observed, action, after)
         if self.over is not None:
             going = 1 - smooth.indicator(self.over(after))
-        elif self.ends:
+        elif self.can_end:
             going = jax.nn.sigmoid(-summary[self.size + 2] / _width(smooth))
         if self.reward is None and self.may_end:
             reward = going * reward + (1 - going) * summary[self.size + 1]

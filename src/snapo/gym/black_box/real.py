@@ -9,7 +9,7 @@ from ..installed import gymnasium
 from ..played import made
 from .transitions import Transitions
 
-MOST_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
+MAX_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
 Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's number to action
 
 
@@ -38,7 +38,7 @@ class Real:
             np.ravel(item).astype(np.float64) for item in (observed.low, observed.high)
         )
         self.limit = _limit(inner, limit)
-        self.hold = hold if hold is not None else max(1, -(-self.limit // MOST_DECISIONS))
+        self.hold = hold if hold is not None else max(1, -(-self.limit // MAX_DECISIONS))
         self.decisions = -(-self.limit // self.hold)
         self.environment = Held(inner, self.hold, self.limit)
         self.steps = 0

@@ -12,7 +12,7 @@ from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
-from snapo.solver.learning.following import fitted as chosen
+from snapo.solver.learning.following import resolve_auto as chosen
 from snapo.solver.train import Training
 
 from ..agent import Agent
@@ -65,9 +65,9 @@ def until(plan: Plan, number: int) -> float:
     return share * plan.steps
 
 
-def fitted(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
+def fitted_model(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
     """The model of all that was seen; `raw` are the weights that the fit goes on from."""
-    observed, real = available.seen, available.real
+    observed, real = available.transitions, available.real
     capacity = -(-plan.steps // real.hold) + real.limit
     result = fit(observed, raw, capacity, LATER if number else FIRST, plan.seed)
     box = Box(np.ravel(real.actions.low), np.ravel(real.actions.high), real.size)
@@ -77,7 +77,7 @@ def fitted(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
         action=box,
         noise_size=size,
         members=plan.members,
-        ends=endpoints,
+        can_end=endpoints,
         circles=available.circles,
         reward=plan.reward,
         over=plan.over,
@@ -85,7 +85,7 @@ def fitted(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
     return Inside(model, inputs_of(result, available), result, observed.count)
 
 
-def begun(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
+def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
     """The policy before any training; one that has weights takes the environment's units."""
     interface = Problem(inside.model, inside.inputs, Mean("reward")).interface
     made = (policy or MLP(hidden=(32, 32))).for_problem(interface, jax.random.key(seed))

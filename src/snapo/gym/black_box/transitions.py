@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-LEAST = 1e-6  # of a scale, as a share of the size of its numbers
+MINIMUM = 1e-6  # of a scale, as a share of the size of its numbers
 ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 
 
@@ -59,5 +59,5 @@ def scale_of(
     if not len(rows):
         return np.zeros(rows.shape[1]), np.ones(rows.shape[1])
     mean, deviation = rows.mean(0), rows.std(0)
-    still = deviation <= LEAST * np.maximum(np.abs(mean), 1e-30)
+    still = deviation <= MINIMUM * np.maximum(np.abs(mean), 1e-30)
     return mean, np.where(still, 1.0, deviation)

@@ -8,7 +8,7 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.nest import fetch, nest, put
 from ..emit.ref import Ref
-from ..emit.storage import Place
+from ..emit.storage import ArrayPlace
 from ..emit.values import Values, objects
 from ..program.program import Op, Value
 from ..rules import dots, elementwise
@@ -126,7 +126,7 @@ def interleaved(code: Code, region: Region) -> int:
 
 def _in_order(sources, targets, shape) -> bool:
     """Whether all arrays of a loop lie in memory one element after the other."""
-    positions = [p for p in [*sources.values(), *targets.values()] if isinstance(p, Place)]
+    positions = [p for p in [*sources.values(), *targets.values()] if isinstance(p, ArrayPlace)]
     return all(p.contiguous and p.shape == shape for p in positions)
 
 

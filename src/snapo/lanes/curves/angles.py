@@ -56,16 +56,16 @@ def _circular(a: Arithmetic, x: Ref, turn: int, library: str) -> Ref:
     r = x
     for part in HALF_PI[f.dtype]:
         r = code.fma(n, a.real(-part), r)
-    quarter = code.add(a.bits(shifted), a.whole(turn))
+    quarter = code.add(a.bits(shifted), a.integer(turn))
     square = code.op("fmul", r, r)
     sine = code.fma(code.op("fmul", r, square), a.polynomial(square, SIN[f.dtype]), r)
     fourth = code.op("fmul", square, square)
     cosine = code.fma(square, a.real(-0.5), a.real(1.0))
     cosine = code.fma(fourth, a.polynomial(square, COS[f.dtype]), cosine)
-    odd = code.compare("ne", code.op("and", quarter, a.whole(1)), a.whole(0))
+    odd = code.compare("ne", code.op("and", quarter, a.integer(1)), a.integer(0))
     result = code.select(odd, cosine, sine)
     width = 8 * (4 if f.dtype == "float32" else 8)
-    sign = code.op("shl", code.op("and", quarter, a.whole(2)), a.whole(width - 2))
+    sign = code.op("shl", code.op("and", quarter, a.integer(2)), a.integer(width - 2))
     fast = a.value(code.op("xor", a.bits(result), sign))
     if turn == 0:  # sin(-0) is -0
         fast = code.select(code.compare("oeq", x, a.real(0.0)), x, fast)
@@ -103,7 +103,7 @@ def atan2(a: Arithmetic, y: Ref, x: Ref) -> Ref:
     angle = code.fma(code.op("fmul", z, square), series, z)
     angle = code.select(wide, code.op("fadd", angle, a.real(math.pi / 4)), angle)
     angle = code.select(steep, code.op("fsub", a.real(math.pi / 2), angle), angle)
-    behind = code.compare("slt", a.bits(x), a.whole(0))
+    behind = code.compare("slt", a.bits(x), a.integer(0))
     angle = code.select(behind, code.op("fsub", a.real(math.pi), angle), angle)
     wrong = code.compare("uno", x, y)
     angle = code.select(wrong, a.real(math.nan), angle)

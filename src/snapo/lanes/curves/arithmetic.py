@@ -48,7 +48,7 @@ class Arithmetic:
     def real(self, value: float) -> Ref:
         return self.code.constant(value, self.format.dtype, self.lanes)
 
-    def whole(self, value: int) -> Ref:
+    def integer(self, value: int) -> Ref:
         return self.code.constant(value, self.format.integer, self.lanes)
 
     def polynomial(self, x: Ref, coefficients) -> Ref:
@@ -66,8 +66,8 @@ class Arithmetic:
 
     def power_of_two(self, shifted: Ref, less: int = 0) -> Ref:
         """2^(n - less), from n + magic: the shift drops the magic number's bits above n."""
-        biased = self.code.add(self.bits(shifted), self.whole(self.format.bias - less))
-        return self.value(self.code.op("shl", biased, self.whole(self.format.mantissa)))
+        biased = self.code.add(self.bits(shifted), self.integer(self.format.bias - less))
+        return self.value(self.code.op("shl", biased, self.integer(self.format.mantissa)))
 
     def clamp(self, x: Ref, low: float | None, high: float | None) -> Ref:
         """x within bounds; NaN stays NaN."""

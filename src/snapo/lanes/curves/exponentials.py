@@ -45,7 +45,7 @@ def exp(a: Arithmetic, x: Ref) -> Ref:
         p, q = tangent(a, y)
         risen = code.div(code.op("fadd", p, p), code.op("fsub", q, p))
     near_one = a.bits(code.op("fadd", risen, a.real(1.0)))
-    octaves = code.op("shl", a.bits(shifted), a.whole(f.mantissa))
+    octaves = code.op("shl", a.bits(shifted), a.integer(f.mantissa))
     result = a.value(code.add(near_one, octaves))
     outside = code.op("fadd", x, a.real(math.inf))  # NaN for NaN
     result = code.select(code.compare("ugt", x, a.real(f.largest)), outside, result)

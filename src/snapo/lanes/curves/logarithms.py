@@ -21,10 +21,10 @@ def split(a: Arithmetic, x: Ref) -> tuple[Ref, Ref]:
     """x = 2^e (1 + f) with 1 + f between sqrt(1/2) and sqrt(2): e as a number, and f."""
     code, f = a.code, a.format
     one = 0x3F800000 if f.dtype == "float32" else 0x3FF0000000000000
-    shifted = code.add(a.bits(x), a.whole(one - f.half_root))
-    e = code.sub(code.op("ashr", shifted, a.whole(f.mantissa)), a.whole(f.bias))
-    mantissa = code.op("and", shifted, a.whole((1 << f.mantissa) - 1))
-    m = a.value(code.add(mantissa, a.whole(f.half_root)))
+    shifted = code.add(a.bits(x), a.integer(one - f.half_root))
+    e = code.sub(code.op("ashr", shifted, a.integer(f.mantissa)), a.integer(f.bias))
+    mantissa = code.op("and", shifted, a.integer((1 << f.mantissa) - 1))
+    m = a.value(code.add(mantissa, a.integer(f.half_root)))
     if f.integer == "int64":
         e = code.convert("trunc", e, "int32")
     return code.convert("sitofp", e, f.dtype), code.op("fsub", m, a.real(1.0))

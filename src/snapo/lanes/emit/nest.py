@@ -6,10 +6,10 @@ import numpy as np
 
 from .code import Code
 from .ref import Ref
-from .storage import Place
+from .storage import ArrayPlace
 
 
-def fetch(code: Code, source: Ref | Place, position, width: int = 1) -> Ref:
+def fetch(code: Code, source: Ref | ArrayPlace, position, width: int = 1) -> Ref:
     """One element, or `width` neighbours as one long vector of lanes."""
     if isinstance(source, Ref):
         return source if source.lanes == 1 or width == 1 else code.join([source] * width)
@@ -25,7 +25,7 @@ def fetch(code: Code, source: Ref | Place, position, width: int = 1) -> Ref:
     return code.join([code.splat(p, code.lanes) for p in parts])
 
 
-def put(code: Code, target: Place, position, x: Ref, width: int) -> None:
+def put(code: Code, target: ArrayPlace, position, x: Ref, width: int) -> None:
     """Stores one element, or `width` neighbours, as `fetch` reads them."""
     if width == 1:
         target.write(code, position, x)
@@ -37,7 +37,7 @@ class nest:
     """Loops over all positions of `shape`; one loop where every array is stored in order."""
 
     def __init__(self, code: Code, shape: tuple[int, ...], operands):
-        positions = [p for p in operands if isinstance(p, Place)]
+        positions = [p for p in operands if isinstance(p, ArrayPlace)]
         self.code, self.shape = code, shape
         self.flat = all(p.contiguous and p.shape == shape for p in positions) and len(shape) > 1
         self.flat = self.flat and all(math.prod(shape) > 1 for _ in positions)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ..program.cut import Leaf
-from .storage import Layout, Place
+from .storage import ArrayPlace, Layout
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Shared:
         """Whether an array belongs to the whole call."""
         return leaf in self.call.fields
 
-    def place(self, leaf: Leaf, invariant: bool = False) -> Place:
+    def address(self, leaf: Leaf, invariant: bool = False) -> ArrayPlace:
         """Where an array lies; `invariant` promises that nothing writes there meanwhile."""
         if self.of_call(leaf):
-            return self.call.place(leaf, self.call_row, invariant)
+            return self.call.address(leaf, self.call_row, invariant)
         assert self.step_row is not None
-        return self.step.place(leaf, self.step_row, invariant)
+        return self.step.address(leaf, self.step_row, invariant)

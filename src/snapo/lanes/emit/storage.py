@@ -38,7 +38,7 @@ class Small:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class ArrayPlace:
     """An array in memory: `strides` count elements of `lanes` numbers each."""
 
     base: str
@@ -58,7 +58,7 @@ class Place:
     def contiguous(self) -> bool:
         return self.strides == row_major(self.shape) or math.prod(self.shape) <= 1
 
-    def broadcast(self, shape: tuple[int, ...]) -> "Place":
+    def broadcast(self, shape: tuple[int, ...]) -> "ArrayPlace":
         """This array repeated along axes of length one, as NumPy does."""
         missing = len(shape) - len(self.shape)
         strides = [0] * missing
@@ -77,7 +77,7 @@ class Place:
             pointer = code.pointer(pointer, code.index(f"mul nsw i64 {counter}, {stride}"))
         return code.pointer(pointer, self.offset + fixed)
 
-    def at(self, position: Sequence[int]) -> "Place":
+    def at(self, position: Sequence[int]) -> "ArrayPlace":
         """One element, as an array without axes."""
         fixed = sum(p * s for p, s in zip(position, self.strides)) * self.unit
         return replace(self, offset=self.offset + fixed, shape=(), strides=())
@@ -118,9 +118,9 @@ class Layout:
         """Bytes from one row to the next."""
         return max(64, -(-self.size // 64) * 64)
 
-    def place(self, key, base: str, invariant: bool = False) -> Place:
+    def address(self, key, base: str, invariant: bool = False) -> ArrayPlace:
         offset, shape, dtype = self.fields[key]
-        return Place(base, offset, shape, row_major(shape), dtype, self.lanes, invariant)
+        return ArrayPlace(base, offset, shape, row_major(shape), dtype, self.lanes, invariant)
 
     def view(self, memory: np.ndarray, key) -> np.ndarray:
         """A field of all rows, from bytes [..., stride]: [..., *shape] or [..., *shape, lanes]."""

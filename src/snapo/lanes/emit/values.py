@@ -10,7 +10,7 @@ from ..program.program import BIG, Value
 from .code import Code
 from .nest import fetch, nest
 from .ref import Ref
-from .storage import Place, Small, row_major
+from .storage import ArrayPlace, Small, row_major
 
 
 class Workspace:
@@ -20,8 +20,8 @@ class Workspace:
         self.base = base
         self.size = 0
 
-    def allocate(self, shape, dtype, lanes: int) -> Place:
-        position = Place(
+    def allocate(self, shape, dtype, lanes: int) -> ArrayPlace:
+        position = ArrayPlace(
             self.base, self.size, tuple(shape), row_major(tuple(shape)), np.dtype(dtype), lanes
         )
         self.size += -(-math.prod(shape) * position.unit // 64) * 64
@@ -35,18 +35,20 @@ class Values:
     operation that writes memory writes there at once.
     """
 
-    def __init__(self, code: Code, workspace: Workspace, homes: dict[Value, Place] | None = None):
+    def __init__(
+        self, code: Code, workspace: Workspace, homes: dict[Value, ArrayPlace] | None = None
+    ):
         self.code = code
         self.workspace = workspace
         self.homes = homes or {}
         self.loose: Container[Value] = ()
-        self._where: dict[Value, Small | Place] = {}
+        self._where: dict[Value, Small | ArrayPlace] = {}
 
-    def bind(self, value: Value, available: Small | Place) -> None:
+    def bind(self, value: Value, available: Small | ArrayPlace) -> None:
         """From here on the value lies there."""
         self._where[value] = available
 
-    def held(self, value: Value) -> Small | Place | None:
+    def held(self, value: Value) -> Small | ArrayPlace | None:
         """Where a value lies; None where it does not exist yet."""
         return self._where.get(value)
 
@@ -61,7 +63,7 @@ class Values:
         if home is None or value not in self._where or self._where[value] is home:
             return
         self.copy(value, home)
-        if isinstance(self._where[value], Place):
+        if isinstance(self._where[value], ArrayPlace):
             self._where[value] = home
 
     def lanes(self, value: Value) -> int:
@@ -69,14 +71,14 @@ class Values:
 
     # Reading.
 
-    def get(self, value: Value) -> Small | Place:
+    def get(self, value: Value) -> Small | ArrayPlace:
         available = self._where.get(value)
         if available is None:
             assert value.constant is not None, "a value is read before it exists"
-            available = self._where[value] = self.known(value)
+            available = self._where[value] = self.constant(value)
         return available
 
-    def known(self, value: Value) -> Small | Place:
+    def constant(self, value: Value) -> Small | ArrayPlace:
         """A constant: registers where it is small or all the same, else a table in the kernel."""
         array = np.asarray(value.constant)
         if (array.size and np.all(array == array.flat[0])) or array.size == 1:
@@ -89,12 +91,12 @@ class Values:
                 objects([self.code.constant(x, array.dtype) for x in array.flat], array.shape)
             )
         base = self.code.module.table(array)
-        return Place(base, 0, array.shape, row_major(array.shape), array.dtype, 1, True)
+        return ArrayPlace(base, 0, array.shape, row_major(array.shape), array.dtype, 1, True)
 
     def small(self, value: Value) -> Any:
         """The elements as registers, loaded if they lie in memory."""
         available = self.get(value)
-        if isinstance(available, Place):
+        if isinstance(available, ArrayPlace):
             refs = [
                 available.read(self.code, list(map(int, p))) for p in np.ndindex(*available.shape)
             ]
@@ -103,10 +105,10 @@ class Values:
                 self._where[value] = available
         return available.items
 
-    def place(self, value: Value) -> Place:
+    def in_memory(self, value: Value) -> ArrayPlace:
         """The array in memory, stored there if it lies in registers."""
         available = self.get(value)
-        if isinstance(available, Place):
+        if isinstance(available, ArrayPlace):
             return available
         home = self.homes.get(value)
         if home is None:
@@ -121,12 +123,12 @@ class Values:
             else small.uniform.lanes
         )
 
-    def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | Place:
+    def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | ArrayPlace:
         """The source for a loop over `shape`: one register for all elements, or memory."""
         available = self.get(value)
         if isinstance(available, Small) and available.uniform is not None:
             return available.uniform
-        return self.place(value).broadcast(shape)
+        return self.in_memory(value).broadcast(shape)
 
     # Writing.
 
@@ -136,12 +138,12 @@ class Values:
             items = objects([items], ())
         self._where[value] = Small(items)
 
-    def target(self, value: Value) -> Place:
+    def target(self, value: Value) -> ArrayPlace:
         """Memory for a new array: its home, or the workspace."""
         home = self.homes.get(value)
         return home or self.workspace.allocate(value.shape, value.dtype, self.lanes(value))
 
-    def copy(self, value: Value, target: Place) -> None:
+    def copy(self, value: Value, target: ArrayPlace) -> None:
         """Writes a value to a place; it stays where it was."""
         available = self.get(value)
         if (isinstance(available, Small) and available.uniform is None) or math.prod(

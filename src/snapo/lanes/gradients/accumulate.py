@@ -5,7 +5,7 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.ref import Ref
 from ..emit.shared import Shared
-from ..emit.storage import Place, Small
+from ..emit.storage import ArrayPlace, Small
 from ..emit.values import Values
 from ..program.program import BIG
 from .across import across, add_row
@@ -15,11 +15,11 @@ from .rows import Rows
 
 def accumulate(values: Values, rows: Rows, sums: Shared, tape_row: str, chunk_row: str) -> None:
     """Adds up all that belongs to this step's own numbers."""
-    singles: list[tuple[Place, Ref]] = []
+    singles: list[tuple[ArrayPlace, Ref]] = []
     for g in rows.gradients.items:
         if sums.of_call(g.leaf):
             continue
-        target = sums.place(g.leaf)
+        target = sums.address(g.leaf)
         for t in g.terms:
             rows.product(values.code, t, target, tape_row, chunk_row, "1")
         for value in g.rest:
@@ -36,7 +36,7 @@ def accumulate(values: Values, rows: Rows, sums: Shared, tape_row: str, chunk_ro
             add_number(values.code, position, [], x)
 
 
-def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
+def add_together(code: Code, singles: list[tuple[ArrayPlace, Ref]]) -> None:
     """Adds sums over lanes to float64 memory: a register's lanes of one become lanes of many."""
     singles = sorted(singles, key=lambda pair: (pair[0].base, pair[0].offset))
     if not singles:
@@ -61,7 +61,7 @@ def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
             )
 
 
-def _neighbours(positions: list[Place]) -> list[tuple[int, int]]:
+def _neighbours(positions: list[ArrayPlace]) -> list[tuple[int, int]]:
     """(first, how many) of numbers that lie side by side in memory."""
     runs = [[0, 1]]
     for i in range(1, len(positions)):

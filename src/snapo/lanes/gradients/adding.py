@@ -7,13 +7,13 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.nest import fetch, nest
 from ..emit.ref import Ref
-from ..emit.storage import Place, Small
+from ..emit.storage import ArrayPlace, Small
 from ..emit.values import Values
 from ..program.program import BIG, Value
 from .ranges import ranges
 
 
-def add(values: Values, value: Value, target: Place) -> None:
+def add(values: Values, value: Value, target: ArrayPlace) -> None:
     """Adds a value, summed over lanes, to float64 memory of the same shape."""
     if value.constant is not None and not np.any(value.constant):
         return
@@ -27,7 +27,7 @@ def add(values: Values, value: Value, target: Place) -> None:
         add_number(code, target, position, fetch(code, source, position))
 
 
-def add_number(code: Code, target: Place, position, x: Ref) -> None:
+def add_number(code: Code, target: ArrayPlace, position, x: Ref) -> None:
     """Adds a number, summed over lanes, to one element of float64 memory."""
     if x.value is not None and x.value == 0:
         return
@@ -45,11 +45,11 @@ def total(code: Code, x: Ref) -> Ref:
     return Ref(code.raw(f"insertelement <1 x double> poison, double {scalar}, i64 0"), "float64", 1)
 
 
-def add_rows(code: Code, position: Place, stride: str, count: str, target: Place) -> None:
+def add_rows(code: Code, position: ArrayPlace, stride: str, count: str, target: ArrayPlace) -> None:
     """Adds every element's sum over lanes and steps, some elements side by side."""
     size = math.prod(position.shape)
-    flat = Place(position.base, position.offset, (size,), (1,), position.dtype, position.lanes)
-    into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
+    flat = ArrayPlace(position.base, position.offset, (size,), (1,), position.dtype, position.lanes)
+    into = ArrayPlace(target.base, target.offset, (size,), (1,), target.dtype, 1)
 
     def some(first: str, number: int) -> None:
         start = flat.address(code, [first])

@@ -26,11 +26,11 @@ class Gradients:
 
     items: list[Gradient]
 
-    def wanted(self) -> list[Value]:
+    def required(self) -> list[Value]:
         """Everything the reverse sweep must bring about."""
         return [v for g in self.items for v in g.rest] + [v for g in self.items for v in g.factors]
 
-    def kept(self, later: set[Value]) -> set[Value]:
+    def stored(self, later: set[Value]) -> set[Value]:
         """Factors that the forward sweep must store; `later` belongs to the reverse sweep."""
         return {v for g in self.items for v in g.factors if v not in later}
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from ..emit.code import Code
 from ..emit.shared import Shared
-from ..emit.storage import Layout, Place
+from ..emit.storage import ArrayPlace, Layout
 from ..program.outer import Outer
 from ..program.program import Value
 from .adding import add_rows
@@ -37,25 +37,25 @@ class Rows:
     def row(self, code: Code, chunk: str, slot: str) -> str:
         return code.pointer(chunk, code.index(f"mul nsw i64 {slot}, {self.layout.stride}"))
 
-    def homes(self, row: str) -> dict[Value, Place]:
-        return {value: self.layout.place(value, row) for value in self.fields}
+    def homes(self, row: str) -> dict[Value, ArrayPlace]:
+        return {value: self.layout.address(value, row) for value in self.fields}
 
-    def place(self, value: Value, tape_row: str, chunk_row: str) -> tuple[Place, str]:
+    def address(self, value: Value, tape_row: str, chunk_row: str) -> tuple[ArrayPlace, str]:
         """Where a value lies, and the distance to the next step's."""
         if value in self.taped:
-            return self.tape.place(value, tape_row), "%stride"
-        return self.layout.place(value, chunk_row), str(self.layout.stride)
+            return self.tape.address(value, tape_row), "%stride"
+        return self.layout.address(value, chunk_row), str(self.layout.stride)
 
     def gather(self, code: Code, sums: Shared, tape_row: str, chunk_row: str, count: str) -> None:
         """Adds up the waiting steps of all that belongs to the whole call.
 
         A vector that is summed alone (a bias) rides along where it is also a product's rows.
         """
-        alone: dict[Value, list[Place]] = {}
-        products: list[tuple[Outer, Place]] = []
+        alone: dict[Value, list[ArrayPlace]] = {}
+        products: list[tuple[Outer, ArrayPlace]] = []
         for g in self.gradients.items:
             if sums.of_call(g.leaf):
-                target = sums.place(g.leaf)
+                target = sums.address(g.leaf)
                 products += [(t, target) for t in g.terms]
                 for value in g.rest:
                     alone.setdefault(value, []).append(target)
@@ -64,7 +64,7 @@ class Rows:
             along = riding.pop() if riding else None
             self.product(code, t, target, tape_row, chunk_row, count, along)
         for value, targets in alone.items():
-            position, stride = self.place(value, tape_row, chunk_row)
+            position, stride = self.address(value, tape_row, chunk_row)
             for target in targets:
                 add_rows(code, position, stride, count, target)
 
@@ -72,15 +72,15 @@ class Rows:
         self,
         code: Code,
         t: Outer,
-        target: Place,
+        target: ArrayPlace,
         tape_row: str,
         chunk_row: str,
         count: str,
-        along: Place | None = None,
+        along: ArrayPlace | None = None,
     ) -> None:
         """Adds the sum over steps of rows x columns to the target, that of the rows to `along`."""
-        a, stride_a = self.place(t.rows, tape_row, chunk_row)
-        b, stride_b = self.place(t.columns, tape_row, chunk_row)
+        a, stride_a = self.address(t.rows, tape_row, chunk_row)
+        b, stride_b = self.address(t.columns, tape_row, chunk_row)
         sizes = t.rows.size, t.columns.size
         name = product_function(code.module, sizes, t.rows.dtype.name, along is not None)
         p, q = code.pointer(a.base, a.offset), code.pointer(b.base, b.offset)

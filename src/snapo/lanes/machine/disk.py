@@ -13,12 +13,12 @@ from .pipeline import PIPELINE
 
 MARK = b"snapo kernel 2\n"  # of the layout: mark, checksum of name and code, code
 CHECKSUM = 32
-MOST_BYTES = 512 * 2**20  # of the folder; what was used longest ago goes first
-MOST_SECONDS = 60 * 86_400  # that code stays unused
+MAX_BYTES = 512 * 2**20  # of the folder; what was used longest ago goes first
+MAX_SECONDS = 60 * 86_400  # that code stays unused
 ENDING = ".o"
 
 
-def kept(text: str, folder: Path) -> bytes:
+def cached(text: str, folder: Path) -> bytes:
     """Machine code for this text, from the folder where it was made before.
 
     The name of a file is a hash of the text and of the pipeline's identity: code that other passes
@@ -60,7 +60,7 @@ def evict(folder: Path) -> None:
     size, now = 0, time.time()
     for used, bytes_, path in sorted(rows, reverse=True):
         size += bytes_
-        if size > MOST_BYTES or now - used > MOST_SECONDS:
+        if size > MAX_BYTES or now - used > MAX_SECONDS:
             with suppress(OSError):
                 os.unlink(path)
 

@@ -27,7 +27,7 @@ class Memory:
         """Adds an array that lies elsewhere."""
         self.rows[name], self.where[name] = array, address(array)
 
-    def holds(self, sizes: dict[str, int]) -> bool:
+    def suffices(self, sizes: dict[str, int]) -> bool:
         """Whether every row has at least its size."""
         return all(self.rows[name].size >= size for name, size in sizes.items())
 

@@ -19,7 +19,7 @@ def cores() -> int:
 
 
 @contextmanager
-def beside(work: Callable[[], object]) -> Iterator[None]:
+def in_thread(work: Callable[[], object]) -> Iterator[None]:
     """Does the work in a thread of its own, beside the block, which waits for it at its end.
 
     It is for what is done again where it is missing, such as compiling: a failure is silent.
@@ -89,8 +89,8 @@ class Helper(threading.Thread):
 
     def __init__(self):
         super().__init__(name="lanes", daemon=True)
-        self.begin = threading.Lock()
-        self.begin.acquire()
+        self.gate = threading.Lock()
+        self.gate.acquire()
         self.start()
 
     def take(self, work: Callable[[], None]) -> threading.Lock:
@@ -98,12 +98,12 @@ class Helper(threading.Thread):
         done = threading.Lock()
         done.acquire()
         self.task = work, done
-        self.begin.release()
+        self.gate.release()
         return done
 
     def run(self) -> None:
         while True:
-            self.begin.acquire()
+            self.gate.acquire()
             work, done = self.task
             work()
             del work, self.task  # memory that the work held is free before the caller goes on

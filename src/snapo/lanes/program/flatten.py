@@ -82,7 +82,7 @@ class Flattener:
 
     def add(self, name, inputs, avals, params, line="") -> list[Value]:
         """Appends an operation, or folds it when everything it reads is known."""
-        if any(not numbers.known(a.dtype) for a in avals):
+        if any(not numbers.supported(a.dtype) for a in avals):
             raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
         inputs = [v if v.size else constant(np.zeros(v.shape, v.dtype)) for v in inputs]
         if name == "concatenate":

@@ -43,7 +43,7 @@ def joint(
     moving: Sequence[int],
     path_avals: Sequence[Any] = (),
     path_active: Sequence[int] = (),
-    bound: Callable | None = None,
+    clip: Callable | None = None,
     own_path: bool = True,
 ) -> Joint:
     """Traces a piece with its transpose; `moving` are the outputs that have cotangents.
@@ -70,13 +70,13 @@ def joint(
 
         _, pull, outputs = jax.vjp(run, *(inputs[s] for s in slots), has_aux=True)
         back = list(pull(list(cotangents)))
-        if bound is not None:
-            back[len(reads) :] = bound(back[len(reads) :], outputs, *extra)
+        if clip is not None:
+            back[len(reads) :] = clip(back[len(reads) :], outputs, *extra)
         return [*outputs, *back]
 
     shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in piece.outputs]
     tail = [shapes[i] for i in moving]
-    extra = [] if bound is None else [jax.ShapeDtypeStruct((2,), tail[0].dtype)]
+    extra = [] if clip is None else [jax.ShapeDtypeStruct((2,), tail[0].dtype)]
     closed = jax.make_jaxpr(both)(*avals, *tail, *extra)
     lanes = _lanes(piece, path_avals, own_path, len(tail) + len(extra))
     program = flatten(closed, lanes)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..emit.storage import Place, Small, row_major
+from ..emit.storage import ArrayPlace, Small, row_major
 from ..emit.values import Values
 from ..program import folding
 from ..program.program import BIG, Op, Value
@@ -15,13 +15,14 @@ Rule = Callable[[Values, Op], None]
 
 
 def rearranged(
-    small: Callable[[Op, np.ndarray], np.ndarray], strided: Callable[[Op, Place], Place | None]
+    small: Callable[[Op, np.ndarray], np.ndarray],
+    strided: Callable[[Op, ArrayPlace], ArrayPlace | None],
 ) -> Rule:
     """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
 
     def rule(values: Values, op: Op) -> None:
         available = values.get(op.inputs[0])
-        if isinstance(available, Place):
+        if isinstance(available, ArrayPlace):
             view = strided(op, available)
             if view is not None:
                 values.bind(op.outputs[0], view)
@@ -42,7 +43,7 @@ def _broadcast(op: Op, items: np.ndarray) -> np.ndarray:
     return folding.broadcast(items, op.params["shape"], op.params["broadcast_dimensions"])
 
 
-def _broadcast_place(op: Op, position: Place) -> Place:
+def _broadcast_place(op: Op, position: ArrayPlace) -> ArrayPlace:
     shape, dims = op.params["shape"], op.params["broadcast_dimensions"]
     strides = [0] * len(shape)
     for axis, size, stride in zip(dims, position.shape, position.strides):
@@ -54,7 +55,7 @@ def _reshape(op: Op, items: np.ndarray) -> np.ndarray:
     return items.reshape(op.outputs[0].shape)
 
 
-def _reshape_place(op: Op, position: Place) -> Place | None:
+def _reshape_place(op: Op, position: ArrayPlace) -> ArrayPlace | None:
     """A view, unless the elements do not lie in order."""
     shape = op.outputs[0].shape
     if position.contiguous:
@@ -68,7 +69,7 @@ def _reshape_place(op: Op, position: Place) -> Place | None:
     return None
 
 
-def _transpose_place(op: Op, position: Place) -> Place:
+def _transpose_place(op: Op, position: ArrayPlace) -> ArrayPlace:
     order = op.params["permutation"]
     return replace(
         position,
@@ -77,13 +78,13 @@ def _transpose_place(op: Op, position: Place) -> Place:
     )
 
 
-def _slice_place(op: Op, position: Place) -> Place:
+def _slice_place(op: Op, position: ArrayPlace) -> ArrayPlace:
     return sliced(
         position, [(s.start, s.step) for s in folding.slices(op.params)], op.outputs[0].shape
     )
 
 
-def sliced(position: Place, starts, shape) -> Place:
+def sliced(position: ArrayPlace, starts, shape) -> ArrayPlace:
     """The view from `starts` = (start, step) along every axis."""
     offset = sum(int(start) * stride for (start, _), stride in zip(starts, position.strides))
     strides = tuple(stride * step for (_, step), stride in zip(starts, position.strides))
@@ -95,7 +96,7 @@ def sliced(position: Place, starts, shape) -> Place:
     )
 
 
-def _reverse_place(op: Op, position: Place) -> Place:
+def _reverse_place(op: Op, position: ArrayPlace) -> ArrayPlace:
     axes = op.params["dimensions"]
     starts = [(n - 1, -1) if i in axes else (0, 1) for i, n in enumerate(position.shape)]
     return sliced(position, starts, position.shape)
@@ -172,7 +173,7 @@ def _cropped(values: Values, op: Op, x: Value, config):
     shape = tuple(stop - start for start, stop in limits)
     part = Value(shape, x.dtype, x.path)
     available = values.get(x)
-    if isinstance(available, Place):
+    if isinstance(available, ArrayPlace):
         values.bind(part, sliced(available, [(start, 1) for start, _ in limits], shape))
     else:
         values.set(part, available.items[tuple(slice(*limit) for limit in limits)])
@@ -197,7 +198,7 @@ def _split(values: Values, op: Op) -> None:
     available = values.get(op.inputs[0])
     for out in op.outputs:
         size = out.shape[axis]
-        if isinstance(available, Place):
+        if isinstance(available, ArrayPlace):
             starts = [(start if a == axis else 0, 1) for a in range(len(out.shape))]
             values.bind(out, sliced(available, starts, out.shape))
         else:
@@ -209,7 +210,7 @@ def _unstack(values: Values, op: Op) -> None:
     axis = op.params["axis"]
     available = values.get(op.inputs[0])
     for i, out in enumerate(op.outputs):
-        if isinstance(available, Place):
+        if isinstance(available, ArrayPlace):
             starts = [(i if a == axis else 0, 1) for a in range(len(available.shape))]
             part = sliced(available, starts, available.shape)
             strides = tuple(s for a, s in enumerate(part.strides) if a != axis)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..emit.code import Code
 from ..emit.ref import Ref
-from ..emit.storage import Place
+from ..emit.storage import ArrayPlace
 from ..emit.values import Values
 from ..program.program import Op, Value
 
@@ -51,8 +51,8 @@ def dot(values: Values, op: Op, finish: Finish | None = None) -> None:
             values, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes
         )
         return
-    left = _axes(values.place(a), batch_a, free_a, contract_a)
-    right = _axes(values.place(b), batch_b, free_b, contract_b)
+    left = _axes(values.in_memory(a), batch_a, free_a, contract_a)
+    right = _axes(values.in_memory(b), batch_b, free_b, contract_b)
     finish = finish or _stored(values, op.outputs[0])
     tiled(values.code, left, right, op.outputs[0], sizes, finish)
 
@@ -69,7 +69,7 @@ def _count(v: Value, axes) -> int:
     return math.prod([v.shape[i] for i in axes])
 
 
-def _axes(position: Place, *groups) -> list[Any]:
+def _axes(position: ArrayPlace, *groups) -> list[Any]:
     """For every group of axes, (size, stride) pairs of this place."""
     return [
         position,
@@ -180,7 +180,7 @@ def _plus(code: Code, first, r):
     return code.index(f"add nsw i64 {first}, {r}") if r else first
 
 
-def _at(code: Code, location: Place, moves) -> Place:
+def _at(code: Code, location: ArrayPlace, moves) -> ArrayPlace:
     """The place seen from given positions along groups of axes; the result has no axes."""
     pointer, fixed = location.base, location.offset
     dynamic = []
@@ -206,7 +206,7 @@ def _at(code: Code, location: Place, moves) -> Place:
     for part, scale in dynamic:
         if scale:
             pointer = code.pointer(pointer, code.index(f"mul nsw i64 {part}, {scale}"))
-    return Place(pointer, fixed, (), (), location.dtype, location.lanes, location.invariant)
+    return ArrayPlace(pointer, fixed, (), (), location.dtype, location.lanes, location.invariant)
 
 
 def _merged(axes) -> list[int]:

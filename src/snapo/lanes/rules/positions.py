@@ -8,7 +8,7 @@ import numpy as np
 
 from ..emit.code import Code
 from ..emit.ref import Ref
-from ..emit.storage import Place, Small
+from ..emit.storage import ArrayPlace, Small
 from ..emit.values import Values
 from ..program.program import BIG, Op, Value
 from ..unsupported import Unsupported
@@ -102,7 +102,7 @@ def read(values: Values, x: Value, position: list[Start]) -> Ref:
     ):
         candidates = [_element(values, x, position, moving, i) for i in range(count)]
         return lookup(code, flat, candidates) if count > 1 else candidates[0]
-    return load(code, values.place(x), position)
+    return load(code, values.in_memory(x), position)
 
 
 def flat_index(code: Code, shape, position, moving) -> tuple[Ref, int]:
@@ -133,7 +133,7 @@ def _element(values: Values, x: Value, position, moving, number: int) -> Ref:
     return values.small(x)[tuple(at)] if x.size <= 4 * BIG else read(values, x, at)
 
 
-def load(code: Code, location: Place, position) -> Ref:
+def load(code: Code, location: ArrayPlace, position) -> Ref:
     """One element from memory, at a position of which some part is in registers."""
     pointers, lanes, uniform = addresses(code, location, position)
     if uniform:
@@ -141,7 +141,7 @@ def load(code: Code, location: Place, position) -> Ref:
     return code.gather_at(pointers, lanes, location.dtype)
 
 
-def addresses(code: Code, location: Place, position):
+def addresses(code: Code, location: ArrayPlace, position):
     """Addresses of one element in every lane; one address where all lanes agree."""
     fixed = [p if isinstance(p, int) else 0 for p in position]
     base = location.address(code, fixed)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..emit.nest import nest
 from ..emit.ref import Ref
-from ..emit.storage import Place, Small
+from ..emit.storage import ArrayPlace, Small
 from ..emit.values import Values
 from ..program.program import BIG, Op, Value
 from ..unsupported import Unsupported
@@ -44,7 +44,7 @@ def _reduce(values: Values, op: Op) -> None:
         refs = [_fold(values, name, x, list(row), op.where) for row in items]
         values.set(out, np.array([*refs, None], object)[:-1].reshape(out.shape))
         return
-    available = values.place(x)
+    available = values.in_memory(x)
     order = [*selected, *axes]
     view = replace(
         available,
@@ -78,7 +78,7 @@ def _fold(values: Values, name: str, like: Value, refs: list[Ref], where: str) -
 
 
 def _accumulate(
-    values: Values, name, like: Value, view: Place, position, selected: int, where: str
+    values: Values, name, like: Value, view: ArrayPlace, position, selected: int, where: str
 ) -> Ref:
     """One output element: a loop over the reduced axes, taken as one where they lie in order."""
     code = values.code

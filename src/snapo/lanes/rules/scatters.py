@@ -6,7 +6,7 @@ import numpy as np
 
 from ..emit.code import Code
 from ..emit.ref import Ref
-from ..emit.storage import Place, Small
+from ..emit.storage import ArrayPlace, Small
 from ..emit.values import Values
 from ..program.program import BIG, Op, Value
 from ..unsupported import Unsupported
@@ -116,7 +116,7 @@ def _write_small(values: Values, items, at, new: Ref, valid, combine) -> None:
         items[tuple(position)] = _merge(code, items[tuple(position)], new, hit, combine)
 
 
-def _write_memory(code: Code, target: Place, at, new: Ref, valid, combine, op: Op) -> None:
+def _write_memory(code: Code, target: ArrayPlace, at, new: Ref, valid, combine, op: Op) -> None:
     if all(isinstance(p, int) for p in at):
         old = target.read(code, at)
         target.write(code, at, _merge(code, old, new, valid, combine))

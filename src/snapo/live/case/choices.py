@@ -63,7 +63,7 @@ def _family(table: Any) -> bool:
 
 Tried = Callable[[Files], Any]
 LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
-MOST_KEYS, MOST_WORDS = 60, 12
+MAX_KEYS, MAX_WORDS = 60, 12
 
 
 class Choice(NamedTuple):
@@ -85,7 +85,7 @@ def choices(files: Files, bumped: Tried) -> list[Choice]:
     menus = []
     options = _options(files, bumped)
     stated = [key for key in _keys(files) if key in options]
-    for key in [*stated, *(key for key in options if key not in stated)][:MOST_KEYS]:
+    for key in [*stated, *(key for key in options if key not in stated)][:MAX_KEYS]:
         value, text = options[key]
         others = [word for word in text if word != value and _holds(files, key, word, bumped)]
         if others:
@@ -94,7 +94,7 @@ def choices(files: Files, bumped: Tried) -> list[Choice]:
     return menus
 
 
-def chosen(files: Files, available: Sequence[Choice], requested: Mapping[str, Any]) -> Files:
+def case_with(files: Files, available: Sequence[Choice], requested: Mapping[str, Any]) -> Files:
     """The case with other values of these keys.
 
     **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.
@@ -132,7 +132,7 @@ def _options(files: Files, bumped: Tried) -> dict[Key, tuple[str | bool, list[st
         for key, options in table.options.items():
             default = table.fields[key].default if key in table.fields else None
             value = table.data.get(key, default)
-            text = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MOST_WORDS]
+            text = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MAX_WORDS]
             if value in text and len(text) > 1 and (path or key not in LEFT):
                 menus[(*path, key)] = value, text
     return menus

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import NUMBER, Mention, read_rows
+from snapo.case.csv import NUMBER, FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import Copies, FilePosition, Given, SheetCell
+from snapo.case.given import CaseInput, Copies, FilePosition, SheetCell
 from snapo.case.table import Section
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
@@ -93,7 +93,7 @@ def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
 def _sheet(folder: Path, name: str) -> Sheet:
     """A CSV as a case reads it: with decimal points, and dates YYYY-MM-DD."""
     try:
-        rows = read_rows(Mention(Section(folder / "case.toml", "", []), "", name), ())
+        rows = read_rows(FileReference(Section(folder / "case.toml", "", []), "", name), ())
     except CaseError:  # its reader has other rules
         return Sheet([], [], [])
     header = list(rows[0].cells)
@@ -101,7 +101,7 @@ def _sheet(folder: Path, name: str) -> Sheet:
     return Sheet(header, texts, [row.line for row in rows])
 
 
-def with_numbers(files: Files, entry: Given, numbers: np.ndarray) -> Files:
+def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
     """The files of a case with other numbers in the positions of an input.
 
     Days that share the line of their month stay there while they are equal; else each has a line.
@@ -109,7 +109,7 @@ def with_numbers(files: Files, entry: Given, numbers: np.ndarray) -> Files:
     **Raises:** `CaseError` for a number that no file has, or that is in a file which is no CSV.
     """
     changes: dict[FilePosition, dict[str, float]] = {}
-    for i, (position, label) in enumerate(zip(entry.places, entry.labels)):
+    for i, (position, label) in enumerate(zip(entry.positions, entry.labels)):
         number = float(numbers.ravel()[i])
         if position is not None:
             changes.setdefault(position, {})[label] = number

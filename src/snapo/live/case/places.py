@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.problem.inputs import Input
 
 from .files import Files, with_numbers
@@ -29,9 +29,9 @@ def numbers_of(case: Any) -> dict[str, np.ndarray]:
     return {name: _values(entry) for name, entry in inputs_in(case, "", set())}
 
 
-def inputs_in(record: Any, name: str, visited: set[int]) -> Iterator[tuple[str, Given | Input]]:
+def inputs_in(record: Any, name: str, visited: set[int]) -> Iterator[tuple[str, CaseInput | Input]]:
     """(name, numbers) of all inputs in a record, in its records, tuples, lists and mappings."""
-    if isinstance(record, Given | Input):
+    if isinstance(record, CaseInput | Input):
         if _values(record).size:
             yield getattr(record, "name", name), record
         return
@@ -50,24 +50,24 @@ def inputs_in(record: Any, name: str, visited: set[int]) -> Iterator[tuple[str, 
         yield from inputs_in(item, key, visited)
 
 
-def _values(entry: Given | Input) -> np.ndarray:
-    return entry.values if isinstance(entry, Given) else entry.value
+def _values(entry: CaseInput | Input) -> np.ndarray:
+    return entry.values if isinstance(entry, CaseInput) else entry.value
 
 
 Read = Callable[[Path, Mapping[str, Any]], Any]
 Inputs = Callable[[Any], Mapping[str, Input]]
 LITTLE = 2.0**-20  # relative, of the move by which a place is tried
-MOST = 60  # places tried for one input
+MAXIMUM = 60  # places tried for one input
 
 
-class Moved(NamedTuple):
+class ChangedCase(NamedTuple):
     """A case with other numbers: its files, and its records as its domain reads them."""
 
     files: Files
     case: Any
 
 
-class Places:
+class InputPositions:
     """The places of a case's inputs; one that its reader did not record is looked for when needed.
 
     - `of`: gives the inputs of a case by name, where the domain says them; else they are found
@@ -84,7 +84,7 @@ class Places:
         case: Any = None,
     ):
         self.read, self.files, self.inputs, self.of = read, files, inputs, of
-        self.case = self.again(files) if case is None else case
+        self.case = self.reread(files) if case is None else case
         self._places: dict[str, Put | None] = {}
 
     @cached_property
@@ -93,17 +93,21 @@ class Places:
         return self._numbers(self.case)
 
     @cached_property
-    def recorded(self) -> dict[str, Given]:
+    def recorded(self) -> dict[str, CaseInput]:
         """{name: numbers} of the inputs whose positions their reader recorded."""
         entries = dict(inputs_in(self.case, "", set()))
-        recorded = {name: x for name, x in entries.items() if isinstance(x, Given) and x.places}
+        recorded = {
+            name: x for name, x in entries.items() if isinstance(x, CaseInput) and x.positions
+        }
         for name, digits in getattr(self.case, "positions", {}).items():
             x = self.inputs[name]
             index = np.arange(x.value.size)
-            recorded[name] = Given(name, x.value.ravel(), x.names(), x.unit, index, places=digits)
+            recorded[name] = CaseInput(
+                name, x.value.ravel(), x.names(), x.unit, index, positions=digits
+            )
         return recorded
 
-    def moved(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> Moved:
+    def case_at(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> ChangedCase:
         """The case in which the inputs named have these values; `files`: another case to put them
         into.
 
@@ -112,24 +116,24 @@ class Places:
         """
         files = self.files if files is None else files
         for name, requested in values.items():
-            put = self.place(name)
+            put = self.writer(name)
             if put is None:
                 message = "this input cannot be written into the files of the case"
                 raise CaseError(name, "", None, message)
             files = put(files, requested)
-        case = self.again(files)
+        case = self.reread(files)
         numbers = self._numbers(case)
         for name, requested in values.items():
             if name not in numbers or not np.array_equal(numbers[name].ravel(), requested.ravel()):
                 raise CaseError(name, "", None, "the case does not hold this number as it is")
-        return Moved(files, case)
+        return ChangedCase(files, case)
 
-    def place(self, name: str) -> Put | None:
+    def writer(self, name: str) -> Put | None:
         """How numbers of an input are written; None where no place of it was found."""
         if name in self.recorded:
             return lambda files, numbers: with_numbers(files, self.recorded[name], numbers)
         if name not in self._places:
-            candidates = islice(guesses(self.files, name, self.inputs[name]), MOST)
+            candidates = islice(guesses(self.files, name, self.inputs[name]), MAXIMUM)
             self._places[name] = next(filter(partial(self._holds, name), candidates), None)
         return self._places[name]
 
@@ -138,7 +142,7 @@ class Places:
             return numbers_of(case)
         return {name: values.value for name, values in self.of(case).items()}
 
-    def again(self, files: Files) -> Any:
+    def reread(self, files: Files) -> Any:
         """The case in these files, as its domain reads it."""
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as folder:
             return self.read(files.write(Path(folder)), files.tables)
@@ -148,7 +152,7 @@ class Places:
         for step in (LITTLE, -LITTLE):
             requested = _little_moved(self.inputs[name], step)
             try:
-                numbers = self._numbers(self.again(put(self.files, requested)))
+                numbers = self._numbers(self.reread(put(self.files, requested)))
             except CaseError:
                 continue
             same = name in numbers and all(

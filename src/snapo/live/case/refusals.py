@@ -13,7 +13,7 @@ from snapo.report.quantity import number, power, unit_words
 from ..terms import own_unit
 
 MUCH = 1e9  # from which a power of ten reads better
-MOST = 6  # moved inputs that are tried one by one
+MAXIMUM = 6  # moved inputs that are tried one by one
 
 
 def no_value(
@@ -58,7 +58,7 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
     `moved`: names of the inputs and choices that differ from the run's.
     """
     text = f"{type(error).__name__}: {error}"[:500].rstrip(".")
-    at = f" with {', '.join(moved[:MOST])} moved" if moved else ""
+    at = f" with {', '.join(moved[:MAXIMUM])} moved" if moved else ""
     frames = [
         (frame.f_code, line)
         for frame, line in walk_tb(error.__traceback__)

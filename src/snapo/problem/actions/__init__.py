@@ -5,6 +5,6 @@ from .box import Box as Box
 from .choice import Choice as Choice
 from .integers import Integers as Integers
 from .product import Product as Product
-from .product import holds as holds
+from .product import contains as contains
 from .simplex import Simplex as Simplex
 from .stop import Stop as Stop

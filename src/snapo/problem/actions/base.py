@@ -44,7 +44,7 @@ class Actions(eqx.Module):
         return action
 
     @property
-    def explores(self) -> int:
+    def exploration_size(self) -> int:
         """How many normals `explore` takes; 0 for a set whose smooth form explores by itself."""
         return 0
 

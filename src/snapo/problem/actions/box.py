@@ -121,7 +121,7 @@ class Box(Actions):
         return smooth.clip(base + correction, low, high, scale=width)
 
     @property
-    def explores(self) -> int:
+    def exploration_size(self) -> int:
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:

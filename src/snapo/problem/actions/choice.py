@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..smooth import Exact
 from .base import ROUNDING, Actions, count
 
-LEAST = 1e-6  # a probability whose logarithm is still taken
+MINIMUM = 1e-6  # a probability whose logarithm is still taken
 LARGEST = 0.12  # share of the scale that the root mean square of scores stays below
 
 
@@ -53,7 +53,7 @@ class Choice(Actions):
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
         """Weights whose scores are the logarithms of `base` plus a correction."""
-        return smooth.weights(jnp.log(jnp.maximum(base, LEAST)) + correction, self.scale)
+        return smooth.weights(jnp.log(jnp.maximum(base, MINIMUM)) + correction, self.scale)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         return smooth.weights(action) if isinstance(smooth, Exact) else action

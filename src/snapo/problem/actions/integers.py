@@ -55,7 +55,7 @@ class Integers(Actions):
         return self.settle(self.box.near(base, correction, smooth), smooth)
 
     @property
-    def explores(self) -> int:
+    def exploration_size(self) -> int:
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:

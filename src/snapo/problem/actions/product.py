@@ -11,14 +11,14 @@ from jaxtyping import Array, Float
 from .base import Actions
 
 
-def holds(action: Actions, kind: type[Actions]) -> bool:
+def contains(action: Actions, kind: type[Actions]) -> bool:
     """Whether a decision, or one of those in a `Product`, lies in a set of this kind.
 
     >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
     True
     """
     if isinstance(action, Product):
-        return any(holds(item, kind) for item in action.sets)
+        return any(contains(item, kind) for item in action.sets)
     return isinstance(action, kind)
 
 
@@ -91,16 +91,16 @@ class Product(Actions):
         return self._each(lambda item, part: item.settle(part, smooth), action)
 
     @property
-    def explores(self) -> int:
-        return sum(item.explores for item in self.sets)
+    def exploration_size(self) -> int:
+        return sum(item.exploration_size for item in self.sets)
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
         """Each part in its own set, with its own normals."""
         explores, first, parts = [], 0, self.parts(action)
         for name, item in zip(self.names, self.sets):
-            local = normals[first : first + item.explores]
+            local = normals[first : first + item.exploration_size]
             explores.append(item.explore(parts[name], local, share))
-            first += item.explores
+            first += item.exploration_size
         return jnp.concatenate(explores)
 
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:

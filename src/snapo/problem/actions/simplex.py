@@ -30,7 +30,7 @@ class Simplex(Actions):
         return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
 
     @property
-    def explores(self) -> int:
+    def exploration_size(self) -> int:
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:

@@ -21,7 +21,7 @@ MOVES = {
 }  # fmt: skip
 
 
-def moved(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
+def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The outputs of one such operation.
 
     **Raises:** `ValueError` where an index depends on the observation, or leaves its array.
@@ -147,7 +147,7 @@ def _operation(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tenso
     if name == "unstack":
         return unstacked(graph, equation, tensors)
     if name in MOVES:
-        return moved(graph, equation, tensors)
+        return translated(graph, equation, tensors)
     if name not in RULES:
         raise ValueError(
             f"to_onnx: this policy uses the operation {name}, which is not exported; write it with "

@@ -44,13 +44,13 @@ class Graph:
         batched = any(entry.batched for entry in inputs)
         return Tensor(name, tuple(shape), np.dtype(dtype), batched)
 
-    def whole(self, numbers: Sequence[int]) -> Tensor:
+    def integers(self, numbers: Sequence[int]) -> Tensor:
         """A constant of 64-bit integers, as shapes and axes are given."""
         return self.constant(np.array(numbers, np.int64))
 
     def reshaped(self, value: Tensor, shape: Sequence[int]) -> Tensor:
         """The same numbers in another shape."""
-        target = self.whole([0, *shape] if value.batched else list(shape))
+        target = self.integers([0, *shape] if value.batched else list(shape))
         return self.node("Reshape", [value, target], shape, value.dtype)
 
     def by_state(self, value: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ class Graph:
         if self._states is None:
             self._states = self.node("Shape", [self.input], (1,), np.int64, start=0, end=1)
             self._states = self._states._replace(batched=False)
-        rest = self.whole(value.shape)
+        rest = self.integers(value.shape)
         target = self.node(
             "Concat", [self._states, rest], (1 + len(value.shape),), np.int64, axis=0
         )

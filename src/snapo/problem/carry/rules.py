@@ -9,7 +9,7 @@ from snapo.lanes.jax_private import arguments_of_scan
 
 from .graph import Graph, Tensor
 
-MOST = 64  # rounds of a loop that are written out
+MAXIMUM = 64  # rounds of a loop that are written out
 
 SAME = {
     "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "max": "Max", "min": "Min",
@@ -142,7 +142,7 @@ def _is_finite(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
 def _reduce(kind: str) -> Callable:
     def rule(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
         (x,) = tensors
-        axes = graph.whole([axis + x.batched for axis in equation.params["axes"]])
+        axes = graph.integers([axis + x.batched for axis in equation.params["axes"]])
         # ReduceMax and ReduceMin take their axes as a setting until version 18 of the operators.
         return graph.node(kind, [x, axes], *_out(equation), keepdims=0)
 
@@ -166,7 +166,7 @@ def _broadcast(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     lined = graph.reshaped(x, [position.get(axis, 1) for axis in range(len(shape))])
     if lined.shape == shape:
         return lined
-    target = graph.whole([1, *shape] if x.batched else shape)
+    target = graph.integers([1, *shape] if x.batched else shape)
     return graph.node("Expand", [lined, target], shape, dtype)
 
 
@@ -192,7 +192,7 @@ def _slice(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     starts, endpoints = settings["start_indices"], settings["limit_indices"]
     strides = settings["strides"] or (1,) * len(starts)
     axes = [i + x.batched for i in range(len(starts))]
-    tensors = [x, *map(graph.whole, (starts, endpoints, axes, strides))]
+    tensors = [x, *map(graph.integers, (starts, endpoints, axes, strides))]
     return graph.node("Slice", tensors, *_out(equation))
 
 
@@ -202,7 +202,7 @@ def unstacked(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor
     shape, dtype = _out(equation)
     parts = []
     for i in range(len(equation.outvars)):
-        where = [x, *map(graph.whole, ((i,), (i + 1,), (axis + x.batched,), (1,)))]
+        where = [x, *map(graph.integers, ((i,), (i + 1,), (axis + x.batched,), (1,)))]
         part = graph.node("Slice", where, (*shape[:axis], 1, *shape[axis:]), dtype)
         parts.append(graph.reshaped(part, shape))
     return parts
@@ -254,8 +254,8 @@ def _matrix(graph: Graph, value: Tensor, axis: int, last: bool) -> Tensor:
 def unrolled(graph: Graph, settings: Any, tensors: list[Tensor], write: Callable) -> list[Tensor]:
     """A loop of a known, small number of rounds that carries values and returns no others."""
     count, carried = arguments_of_scan(settings)
-    if settings["length"] > MOST or len(tensors) != count + carried:
-        raise ValueError(f"to_onnx: a loop of more than {MOST} rounds is not exported.")
+    if settings["length"] > MAXIMUM or len(tensors) != count + carried:
+        raise ValueError(f"to_onnx: a loop of more than {MAXIMUM} rounds is not exported.")
     fixed, moving = tensors[:count], tensors[count:]
     for _ in range(settings["length"]):
         moving = write(graph, settings["jaxpr"].jaxpr, settings["jaxpr"].consts, [*fixed, *moving])

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..code.version import following, of_policy
+from ..code.version import of_policy, read_context
 from ..policy import Policy
 from ..smooth import Exact
 
@@ -55,7 +55,7 @@ def decision_table(
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))
     states[:, [one, two]] = pairs
     version = of_policy(policy, states, observe)
-    with jax.enable_x64(True), following(version):
+    with jax.enable_x64(True), read_context(version):
         action = np.asarray(_decided(policy, observe, jnp.asarray(states)), np.float64)
     table = Decisions(pairs, action)
     if file is not None:

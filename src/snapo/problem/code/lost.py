@@ -19,7 +19,7 @@ from snapo.lanes import jax_private
 from .. import inputs as inputs_
 from ..simulator import Simulator
 from ..smooth import Exact, Smooth
-from .version import following
+from .version import read_context
 
 ROUNDING = ("floor", "ceil", "round", "sign", "nextafter")
 COMPARING = ("lt", "gt", "le", "ge", "eq", "ne")
@@ -29,12 +29,12 @@ class Reach(NamedTuple):
     """Of a number: the inputs that move it and those it has a slope in, as sets of bits, and
     whether it differs by path."""
 
-    moved: int = 0
+    bumped: int = 0
     slope: int = 0
     by_path: bool = False
 
     def __or__(self, other: Any) -> "Reach":
-        moved, slope = self.moved | other.moved, self.slope | other.slope
+        moved, slope = self.bumped | other.moved, self.slope | other.slope
         return Reach(moved, slope, self.by_path or other.by_path)
 
 
@@ -48,15 +48,15 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     Decisions are held: what moves them alone has rightly none. What `jax.lax.stop_gradient` takes
     is left out, as its author wants no derivative there.
     """
-    names = [entry.name for entry in inputs_.named(inputs)]
+    names = [entry.name for entry in inputs_.named_inputs(inputs)]
     values = inputs_.values(inputs)
     if len(names) != len(values):
         return {}
     total, cuts = Reach(), []
     for smooth in (Exact(), Smooth(0.1)):
-        with jax.enable_x64(True), following(object()):
+        with jax.enable_x64(True), read_context(object()):
             total |= _reach(simulator, inputs, values, smooth, cuts)
-    cut = total.moved & ~total.slope
+    cut = total.bumped & ~total.slope
     return {
         name: [eqn for eqn, inputs in cuts if inputs >> i & 1]
         for i, name in enumerate(names)
@@ -110,7 +110,7 @@ def _results(
         before = [of(x) for x in eqn.invars]
         after = _through(eqn, before)
         reach.update(zip(eqn.outvars, after))
-        ended = _union(before).slope & _union(after).moved & ~_union(after).slope
+        ended = _union(before).slope & _union(after).bumped & ~_union(after).slope
         if ended and cuts is not None:
             cuts.append((eqn, ended))
     return [of(x) for x in jaxpr.outvars]

@@ -35,7 +35,7 @@ def preparation(simulator: Any, inputs: PyTree) -> Text:
 def path(simulator: Any, policy: Any) -> Callable[..., Any]:
     """One path's start, step and end, exact and smooth."""
 
-    def whole(constants, now, initial, noise, action) -> Any:
+    def step(constants, now, initial, noise, action) -> Any:
         state = simulator.initial(constants, initial)
         made = [state, simulator.state_scale(constants)]
         for smooth in (Exact(), Smooth(0.1)):
@@ -46,7 +46,7 @@ def path(simulator: Any, policy: Any) -> Callable[..., Any]:
             made.append(dict(simulator.slack(constants, now, after, outputs)))
         return eqx.filter(made, eqx.is_array)
 
-    return whole
+    return step
 
 
 def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:

@@ -28,7 +28,7 @@ Version = int | None
 P = ParamSpec("P")
 R = TypeVar("R")
 
-following: Callable[[Hashable], AbstractContextManager] = jax.make_user_context(None)
+read_context: Callable[[Hashable], AbstractContextManager] = jax.make_user_context(None)
 _held: ContextVar[dict | None] = ContextVar("held", default=None)
 
 
@@ -50,7 +50,7 @@ def followed(function: Callable[P, R], version: Version) -> Callable[P, R]:
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        with following(version):
+        with read_context(version):
             return function(*args, **kwargs)
 
     return call
@@ -98,7 +98,7 @@ def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
 
 def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> Version:
     walk = Walk(trees)
-    if not walk.own:
+    if not walk.user_code:
         return None
     available: Hashable = tuple(walk.fixed)
     if walk.moving or walk.unseen:
@@ -106,7 +106,7 @@ def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> 
         content = available, tuple(walk.moving), shapes
         available = (
             available,
-            _programs.of(content, lambda: _digest(trace, content), anew=walk.unseen),
+            _programs.of(content, lambda: _digest(trace, content), read_again=walk.unseen),
         )
     return _versions.of(available, lambda: next(_next))
 
@@ -118,9 +118,9 @@ class _Kept:
         self._found: OrderedDict[Hashable, Any] = OrderedDict()
         self._lock = RLock()  # a trace may ask for another version
 
-    def of(self, key: Hashable, make: Callable[[], Any], anew: bool = False) -> Any:
+    def of(self, key: Hashable, make: Callable[[], Any], read_again: bool = False) -> Any:
         with self._lock:
-            if anew or key not in self._found:
+            if read_again or key not in self._found:
                 self._found[key] = make()
             self._found.move_to_end(key)
             while len(self._found) > KEPT:
@@ -135,7 +135,7 @@ _versions, _programs = _Kept(), _Kept()
 def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
     """A digest of the program that is traced now."""
     try:
-        with following(object()), jax.enable_x64(True):
+        with read_context(object()), jax.enable_x64(True):
             made = repr(trace())
     except Exception as error:  # the call itself will tell of it
         made = type(error).__name__

@@ -63,7 +63,7 @@ def _installed(name: str) -> bool:
 
 PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
 ARRAYS = (np.ndarray, np.generic, jax.Array)
-MOST = 20_000  # things that are looked at; beyond, the rest is not known
+MAXIMUM = 20_000  # things that are looked at; beyond, the rest is not known
 # Entries of a class that no method reads.
 SET_BY_PYTHON = {"_abc_impl", "__annotate__", "__annotate_func__"}
 
@@ -81,7 +81,7 @@ class Walk:
     def __init__(self, trees: Iterable[Any]):
         self.fixed: list[Hashable] = []
         self.moving: list[Hashable] = []
-        self.unseen, self.own, self._made = False, False, False
+        self.unseen, self.user_code, self._made = False, False, False
         self._opened: set[str] = set()
         self._numbers: dict[int, int] = {}
         self._waiting: deque[Any] = deque()
@@ -95,7 +95,7 @@ class Walk:
             self._look(self._waiting.popleft())
             if not self._waiting:
                 self._ask_modules()
-            if len(self._numbers) > MOST:
+            if len(self._numbers) > MAXIMUM:
                 self.unseen = True
                 break
 
@@ -196,7 +196,7 @@ class Walk:
             self._object(x)
 
     def _function(self, x: FunctionType) -> None:
-        self.own = True
+        self.user_code = True
         by_name = names(x.__code__)
         self.unseen |= by_name.unseen
         self._made |= by_name.made
@@ -234,7 +234,7 @@ class Walk:
                 self._value(module, self.fixed)
 
     def _class(self, x: type) -> None:
-        self.own = True
+        self.user_code = True
         self.fixed.append((x.__module__, x.__qualname__))
         for item in x.__mro__[1:]:
             self._value(item, self.fixed)

@@ -47,9 +47,10 @@ class Family:
     members: int = 64
 
     def __post_init__(self):
-        if unknown := set(self.ranges) - set(self.problem.named):
+        if unknown := set(self.ranges) - set(self.problem.inputs_by_name):
             raise ValueError(
-                f"Family: no input {sorted(unknown)}; the inputs are {list(self.problem.named)}."
+                f"Family: no input {sorted(unknown)}; the inputs are "
+                f"{list(self.problem.inputs_by_name)}."
             )
         if not self.ranges:
             raise ValueError("Family: ranges is empty; name at least one input.")
@@ -80,7 +81,7 @@ class Family:
         """
         member = self.problem.at(values)
         for name, (low, high) in self.ranges.items():
-            value = member.named[name].value
+            value = member.inputs_by_name[name].value
             if np.any(value < low) or np.any(value > high):
                 raise ValueError(
                     f"Family: {name} is {value.tolist()}, outside its range {(low, high)}."
@@ -101,7 +102,7 @@ class Family:
         return self._bounds(1)
 
     def _bounds(self, side: int) -> np.ndarray:
-        by_name = self.problem.named
+        by_name = self.problem.inputs_by_name
         shaped = [
             np.broadcast_to(np.asarray(pair[side], np.float64), by_name[name].value.shape)
             for name, pair in self.ranges.items()
@@ -111,7 +112,7 @@ class Family:
     @property
     def _others(self) -> PyTree:
         """The inputs, those named as plain numbers."""
-        names = iter(self.problem.named)
+        names = iter(self.problem.inputs_by_name)
 
         def plain(leaf: Any) -> Any:
             if not inputs_.is_input(leaf):
@@ -125,7 +126,7 @@ class Family:
         # Where each input stands among the leaves of the plain tree that `prepare` gets.
         leaves = jax.tree.leaves(self.problem.inputs, is_leaf=inputs_.is_input)
         positions = [i for i, leaf in enumerate(leaves) if inputs_.is_input(leaf)]
-        position = dict(zip(self.problem.named, positions))
+        position = dict(zip(self.problem.inputs_by_name, positions))
         where = tuple(position[name] for name in self.ranges)
         return Seen(self.problem.simulator, where, self._low, self._high)
 
@@ -138,14 +139,14 @@ class Seen(Around):
     high: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, simulator: Simulator, where: tuple[int, ...], low, high):
-        self.own, self.where = simulator, where
+        self.inner, self.where = simulator, where
         self.low, self.high = tuple(map(float, low)), tuple(map(float, high))
 
     def prepare(self, inputs):
         leaves = jax.tree.leaves(inputs)
         values = jnp.concatenate([jnp.ravel(leaves[i]) for i in self.where])
         low, high = np.asarray(self.low), np.asarray(self.high)
-        schedule = self.own.prepare(inputs)
+        schedule = self.inner.prepare(inputs)
         return Schedule((schedule.constants, 2 * (values - low) / (high - low) - 1), schedule.steps)
 
     def with_values(self, inputs: PyTree, values) -> PyTree:
@@ -159,41 +160,41 @@ class Seen(Around):
         return structure.unflatten(leaves)
 
     def initial(self, constants, noise):
-        return self.own.initial(constants[0], noise)
+        return self.inner.initial(constants[0], noise)
 
     def observe(self, constants, now, state):
-        observed = self.own.observe(constants[0], now, state)
+        observed = self.inner.observe(constants[0], now, state)
         return jnp.concatenate([observed, constants[1].astype(observed.dtype)])
 
     def step(self, constants, now, state, action, noise, smooth):
-        return self.own.step(constants[0], now, state, action, noise, smooth)
+        return self.inner.step(constants[0], now, state, action, noise, smooth)
 
     def terminal(self, constants, state, smooth):
-        return self.own.terminal(constants[0], state, smooth)
+        return self.inner.terminal(constants[0], state, smooth)
 
     def state_scale(self, constants):
-        return self.own.state_scale(constants[0])
+        return self.inner.state_scale(constants[0])
 
     def slack(self, constants, now, state, outputs):
-        return self.own.slack(constants[0], now, state, outputs)
+        return self.inner.slack(constants[0], now, state, outputs)
 
 
 class Members(Around):
     """Each path belongs to one of the members, drawn with one more normal at its start."""
 
-    own: Seen
+    inner: Seen
     points: np.ndarray
 
     def __init__(self, local: Seen, points: np.ndarray):
-        self.own, self.points = local, points
+        self.inner, self.points = local, points
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.initial_noise_size + 1
+        return self.inner.initial_noise_size + 1
 
     def prepare(self, inputs):
         def one(point):
-            result = self.own.prepare(self.own.with_values(inputs, point))
+            result = self.inner.prepare(self.inner.with_values(inputs, point))
             return result.constants, result.steps
 
         constants, steps = eqx.filter_vmap(one)(jnp.asarray(self.points))
@@ -202,30 +203,30 @@ class Members(Around):
     def initial(self, constants, noise):
         number = jnp.floor(ndtr(noise[-1]) * len(self.points)).astype(jnp.int32)
         number = jnp.clip(number, 0, len(self.points) - 1)
-        return {"member": number, "own": self.own.initial(_of(constants, number), noise[:-1])}
+        return {"member": number, "own": self.inner.initial(_of(constants, number), noise[:-1])}
 
     def observe(self, constants, now, state):
         number = state["member"]
-        return self.own.observe(_of(constants, number), _of(now, number), state["own"])
+        return self.inner.observe(_of(constants, number), _of(now, number), state["own"])
 
     def step(self, constants, now, state, action, noise, smooth):
         number = state["member"]
         values = _of(constants, number), _of(now, number), state["own"]
-        after, outputs = self.own.step(*values, action, noise, smooth)
+        after, outputs = self.inner.step(*values, action, noise, smooth)
         return {"member": number, "own": after}, outputs
 
     def terminal(self, constants, state, smooth):
-        return self.own.terminal(_of(constants, state["member"]), state["own"], smooth)
+        return self.inner.terminal(_of(constants, state["member"]), state["own"], smooth)
 
     def state_scale(self, constants):
         # That of the first member stands for all.
-        scale = self.own.state_scale(_of(constants, 0))
+        scale = self.inner.state_scale(_of(constants, 0))
         return None if scale is None else {"member": 1.0, "own": scale}
 
     def slack(self, constants, now, state, outputs):
         number = state["member"]
         values = _of(constants, number), _of(now, number)
-        return self.own.slack(*values, state["own"], outputs)
+        return self.inner.slack(*values, state["own"], outputs)
 
 
 def _of(tree: PyTree, number) -> PyTree:

@@ -124,7 +124,7 @@ def parameter(**options: Any) -> Any:
     return eqx.field(converter=numbers, **options)
 
 
-def known(value: Any) -> np.ndarray | None:
+def concrete(value: Any) -> np.ndarray | None:
     """A parameter as numbers; None while JAX traces it."""
     value = value.value if isinstance(value, Input) else value
     return None if isinstance(value, Tracer) else np.asarray(value, np.float64)
@@ -132,7 +132,7 @@ def known(value: Any) -> np.ndarray | None:
 
 def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> None:
     """Refuses a parameter outside low < x < high, as far as it is known."""
-    value = known(getattr(noise, name))
+    value = concrete(getattr(noise, name))
     if value is None or (np.all(value > low) and np.all(value < high)):
         return
     above = "" if high == np.inf else f" and below {high:g}"

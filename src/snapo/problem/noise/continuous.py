@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import Noise, known, only, parameter, refuse, uniform
+from .base import Noise, concrete, only, parameter, refuse, uniform
 
 
 class Uniform(Noise):
@@ -16,7 +16,7 @@ class Uniform(Noise):
     high: Any = parameter(default=1.0)
 
     def __check_init__(self):
-        low, high = known(self.low), known(self.high)
+        low, high = concrete(self.low), concrete(self.high)
         if low is not None and high is not None and np.any(high < low):
             raise ValueError(f"Uniform: high is {high.tolist()}, below low, {low.tolist()}.")
 
@@ -107,7 +107,7 @@ def cholesky(correlation: Any) -> Float[Array, "K K"]:
 
 def refuse_correlation(noise: Any) -> None:
     """Refuses a triangle of the wrong length, or one that is no correlation."""
-    if noise.correlation is None or (lower := known(noise.correlation)) is None:
+    if noise.correlation is None or (lower := concrete(noise.correlation)) is None:
         return
     name, k = type(noise).__name__, many(noise.correlation)
     if lower.ndim < 1 or lower.shape[-1] != k * (k - 1) // 2:

@@ -24,7 +24,7 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
-from .base import Noise, known, numbers, only, parameter, refuse, uniform
+from .base import Noise, concrete, numbers, only, parameter, refuse, uniform
 
 TAIL = 1e-10  # the chance of numbers above `most`
 ROOM = 1.5  # parameters may rise by a half
@@ -37,7 +37,7 @@ class Drawn(Noise):
 
     below: Float[Array, " K"]
     above: Float[Array, " K"]
-    chance: Float[Array, " K"]
+    probability: Float[Array, " K"]
     moves: Float[Array, " K"]
 
     @classmethod
@@ -59,7 +59,7 @@ class Drawn(Noise):
 
     def weigh(self, normals):
         k = self._index(only(normals))
-        probability = jnp.take(self.chance, k, mode="clip")
+        probability = jnp.take(self.probability, k, mode="clip")
         selected = jax.lax.stop_gradient(probability)
         real = selected > 0
         return k.astype(selected.dtype), jnp.where(real, probability, 1.0) / jnp.where(
@@ -85,14 +85,14 @@ class Counts(Noise):
 
     separate = True
 
-    most: eqx.AbstractVar[int]
+    maximum: eqx.AbstractVar[int]
 
     @abc.abstractmethod
     def logarithms(self, k: Float[np.ndarray, " K"]) -> Float[Array, " K"]:
         """ln of the chance of every number `k`."""
 
     def prepare(self) -> Drawn:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return Drawn.of(jnp.exp(self.logarithms(np.arange(self.most + 1.0))))
+        return Drawn.of(jnp.exp(self.logarithms(np.arange(self.maximum + 1.0))))
 
     def draw(self, normals, *state):
         return self.prepare().draw(normals)
@@ -115,11 +115,11 @@ class Poisson(Counts):
     """
 
     mean: Any = parameter()
-    most: int = eqx.field(static=True)
+    maximum: int = eqx.field(static=True)
 
-    def __init__(self, mean: Any, most: int | None = None):
+    def __init__(self, mean: Any, maximum: int | None = None):
         self.mean = numbers(mean)
-        self.most = _most(self, "poisson", most, (self.mean,))
+        self.maximum = _most(self, "poisson", maximum, (self.mean,))
 
     def __check_init__(self):
         refuse(self, "mean")
@@ -134,13 +134,13 @@ class NegativeBinomial(Counts):
 
     mean: Any = parameter()
     dispersion: Any = parameter()
-    most: int = eqx.field(static=True)
+    maximum: int = eqx.field(static=True)
 
     def __init__(self, mean: Any, dispersion: Any, maximum: int | None = None):
         self.mean, self.dispersion = numbers(mean), numbers(dispersion)
-        r, m = known(self.dispersion), known(self.mean)
+        r, m = concrete(self.dispersion), concrete(self.mean)
         probabilities = None if r is None or m is None else (r, r / (r + ROOM * m))
-        self.most = _most(self, "nbinom", maximum, probabilities, 1.0)
+        self.maximum = _most(self, "nbinom", maximum, probabilities, 1.0)
 
     def __check_init__(self):
         refuse(self, "mean")
@@ -155,25 +155,27 @@ class NegativeBinomial(Counts):
 class Binomial(Counts):
     """How many of `most` independent trials succeed, each with `chance`; one trial: yes or no."""
 
-    chance: Any
-    most: int = eqx.field(static=True)
+    probability: Any
+    maximum: int = eqx.field(static=True)
 
     def __init__(self, probability: Any, maximum: int = 1):
-        self.chance, self.most = numbers(probability), maximum
+        self.probability, self.maximum = numbers(probability), maximum
 
     def __check_init__(self):
         refuse(self, "chance", 0.0, 1.0)
 
     def logarithms(self, k):
-        ways = gammaln(self.most + 1.0) - gammaln(k + 1.0) - gammaln(self.most - k + 1.0)
-        return ways + k * jnp.log(self.chance) + (self.most - k) * jnp.log1p(-self.chance)
+        ways = gammaln(self.maximum + 1.0) - gammaln(k + 1.0) - gammaln(self.maximum - k + 1.0)
+        return (
+            ways + k * jnp.log(self.probability) + (self.maximum - k) * jnp.log1p(-self.probability)
+        )
 
 
 def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: float = ROOM) -> int:
     """The largest number that is told apart."""
     if maximum is not None:
         return maximum
-    values = [known(item) for item in parameters or ()]
+    values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
             f"{type(noise).__name__}: most, the largest number told apart, is missing; it cannot "

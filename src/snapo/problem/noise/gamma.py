@@ -20,7 +20,7 @@ from .continuous import cholesky, many, refuse_correlation
 
 END = 6.5  # normals of 32 bits end at 6.34
 INTERVALS = 512
-LEAST = 0.05  # of a shape: the smallest numbers then are e^-450
+MINIMUM = 0.05  # of a shape: the smallest numbers then are e^-450
 GRID = np.linspace(-END, END, INTERVALS + 1)
 STEP = 2 * END / INTERVALS
 HALVINGS = 32  # after which two steps of Newton's leave rounding alone
@@ -100,7 +100,7 @@ class Gamma(Noise):
     logarithm: Logarithm | None = None
 
     def __check_init__(self):
-        refuse(self, "shape", LEAST)
+        refuse(self, "shape", MINIMUM)
         refuse(self, "scale")
 
     def prepare(self) -> "Gamma":
@@ -135,7 +135,7 @@ class Student(Noise):
     root: Any = None
 
     def __check_init__(self):
-        refuse(self, "df", 2 * LEAST)
+        refuse(self, "df", 2 * MINIMUM)
         refuse_correlation(self)
 
     @property

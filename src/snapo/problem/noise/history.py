@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .base import Noise, known, only, parameter, uniform
+from .base import Noise, concrete, only, parameter, uniform
 
 
 class Empirical(Noise):
@@ -20,7 +20,7 @@ class Empirical(Noise):
     ordered: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        values = known(self.values)
+        values = concrete(self.values)
         if values is not None and (values.ndim not in (1, 2) or not len(values)):
             raise ValueError(
                 f"Empirical: values have shape {values.shape}; allowed is [n] or [n, K]."

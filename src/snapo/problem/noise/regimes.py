@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .base import Noise, known, only, parameter, uniform
+from .base import Noise, concrete, only, parameter, uniform
 
 
 class Markov(Noise):
@@ -32,7 +32,7 @@ class Markov(Noise):
     transition: Any = parameter()
 
     def __check_init__(self):
-        p = known(self.transition)
+        p = concrete(self.transition)
         if p is None:
             return
         if p.ndim < 2 or p.shape[-1] != p.shape[-2]:
@@ -40,7 +40,7 @@ class Markov(Noise):
         if np.any(p < 0) or np.any(p.sum(-1) <= 0):
             raise ValueError("Markov: transition has a chance below 0, or a row without any.")
 
-    def chances(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
+    def probabilities(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
         """Of the next regime."""
         p = jnp.asarray(self.transition)
         # Rows are read by selection: the table is small.
@@ -54,7 +54,7 @@ class Markov(Noise):
         """(next regime, likelihood)."""
         if len(state) != 1:
             raise ValueError("Markov: give the present regime as well, draw(normals, regime).")
-        probabilities = self.chances(state[0])
+        probabilities = self.probabilities(state[0])
         upto = jnp.cumsum(jax.lax.stop_gradient(probabilities))[:-1]
         regime = jnp.sum((uniform(only(normals)) > upto).astype(jnp.int32))
         probability = (jnp.arange(probabilities.shape[0]) == regime).astype(

@@ -93,7 +93,7 @@ class Objective(abc.ABC):
         """[N]: numbers whose mean is the value and whose spread is its sampling error."""
         return functional.influence(self, self.used(totals))
 
-    def sure(self, value: float) -> float | None:
+    def is_certain(self, value: float) -> float | None:
         """The total that is worth as much when it is sure; None where nothing says so."""
         return None
 
@@ -118,12 +118,12 @@ class Objective(abc.ABC):
         """The inverse of `as_cost`."""
         return self
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """The objective as a phrase, such as "mean of cash"."""
         return repr(self)
 
     def __str__(self) -> str:
-        return self.words()
+        return self.describe()
 
     # NumPy's numbers leave the multiplication to `__rmul__`.
     __array_ufunc__ = None
@@ -235,14 +235,14 @@ class Weighted(Objective):
         object.__setattr__(other, "terms", terms)
         return other
 
-    def words(self) -> str:
+    def describe(self) -> str:
         text = ""
         for factor, term in self.terms:
             size = f"{abs(factor):g} × " if abs(factor) != 1 else ""
             minus = "minus " if not text else "- "
             the = "the " if not text and not size and factor < 0 else ""
             sign = minus if factor < 0 else "+ " if text else ""
-            text += f"{' ' if text else ''}{sign}{the}{size}{term.words()}"
+            text += f"{' ' if text else ''}{sign}{the}{size}{term.describe()}"
         return text
 
 
@@ -302,7 +302,7 @@ class Mean(ByPath):
     def linear(self) -> bool:
         return True
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"mean of {self.output}"
 
     def _slope(self, x):
@@ -319,7 +319,7 @@ class Limit:
     of: Objective | str
     level: float
     sign: ClassVar[int] = 1
-    words: ClassVar[str] = ""
+    describe: ClassVar[str] = ""
 
     def __post_init__(self):
         kind, level = type(self).__name__, self.level
@@ -344,7 +344,7 @@ class Limit:
     @property
     def name(self) -> str:
         """The limit in words: "mean of unserved at most 0.05"."""
-        return f"{self.measure.words()} {self.words} {self.level:g}"
+        return f"{self.measure.describe()} {self.describe} {self.level:g}"
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -370,13 +370,13 @@ class AtMost(Limit):
     AtMost(of=Mean(output='unserved'), level=0.05)
     """
 
-    words = "at most"
+    describe = "at most"
 
 
 class AtLeast(Limit):
     """The same from below: `AtLeast("filled", 0.98)`, or `Mean("filled") >= 0.98`."""
 
-    sign, words = -1, "at least"
+    sign, describe = -1, "at least"
 
 
 def as_objective(objective: Objective | str) -> Objective:

@@ -15,7 +15,7 @@ class _Risk(OneOutput):
     def as_cost(self) -> "OfCost":
         return OfCost(self)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return self._words(cost=False)
 
     @abc.abstractmethod
@@ -55,7 +55,7 @@ class OfCost(Objective):
     def influence(self, totals: Totals) -> np.ndarray:
         return -self.measure.influence(self._opposite(totals))
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return self.measure._words(cost=True)
 
     def _opposite(self, totals: Totals) -> Totals:
@@ -157,7 +157,7 @@ class ExpectedUtility(ByPath):
             f"-{self.output} as an output, and write the utility of that."
         )
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"mean utility of {self.output}, {self.utility}"
 
     def climb(self, totals: Totals) -> Weights:
@@ -166,7 +166,7 @@ class ExpectedUtility(ByPath):
         maximum = weight[alive].max() if alive.any() else 1 / weight.size
         return {self.output: np.where(alive, weight, maximum)}
 
-    def sure(self, value: float) -> float | None:
+    def is_certain(self, value: float) -> float | None:
         certainty_equivalent = self.utility.certainty_equivalent(value)
         return certainty_equivalent if np.isfinite(certainty_equivalent) else None
 
@@ -218,7 +218,7 @@ class Target(ByPath):
 
     target: float = 0.0
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"minus mean square of {self.output} less {self.target:g}"
 
     def _slope(self, x):
@@ -243,7 +243,7 @@ class Probability(ByPath):
     threshold: float = 0.0
     width: float = 1.0
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"probability of {self.output} above {self.threshold:g}"
 
     def _slope(self, x):

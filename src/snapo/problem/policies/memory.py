@@ -193,36 +193,36 @@ class Remembering(Around):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(-jnp.inf, jnp.inf, self.own.action.size + self.memory)
+        return Box(-jnp.inf, jnp.inf, self.inner.action.size + self.memory)
 
     def initial(self, constants, noise):
-        return self.begun(self.own.initial(constants, noise))
+        return self.initial_state(self.inner.initial(constants, noise))
 
-    def begun(self, state: PyTree) -> PyTree:
+    def initial_state(self, state: PyTree) -> PyTree:
         """A state of the simulator's own, before the first decision."""
         return {"memory": jnp.zeros(self.memory), "own": state}
 
     def observe(self, constants, now, state):
-        observed = self.own.observe(constants, now, state["own"])
+        observed = self.inner.observe(constants, now, state["own"])
         return jnp.concatenate([observed, state["memory"].astype(observed.dtype)])
 
     def step(self, constants, now, state, action, noise, smooth):
-        size = self.own.action.size
+        size = self.inner.action.size
         selected, memory = action[:size], action[size:]
-        after, outputs = self.own.step(constants, now, state["own"], selected, noise, smooth)
+        after, outputs = self.inner.step(constants, now, state["own"], selected, noise, smooth)
         return {"memory": memory, "own": after}, outputs
 
     def terminal(self, constants, state, smooth):
-        return self.own.terminal(constants, state["own"], smooth)
+        return self.inner.terminal(constants, state["own"], smooth)
 
     def state_scale(self, constants):
-        scale = self.own.state_scale(constants)
+        scale = self.inner.state_scale(constants)
         if scale is None:
             return None
         return {"memory": jnp.ones(self.memory), "own": scale}
 
     def slack(self, constants, now, state, outputs):
-        return self.own.slack(constants, now, state["own"], outputs)
+        return self.inner.slack(constants, now, state["own"], outputs)
 
 
 def remembers(simulator: Simulator) -> bool:

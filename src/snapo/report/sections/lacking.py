@@ -4,14 +4,14 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TypeVar
 
-from ..folder import LEFT_OUT, PLANNED, Folder
+from ..folder import LEFT_OUT, PLANNED, RunFiles
 from ..page import Missing, Section, Text
 
-AnyFolder = TypeVar("AnyFolder", bound=Folder)
-Told = Callable[[AnyFolder], Section]
+AnyFolder = TypeVar("AnyFolder", bound=RunFiles)
+SectionFunction = Callable[[AnyFolder], Section]
 
 
-def lacking(run: Folder, part: str, table: str = "") -> Missing:
+def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
     """Why the numbers of a part are not in this run; `table`: of a case that asks for the part."""
     state = run.parts.get(part)
     if state is None and run.left_out(part):
@@ -26,19 +26,19 @@ def lacking(run: Folder, part: str, table: str = "") -> Missing:
     return Missing(f"The part “{part}” has nothing to show.")
 
 
-def unless_left_out(section: Told, *parts: str) -> Told:
+def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
     """The section; nothing where none of the parts that it tells was asked for."""
 
     @wraps(section)
-    def told(run) -> Section:
+    def with_reason(run) -> Section:
         if run.left_out(*parts):
             return Section(section.__name__, "", "", [])
         return section(run)
 
-    return told
+    return with_reason
 
 
-def not_asked(run: Folder) -> list[Text]:
+def not_asked(run: RunFiles) -> list[Text]:
     """A sentence that names the parts that were not asked for; none where all were."""
     names = [item for item in run.get(LEFT_OUT, []) if run.left_out(item)]
     if not names:

@@ -9,20 +9,20 @@ from snapo.solver.learning.growth import Growth
 
 from .. import charts, evidence
 from ..drawing import draw
-from ..folder import Folder
+from ..folder import RunFiles
 from ..page import Block, Chart, Facts, Section, Table, Text
 from ..quantity import number, readable, seconds
 
 PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and their lines
 
 
-def history(run: Folder) -> Section:
+def history(run: RunFiles) -> Section:
     """The objective and the gradient norm over the steps of training, and adjoints by step."""
     result = evidence.history(run, run.unit)
     return replace(result, blocks=[*result.blocks, *_adjoints(run)])
 
 
-def _adjoints(run: Folder) -> list[Block]:
+def _adjoints(run: RunFiles) -> list[Block]:
     """The norms of adjoints by step and part of the state, where training measured them."""
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
@@ -56,12 +56,12 @@ def _adjoints(run: Folder) -> list[Block]:
     return [Chart(svg, caption), Text(_growth(run, leaves))]
 
 
-def _growth(run: Folder, leaves: list[str]) -> str:
+def _growth(run: RunFiles, leaves: list[str]) -> str:
     """By how much the adjoints grow, and how training went back."""
     names = ("usual", "largest", *leaves)
     columns = (run.column("adjoints", name) for name in names)
     usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
-    summary = Growth(0, usual, largest, dict(zip(leaves, parts))).words()
+    summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
     window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
     if window is not None:
         summary += f" Training went back through windows of {window} steps."
@@ -72,13 +72,13 @@ def _growth(run: Folder, leaves: list[str]) -> str:
     return summary
 
 
-def making(run: Folder) -> Section:
+def making(run: RunFiles) -> Section:
     """The state of every part, times, engine, seed and versions."""
     blocks: list[Block] = [_parts(run), *_times(run), evidence.made_with(run)]
     return Section("making", "Parts, times and versions", "Versions", blocks)
 
 
-def _times(run: Folder) -> list[Facts]:
+def _times(run: RunFiles) -> list[Facts]:
     """The stages of the training and the total; the parts have theirs in their table."""
     results = [
         (name.capitalize(), seconds(item), evidence.TOTAL if name == "total" else "wall clock")
@@ -88,7 +88,7 @@ def _times(run: Folder) -> list[Facts]:
     return [Facts(results)] if results else []
 
 
-def _parts(run: Folder) -> Table:
+def _parts(run: RunFiles) -> Table:
     rows = [
         (
             readable(name),

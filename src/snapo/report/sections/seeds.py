@@ -4,22 +4,22 @@ from typing import Any
 
 from .. import charts
 from ..drawing import draw, unit_above
-from ..folder import Folder
+from ..folder import RunFiles
 from ..page import Chart, Section, Table, Text
 from ..quantity import decimals, finite, measured, number, seconds
 from ..theme import LIGHT
 
-MOST = 40  # seeds in the picture; all stand in the table
+MAXIMUM = 40  # seeds in the picture; all stand in the table
 
 
-def seeds(run: Folder) -> Section:
+def seeds(run: RunFiles) -> Section:
     """The value of every seed with its interval, and the spread beside the Monte Carlo error."""
     result = run.get("by_seed")
     errors = [finite(result.get(name)) for name in ("standard_error", "deviation")]
     values = [row["value"] for row in result["rows"]]
     digits = decimals([error for error in errors if error] or values, 2)
     table = _table(result, digits)
-    displayed = [row for row in result["rows"] if finite(row["value"]) is not None][:MOST]
+    displayed = [row for row in result["rows"] if finite(row["value"]) is not None][:MAXIMUM]
     blocks: list[Any] = [Text(_sentence(result, run.unit, digits)), table]
     if len(displayed) > 1:
         blocks.insert(1, _picture(result, displayed, run.unit, digits))

@@ -34,10 +34,10 @@ class Plan(NamedTuple):
     - `parts`: [B, K], by how much of each piece the weights change without a block.
     """
 
-    whole: Weights
+    total: Weights
     sizes: np.ndarray
     sample: np.ndarray
-    pieces: list[Weights]
+    blocks: list[Weights]
     parts: np.ndarray
 
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
     return sample, value
 
 
-def _common(change, size, sample, value, owners) -> tuple[np.ndarray, np.ndarray]:
+def _common(change, size, sample, value, groups) -> tuple[np.ndarray, np.ndarray]:
     """`parts` [B, K] and `pieces` [K, outputs, R] whose product is nearly the change.
 
     The sum of the change over paths is kept exactly, in one piece for each output that changes.
@@ -126,7 +126,7 @@ def _common(change, size, sample, value, owners) -> tuple[np.ndarray, np.ndarray
     selected = np.flatnonzero(norm > 0)
     segments = np.zeros((len(selected), outputs, len(sample)))
     segments[np.arange(len(selected)), selected] = shape[selected] / norm[selected, None]
-    observed = _filled(change[:, :, sample], owners) * value
+    observed = _filled(change[:, :, sample], groups) * value
     rest = observed - np.tensordot(observed.sum(2)[:, selected], segments, axes=1)
     # Singular vectors, from the small matrix of the blocks' products.
     rest = rest.reshape(blocks, -1)
@@ -138,13 +138,13 @@ def _common(change, size, sample, value, owners) -> tuple[np.ndarray, np.ndarray
     return parts, np.concatenate([segments, right])
 
 
-def _filled(change: np.ndarray, owners: np.ndarray) -> np.ndarray:
+def _filled(change: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """[B, outputs, R] with a number for the one block of each path that has none, its own.
 
     To first order the changes of a path add up to zero over the blocks.
     """
     filled = change.copy()
     maximum = np.max(np.abs(change), axis=0)
-    paths = np.arange(len(owners))
-    filled[owners, :, paths] = np.clip(-np.sum(change, axis=0), -maximum, maximum).T
+    paths = np.arange(len(groups))
+    filled[groups, :, paths] = np.clip(-np.sum(change, axis=0), -maximum, maximum).T
     return filled

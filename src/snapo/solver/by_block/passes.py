@@ -42,11 +42,11 @@ class Pulled(NamedTuple):
 
     schedule: PyTree
     policy: np.ndarray
-    bad: int
+    non_finite: int
     totals: Totals | None = None
 
 
-class Way(NamedTuple):
+class DerivativePass(NamedTuple):
     """One way to differentiate: with the decisions recorded and replayed, or through the policy.
 
     `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
@@ -55,7 +55,7 @@ class Way(NamedTuple):
     """
 
     problem: Problem
-    bound: BoundEngine
+    bound_engine: BoundEngine
     policy: Policy
     smooth: Smooth | Exact
     held: bool
@@ -71,7 +71,7 @@ class Way(NamedTuple):
         """Has the program of a pass ready, where it serves any number of paths."""
         draws, decider, options = self._asked(np.arange(2))
         nothing = {name: np.zeros(2) for name in self.problem.objective.outputs}
-        self.bound.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)
+        self.bound_engine.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)
 
     def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[Found]:
         """Derivatives of several objectives, whose cotangents share every forward sweep."""
@@ -80,7 +80,7 @@ class Way(NamedTuple):
         passes = self._passes(blocks, _parts(plans, blocks))
         results = []
         for k, local in enumerate(plans):
-            further = self._joined(every[local.sample], local.pieces, len(blocks[0]))
+            further = self._joined(every[local.sample], local.blocks, len(blocks[0]))
             results.append(self._found(local, [item[k] for item in passes], further, dropped))
         return results
 
@@ -89,11 +89,11 @@ class Way(NamedTuple):
     ) -> Found:
         """One objective's derivatives from the passes of its blocks and of its pieces."""
         count = int(plan.sizes.sum())
-        invalid = np.array([item.bad for item in passes])
+        invalid = np.array([item.non_finite for item in passes])
         dropped += int(invalid.sum())
         # The paths that are left have the weight of those that are not.
         scale = count / max(1, count - invalid.sum())
-        available = all(np.isfinite(weight).all() for weight in plan.whole.values())
+        available = all(np.isfinite(weight).all() for weight in plan.total.values())
         if not available or dropped > DROPPED * (count + dropped):
             # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
@@ -132,7 +132,9 @@ class Way(NamedTuple):
     def _totals(self, paths: np.ndarray) -> Mapping[str, np.ndarray]:
         if self.totals is not None:
             return {name: total[paths] for name, total in self.totals.items()}
-        return float64(self.bound.values(self.policy, self._draws(paths), self.smooth).totals)
+        return float64(
+            self.bound_engine.values(self.policy, self._draws(paths), self.smooth).totals
+        )
 
     def _draws(self, paths: np.ndarray) -> Draws:
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
@@ -155,7 +157,9 @@ class Way(NamedTuple):
             draws, decider, options = self._asked(np.concatenate(blocks))
             joined = {n: np.concatenate([item[n] for item, *_ in weights]) for n in weights[0][0]}
             sizes = [len(block) for block in blocks]
-            result = self.bound.adjoints(decider, draws, self.smooth, joined, sizes, **options)
+            result = self.bound_engine.adjoints(
+                decider, draws, self.smooth, joined, sizes, **options
+            )
             if all_finite(result, joined):
                 totals = _split(float64(result.totals), sizes)
                 return [
@@ -169,7 +173,7 @@ class Way(NamedTuple):
         draws, decider, options = self._asked(paths)
         columns = _columns(weights, len(paths))
         result, invalid = adjoint_of_good_weights(
-            self.bound, decider, draws, self.smooth, columns, **options
+            self.bound_engine, decider, draws, self.smooth, columns, **options
         )
         return self._pulled(result, invalid, len(weights))
 
@@ -180,7 +184,7 @@ class Way(NamedTuple):
             return draws, self.policy, {} if self.inputs else {"wrt": ("policy",)}
         if self.recorded is None:
             # By the program that records those of the value, which is compiled already.
-            valued = self.bound.engine.bind(self.problem)
+            valued = self.bound_engine.engine.bind(self.problem)
             rollout = valued.values(self.policy, draws, self.smooth, record=DECIDED)
             actions = rollout.record["action"]
         else:
@@ -216,7 +220,9 @@ class Way(NamedTuple):
         if not self.inputs:
             return {}
         if not schedules:
-            return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
+            return {
+                name: np.zeros((0, *x.value.shape)) for name, x in problem.inputs_by_name.items()
+            }
         return pull_back(problem.simulator, problem.inputs, schedules)
 
 
@@ -254,7 +260,7 @@ def _parts(plans: list[Plan], blocks: list[np.ndarray]) -> list[list[Weights]]:
     """By block, the weights of its paths under every plan."""
     endpoints = np.cumsum([0, *map(len, blocks)])
     return [
-        _cut([plan.whole for plan in plans], slice(first, last))
+        _cut([plan.total for plan in plans], slice(first, last))
         for first, last in pairwise(endpoints)
     ]
 

@@ -22,7 +22,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
 
-from ..evaluate import path_totals, worth
+from ..evaluate import path_totals, value_of
 from ..finite_paths import DROPPED, finite
 from ..statistics import Estimate
 
@@ -118,7 +118,7 @@ def reactions(
     paths: int,
     held: Mapping[str, Estimate],
     *,
-    most: int | None = None,
+    maximum: int | None = None,
     rollouts: float = np.inf,
     centre: Totals | None = None,
     engine: Engine | None = None,
@@ -136,10 +136,10 @@ def reactions(
     as one that is lost in a rounding, counts as zero: all of the bump is reaction.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
-    bumper = _Bumper(problem, policy, paths, count, most, centre, engine)
+    bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
     if not np.isfinite(bumper.value):
         return {}
-    moves = {name: one_percent(values) for name, values in problem.named.items()}
+    moves = {name: one_percent(values) for name, values in problem.inputs_by_name.items()}
     moves = {name: by for name, by in moves.items() if by.any()}
     along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
     table = {name: bumper.screened(name, by, along[name]) for name, by in moves.items()}
@@ -203,7 +203,7 @@ class _Bumper:
         self.few = min(len(self.blocks), minimum) if apart else len(blocks)
         self.spent = 0  # paths valued so far
         self.centre = self._totals(problem, len(self.blocks)) if centre is None else centre
-        self.value = worth(problem.objective, self.centre)
+        self.value = value_of(problem.objective, self.centre)
 
     def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
         """One input moved by `by`, on few paths.
@@ -233,7 +233,7 @@ class _Bumper:
         by: np.ndarray,
         held: np.ndarray,
         count: int,
-        moved: Callable[[dict[str, Any]], Problem] | None = None,
+        at_values: Callable[[dict[str, Any]], Problem] | None = None,
         mirrored: bool = False,
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
@@ -241,11 +241,11 @@ class _Bumper:
         `moved` by default rebuilds what it can; `mirrored`: for one side alone, see `opposite`.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
-        value = self.problem.named[name].value
-        moved = moved or self.problem.moved
-        more = moved({name: value + by})
+        value = self.problem.inputs_by_name[name].value
+        at_values = at_values or self.problem.at_values
+        more = at_values({name: value + by})
         less = opposite(self.problem, more, {name: value - by}) if mirrored else None
-        sides = (less or moved({name: value - by}), more)
+        sides = (less or at_values({name: value - by}), more)
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}

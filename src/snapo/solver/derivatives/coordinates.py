@@ -31,7 +31,7 @@ class Coordinates(NamedTuple):
 
     def at(self, position: np.ndarray) -> Policy:
         """The policy at a place [n]."""
-        return moved(self.policy, position @ self.directions)
+        return shifted_policy(self.policy, position @ self.directions)
 
     def leading(self, count: int) -> "Coordinates":
         """The first few alone."""
@@ -45,7 +45,7 @@ class Coordinates(NamedTuple):
         return np.concatenate([np.zeros(0), *map(np.ravel, drawn)])
 
 
-def moved(policy: Policy, by: np.ndarray) -> Policy:
+def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
     """The policy whose trained numbers, as one vector [P], are moved by so much."""
     numbers, rest = trainable(policy)
     leaves, structure = jax.tree.flatten(numbers)

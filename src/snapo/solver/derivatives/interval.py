@@ -31,7 +31,7 @@ class Interval(NamedTuple):
     sampling: float
     policy: float
 
-    def holds(self, truth: float) -> bool:
+    def contains(self, truth: float) -> bool:
         """Whether a number lies within the interval."""
         return self.low <= truth <= self.high
 
@@ -70,7 +70,7 @@ class Reported(NamedTuple):
     source: str
     estimate: Estimate
     by: np.ndarray
-    whole: np.ndarray
+    total: np.ndarray
     unseen: np.ndarray
     slopes: np.ndarray
     others: np.ndarray
@@ -88,7 +88,7 @@ class Reported(NamedTuple):
         times = _multiple(direction, self.by)
         blocks = (self.estimate.blocks * direction).reshape(len(self.estimate.blocks), -1).sum(1)
         if times is not None:
-            blocks = times * self.whole
+            blocks = times * self.total
         unseen = float(np.sum(self.unseen * np.abs(direction)))
         slopes, others = (
             np.tensordot(change, direction, axes=direction.ndim)

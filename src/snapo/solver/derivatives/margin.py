@@ -14,16 +14,16 @@ import numpy as np
 
 from snapo.engine import Engine
 from snapo.problem.actions import Actions, Choice, Integers, Stop
-from snapo.problem.actions.product import holds
+from snapo.problem.actions.product import contains
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact
 
-from ..by_block.passes import Way
+from ..by_block.passes import DerivativePass
 from ..evaluate import path_totals
 from .bump import block_means, one_percent
-from .coordinates import moved
+from .coordinates import shifted_policy
 from .interval import THROUGH, Curvature, Reported
 from .surface import WIDEST, Surface, distance_factor
 from .verdict import spread_of
@@ -48,7 +48,7 @@ def passes(surface: Surface) -> int:
 
 
 def _pairs(surface: Surface) -> int:
-    return min((len(surface.places) - 1) // 2, surface.places.shape[1] + 2)
+    return min((len(surface.points) - 1) // 2, surface.points.shape[1] + 2)
 
 
 def margin_of(
@@ -57,22 +57,22 @@ def margin_of(
     """Of the held derivatives, near the policy that is reported, on the first `paths` of those of
     the surface."""
     on = _Derivatives(problem, surface, engine, paths)
-    half, pairs = (len(surface.places) - 1) // 2, _pairs(surface)
+    half, pairs = (len(surface.points) - 1) // 2, _pairs(surface)
     selected = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
-    positions = surface.places[selected]
+    positions = surface.points[selected]
     design = np.concatenate([np.ones((len(positions), 1)), positions], axis=1)
     solve = np.linalg.pinv(design)[1:]
     held = [on.held(surface.at(position)) for position in positions]
     slopes = {
         name: np.tensordot(solve, np.stack([item[name] for item in held]), axes=1)
-        for name in problem.named
+        for name in problem.inputs_by_name
     }
     return Margin(surface, slopes, _random(on, policy, surface, np.random.default_rng(seed)))
 
 
 def floor_of(actions: Actions) -> float:
     """The gap that is assumed at least, in targets: whole numbers hide more of it."""
-    hard = any(holds(actions, kind) for kind in (Choice, Integers, Stop))
+    hard = any(contains(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 
 
@@ -109,25 +109,25 @@ class _Derivatives:
         sources = Sources(sources.training, sources.validation, source)
         self.problem = replace(problem, sources=sources).prepared(problem.schedule)
         self.surface, self.engine = surface, engine
-        self.bound = engine.bind(self.problem, controls=False)
+        self.bound_engine = engine.bind(self.problem, controls=False)
         self.paths = source.available(min(paths, surface.paths))
         self.blocks = source.blocks(self.paths)
 
     def held(self, policy: Policy) -> dict[str, np.ndarray]:
         """{input: the held derivative}."""
-        path = Way(self.problem, self.bound, policy, Exact(), held=True)
+        path = DerivativePass(self.problem, self.bound_engine, policy, Exact(), held=True)
         inputs = path.derivatives([np.arange(self.paths)]).inputs
         return {name: item.value for name, item in inputs.items()}
 
     def bumps(self, policy: Policy, name: str) -> np.ndarray:
         """[n]: how the bump by one percent changes with every coordinate, per radius."""
-        surface, value = self.surface, self.problem.named[name].value
-        by = one_percent(self.problem.named[name])
-        sides = [self.problem.moved({name: value + sign * by}) for sign in (1.0, -1.0)]
+        surface, value = self.surface, self.problem.inputs_by_name[name].value
+        by = one_percent(self.problem.inputs_by_name[name])
+        sides = [self.problem.at_values({name: value + sign * by}) for sign in (1.0, -1.0)]
 
         def bump(position: np.ndarray) -> float:
             move = (surface.radius * position) @ surface.coordinates.directions
-            high, low = (self._value(side, moved(policy, move)) for side in sides)
+            high, low = (self._value(side, shifted_policy(policy, move)) for side in sides)
             return (high - low) / 2
 
         return np.array([(bump(one) - bump(-one)) / 2 for one in np.eye(len(surface.radius))])
@@ -146,14 +146,14 @@ def _random(
 ) -> dict[str, np.ndarray]:
     """{input: [K, *shape]} changes of the held derivative over the root of twice the loss."""
     goal, top = surface.target / 2, on.value(policy)
-    before, changes = on.held(policy), {name: [] for name in on.problem.named}
+    before, changes = on.held(policy), {name: [] for name in on.problem.inputs_by_name}
     length = FIRST
     for _ in range(RANDOM):
         direction = surface.coordinates._replace(policy=policy).random(rng)
 
         def loss(length: float, along: np.ndarray = direction) -> float:
             """Of both sides together: where the policy is not at the top, one of them gains."""
-            sides = [on.value(moved(policy, s * length * along)) for s in (1, -1)]
+            sides = [on.value(shifted_policy(policy, s * length * along)) for s in (1, -1)]
             return top - sum(sides) / 2
 
         lost = loss(length)
@@ -167,7 +167,7 @@ def _random(
                 break
             length /= NARROWER
             lost = loss(length)
-        after = on.held(moved(policy, length * direction))
+        after = on.held(shifted_policy(policy, length * direction))
         for name, derivative in after.items():
             change = (derivative - before[name]) / np.sqrt(2 * max(lost, goal / 4))
             if np.isfinite(change).all():

@@ -25,7 +25,7 @@ from .coordinates import Coordinates
 SEARCH = 4  # of the evaluation's streams
 SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
 FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
-BEYOND, LEAST, MOST = 1.2, 1.5, 8.0  # of the distance to a loss; how far a try goes at a time
+BEYOND, MINIMUM, MAXIMUM = 1.2, 1.5, 8.0  # of the distance to a loss; how far a try goes at a time
 CLIFF = 4.0  # targets: a fall that is no slope any more
 POINTS = 1.6  # places for each coefficient of the surface
 LACK, CLOSER, TRIES = 0.2, 1.7, 2  # of a target; closer places where the surface does not fit
@@ -47,7 +47,7 @@ class Surface(NamedTuple):
     centre: np.ndarray
     radius: np.ndarray
     top: np.ndarray
-    places: np.ndarray
+    points: np.ndarray
     inverse: np.ndarray
     covariance: np.ndarray
     target: float
@@ -133,14 +133,16 @@ def surface_of(
         if number + 1 < ROUNDS:
             centre = top
     return Surface(
-        coordinates, centre, radius, top, fit.places, fit.inverse,
+        coordinates, centre, radius, top, fit.points, fit.inverse,
         fit.covariance, target, max(fit.gain, 0.0), source, paths,
     )  # fmt: skip
 
 
 def distance_factor(loss: float, target: float) -> float:
     """How many times as far a loss of `target` lies, if it grows with the square."""
-    return float(np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MOST, LEAST, MOST))
+    return float(
+        np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MAXIMUM, MINIMUM, MAXIMUM)
+    )
 
 
 def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +177,7 @@ def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndar
 class _Fitted(NamedTuple):
     """Coefficients of a surface: gradient and curvature, with the error of the gradient."""
 
-    places: np.ndarray
+    points: np.ndarray
     gradient: np.ndarray
     inverse: np.ndarray
     noise: np.ndarray

@@ -126,7 +126,7 @@ def reported(
 ) -> dict[str, Reported]:
     """{input: the derivative that is reported}, with the sampling error alone."""
     result = {}
-    for name, values in problem.named.items():
+    for name, values in problem.inputs_by_name.items():
         by = one_percent(values)
         if name not in results:
             result[name] = plain(held[name], by)
@@ -138,7 +138,7 @@ def reported(
 
 def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Reported]:
     """{input: the held derivative}, where nothing was bumped."""
-    return {name: plain(held[name], one_percent(x)) for name, x in problem.named.items()}
+    return {name: plain(held[name], one_percent(x)) for name, x in problem.inputs_by_name.items()}
 
 
 def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ def held_down(norms: Sequence[float], since: int, forget: float) -> bool:
     return bool(np.median(local[-FIRST:]) * HELD < np.sqrt(np.average(local**2, weights=weights)))
 
 
-def bound(norms: np.ndarray) -> float | None:
+def clip_level(norms: np.ndarray) -> float | None:
     """The bound for `engine.Clip` from norms [T, N] of a short memory; None where the usual path
     has none that is finite."""
     median = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
@@ -86,4 +86,4 @@ def measured(
 def short(problem: Problem, policy: Policy, smooth: Smooth, step: int) -> np.ndarray:
     """[T, N] of the whole state, with a memory of sqrt(T) steps."""
     memory = math.ceil(math.sqrt(problem.simulator.horizon))
-    return measured(problem, policy, smooth, step, memory, FEW).whole
+    return measured(problem, policy, smooth, step, memory, FEW).total

@@ -21,12 +21,19 @@ from snapo.problem.smooth import Exact
 
 from .. import statistics
 from ..adjoint import float64
-from ..evaluate import DECIDED, chunks, in_a_row, worth
+from ..evaluate import DECIDED, chunks, in_a_row, value_of
 from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
 from ..verdict import further, idle
-from ..verdict.constant import at_limit, constant_decisions, never_taken, rivals, told, words
+from ..verdict.constant import (
+    at_limit,
+    constant_baselines,
+    constant_decisions,
+    describe,
+    never_taken,
+    numbers_text,
+)
 from ..verdict.further import Further
 from ..verdict.stopping import ends_for_good
 from .settings import TrainingPlan
@@ -36,7 +43,7 @@ SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # words that a bound may make CONVERGED
 DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
-SURE = 2.0  # standard errors of a gain
+SIGNIFICANT = 2.0  # standard errors of a gain
 OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
 ENOUGH = 2048  # paths on which two rules are compared
 TRY_OTHERS = (
@@ -62,14 +69,14 @@ class Gain(NamedTuple):
     error: float
 
     @property
-    def sure(self) -> bool:
+    def is_significant(self) -> bool:
         # One randomised net has no error that could be known.
-        return self.value > (SURE * self.error if np.isfinite(self.error) else 0.0)
+        return self.value > (SIGNIFICANT * self.error if np.isfinite(self.error) else 0.0)
 
     @property
     def surely_below(self) -> bool:
         """Whether the other rule is better."""
-        return Gain(-self.value, self.error).sure
+        return Gain(-self.value, self.error).is_significant
 
     def __str__(self) -> str:
         return f"{self.value:,.3g} ± {self.error:,.2g}"
@@ -101,12 +108,12 @@ def ending(
     - `decisions` [T, held_paths, A] of that policy there, where they were recorded before.
     - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
     """
-    if not np.isfinite(worth(problem.objective, exact)):
+    if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
     does_nothing = idle.equal_on_all_paths(problem, exact)
     selected = untrained is progress.best
     over_start = NONE if selected else _over(problem, untrained, exact, engine)
-    notes = [idle.advice(worth(problem.objective, exact))] if does_nothing else []
+    notes = [idle.advice(value_of(problem.objective, exact))] if does_nothing else []
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
         taken = _decisions(problem, progress.best, held_paths, decisions, engine)
@@ -114,8 +121,8 @@ def ending(
         still = constant_decisions(problem.action, actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
-            notes.append(f"{words(still, of)}: if that is not meant, {TRY_OTHERS}.")
-        if len(still) < of and not over_constant.sure:
+            notes.append(f"{describe(still, of)}: if that is not meant, {TRY_OTHERS}.")
+        if len(still) < of and not over_constant.is_significant:
             notes.append(_as_well(problem, constant, over_constant))
         if unused := never_taken(problem.action, actions):
             notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
@@ -124,7 +131,7 @@ def ending(
     all_still = len(still) == of
     if does_nothing:
         word = CONSTANT
-    elif not over_start.sure:
+    elif not over_start.is_significant:
         drawn = isinstance(untrained, DRAWN)
         if drawn:
             notes.append(UNMOVED_ADVICE)
@@ -133,7 +140,7 @@ def ending(
         word = SATURATED
     else:
         more = _further(problem, progress, training, exact, over_start, engine)
-        as_good = over_constant is not None and not over_constant.sure
+        as_good = over_constant is not None and not over_constant.is_significant
         below = over_constant is not None and over_constant.surely_below
         if all_still or (as_good and not below):
             word = CONSTANT
@@ -175,14 +182,14 @@ def _further(
     """
     rated = problem.priced(progress.dual.prices or [0.0] * len(problem.constraints))
     available = exact[problem.objective.outputs[0]]
-    best, spread = worth(problem.objective, exact), float(np.nanstd(available))
+    best, spread = value_of(problem.objective, exact), float(np.nanstd(available))
     size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
     times = further.times(progress, training)
     paths, maximum = ENOUGH, len(available)
     while True:
         late = _over(rated, progress.halfway, exact, engine, paths)
         result = Further(late.value, late.error, times, size)
-        if result.improving or result.known or paths >= maximum:
+        if result.improving or result.is_small or paths >= maximum:
             return result
         paths *= 4
 
@@ -204,7 +211,7 @@ def _short(
     """Why nobody can tell whether a training has ended; empty where it has."""
     if further.too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
-    if not more.known:
+    if not more.is_small:
         return (
             f"the steps after {further.compared_step(progress, training)} gained "
             f"{Gain(more.late, more.late_error)}"
@@ -223,12 +230,12 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
         attempt = f"write a decision of when to stop with snapo.Stop, or {attempt}"
     if gain.surely_below:
         return (
-            f"A constant decision ({told(constant)}) does better, by {-gain.value:,.3g} ± "
+            f"A constant decision ({numbers_text(constant)}) does better, by {-gain.value:,.3g} ± "
             f"{gain.error:,.2g}: {attempt}."
         )
     return (
-        f"A constant decision ({told(constant)}) does as well (the trained rule gains {gain}): "
-        f"what the policy observes does not help it. If it should, {attempt}."
+        f"A constant decision ({numbers_text(constant)}) does as well (the trained rule gains "
+        f"{gain}): what the policy observes does not help it. If it should, {attempt}."
     )
 
 
@@ -276,7 +283,9 @@ def _over_constants(
     bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
     paths = np.concatenate([entry[0] for entry in taken])
     pairs = []
-    for constant in rivals(problem.action, np.concatenate([value[2] for value in taken], axis=1)):
+    for constant in constant_baselines(
+        problem.action, np.concatenate([value[2] for value in taken], axis=1)
+    ):
         parts: list[Totals] = []
         for _, draws, like in taken:
             item = np.full(like.shape[1], 1 / like.shape[1])
@@ -325,6 +334,8 @@ def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.nd
         influence = limit.measure.influence(other)
         error = statistics.mean(influence, groups).standard_error
         outside = limit.excess(other) - max(limit.excess(mine), 0.0)
-        if outside > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
+        if outside > max(
+            SIGNIFICANT * error if np.isfinite(error) else 0.0, NEARLY * influence.std()
+        ):
             return True
     return False

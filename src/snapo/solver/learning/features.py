@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import BoundEngine, Xla
-from snapo.problem.actions import Stop, holds
+from snapo.problem.actions import Stop, contains
 from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policy import MLP, Network, Policy, Residual
 from snapo.problem.problem import Problem
@@ -143,7 +143,7 @@ def scale_of(policy: Policy, problem: Problem) -> Scale | None:
     a policy without a network that sees them, and where few numbers are decided, none a `Stop`."""
     if not layers(policy):
         return None
-    if problem.action.size <= MANY and not holds(problem.action, Stop):
+    if problem.action.size <= MANY and not contains(problem.action, Stop):
         return None
     return fixed(problem)
 
@@ -183,7 +183,7 @@ class _Unmoved(Around):
     moved: PyTree = eqx.field(static=True)
 
     def step(self, constants, now, state, action, noise, smooth):
-        after, _ = self.own.step(constants, now, state, action, noise, smooth)
+        after, _ = self.inner.step(constants, now, state, action, noise, smooth)
         flags = jax.tree.leaves(self.moved)
         selected = [
             old if flag else new

@@ -26,7 +26,7 @@ import math
 import jax
 import numpy as np
 
-from snapo.problem.actions import Actions, Choice, Integers, Stop, holds
+from snapo.problem.actions import Actions, Choice, Integers, Stop, contains
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
@@ -46,7 +46,7 @@ LONG = 96_000  # steps of the simulator that all steps of training go through, o
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
 
-def fitted(
+def resolve_auto(
     training: Training, problem: Problem, policy: Policy, fresh: bool = False
 ) -> TrainingPlan:
     """The training with numbers in place of all that follows the problem.
@@ -70,7 +70,7 @@ def fitted(
         steps = round(noisy * _within(STEPS, LONG // horizon))
     if rate == "auto":
         rate = RATE
-        if free and not holds(problem.action, Stop):
+        if free and not contains(problem.action, Stop):
             usual = _within(STEPS, RATED // horizon)
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)
@@ -78,7 +78,7 @@ def fitted(
     if decay == "auto":
         # The rate falls to zero by a cosine, so that it is half as large on average.
         decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
-    few_values = any(holds(problem.action, kind) for kind in (Choice, Integers, Stop))
+    few_values = any(contains(problem.action, kind) for kind in (Choice, Integers, Stop))
     starts = SEVERAL if fresh and free and few_values else 1
     return TrainingPlan.of(
         training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=exploring,
@@ -90,7 +90,7 @@ def _explores(action: Actions, training: Training) -> bool:
     """Whether a share of these decisions can be drawn, and they are many; without bounds nobody
     knows how far, and the share falls with the temperature."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
-    return action.explores > MANY and bounded and training.cools
+    return action.exploration_size > MANY and bounded and training.cools
 
 
 def _width(policy: Policy) -> int:

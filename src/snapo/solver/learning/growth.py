@@ -35,7 +35,7 @@ class Growth(NamedTuple):
         nothing grows, it is as many times as large as there are such steps."""
         return self.times > TAME
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """One sentence: by how much they grow, at which step and in which part of the state."""
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
@@ -63,7 +63,7 @@ class Growth(NamedTuple):
     def of(cls, norms: Norms, step: int) -> "Growth":
         """The record of norms that were measured at a step of training."""
         leaves = {name: _root_mean_square(leaf) for name, leaf in norms.leaves.items()}
-        return cls(step, _row(np.median(norms.whole, 1)), _row(norms.whole.max(1)), leaves)
+        return cls(step, _row(np.median(norms.total, 1)), _row(norms.total.max(1)), leaves)
 
     @classmethod
     def read(cls, stored) -> "Growth | None":

@@ -17,7 +17,7 @@ from snapo.problem.policy import MLP, Policy, without_memory
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Simulator
 
-from ..train import Training, begin, train
+from ..train import Training, initial_progress, train
 
 DISTANCE = "distance"
 SHORT = Training(steps=300, paths=128, validation_paths=512)
@@ -30,13 +30,13 @@ class Imitating(Around):
     scale: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, simulator: Simulator, rule: Policy, scale: tuple[float, ...]):
-        self.own, self.rule, self.scale = simulator, Frozen(rule), scale
+        self.inner, self.rule, self.scale = simulator, Frozen(rule), scale
 
     def step(self, constants, now, state, action, noise, smooth):
-        right = self.rule.array(self.own.observe(constants, now, state), smooth)
-        after, _ = self.own.step(constants, now, state, right, noise, smooth)
+        right = self.rule.array(self.inner.observe(constants, now, state), smooth)
+        after, _ = self.inner.step(constants, now, state, right, noise, smooth)
         away = (action - jax.lax.stop_gradient(right)) / jnp.asarray(self.scale, action.dtype)
-        return after, {DISTANCE: jnp.sum(away**2) / self.own.horizon}
+        return after, {DISTANCE: jnp.sum(away**2) / self.inner.horizon}
 
     def terminal(self, constants, state, smooth):
         return {}
@@ -89,7 +89,7 @@ def imitate(
     problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), constraints=())
     policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
     engines = choose(engine, problem, policy)
-    progress = train(problem, begin(policy, training, problem), training, engines.train)
+    progress = train(problem, initial_progress(policy, training, problem), training, engines.train)
     return Imitation(progress.best, float(np.sqrt(max(0.0, -progress.best_value))))
 
 

@@ -110,7 +110,7 @@ def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
         vector = part.vector(policy)
         old, slope = part.vector(average), part.vector(gradient)
         vector, old, state, norm = ascend(vector, old, state, slope.astype(vector.dtype), step)
-        policy, average = part.moved(policy, vector), part.moved(policy, old)
+        policy, average = part.with_vector(policy, vector), part.with_vector(policy, old)
         if scale is not None:
             policy, average = scale.plain(policy), scale.plain(average)
         return policy, average, state, norm
@@ -123,7 +123,7 @@ class Parts(NamedTuple):
 
     structure: Any
     trained: tuple[int, ...]  # places among the leaves
-    ends: np.ndarray  # of each in the vector
+    stops: np.ndarray  # of each in the vector
 
     @classmethod
     def of(cls, policy: PyTree) -> "Parts":
@@ -146,23 +146,23 @@ class Parts(NamedTuple):
         results = [np.ravel(np.asarray(leaves[position])) for position in self.trained]
         return np.concatenate([np.zeros(0, np.float32), *results])
 
-    def moved(self, policy: PyTree, vector: Array) -> PyTree:
+    def with_vector(self, policy: PyTree, vector: Array) -> PyTree:
         """The policy with other numbers."""
         leaves = jax.tree.leaves(policy)
-        for position, part in zip(self.trained, np.split(np.asarray(vector), self.ends[:-1])):
+        for position, part in zip(self.trained, np.split(np.asarray(vector), self.stops[:-1])):
             like = leaves[position]
             leaves[position] = part.reshape(like.shape).astype(like.dtype, copy=False)
         return jax.tree.unflatten(self.structure, leaves)
 
 
-def begun(plan: Plan, policy: PyTree, updates: int) -> PyTree:
+def initial_state(plan: Plan, policy: PyTree, updates: int) -> PyTree:
     """An optimiser before its first step."""
     return optimiser(plan, updates).init(flat(trainable(policy)[0]))
 
 
-def anew(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
+def restarted(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
     """An optimiser that remembers no gradient; its schedule goes on where `state` stands."""
-    fresh = begun(plan, policy, updates)
+    fresh = initial_state(plan, policy, updates)
     return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
 
 

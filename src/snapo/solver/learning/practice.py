@@ -31,7 +31,7 @@ class Wide(Around):
     spread: float = eqx.field(static=True)
 
     def initial(self, constants, noise):
-        return self.own.initial(constants, self.spread * noise)
+        return self.inner.initial(constants, self.spread * noise)
 
 
 class Exploring(Around):
@@ -46,44 +46,44 @@ class Exploring(Around):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.noise_size + self.own.action.explores
+        return self.inner.noise_size + self.inner.action.exploration_size
 
     def step(self, constants, now, state, action, noise, smooth):
-        drawn, more = noise[: self.own.noise_size], noise[self.own.noise_size :]
+        drawn, more = noise[: self.inner.noise_size], noise[self.inner.noise_size :]
         if isinstance(smooth, Smooth):
             # The temperature falls geometrically, so that this is a straight line in the step.
             left = jnp.log(smooth.temperature / self.cold) / math.log(self.hot / self.cold)
             share = self.share * jnp.clip(left, 0.0, 1.0).astype(action.dtype)
-            action = self.own.action.explore(action, more, share)
-        return self.own.step(constants, now, state, action, drawn, smooth)
+            action = self.inner.action.explore(action, more, share)
+        return self.inner.step(constants, now, state, action, drawn, smooth)
 
 
 @dataclass(frozen=True, eq=False)
 class MoreNoise(Scenarios):
     """Scenarios of training that were made for `simulator`, with the normals of `Exploring`."""
 
-    own: Scenarios
+    inner: Scenarios
     simulator: Simulator
     seed: int
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
-        return self._longer(self.own.draws(paths, self.simulator), 0)
+        return self._longer(self.inner.draws(paths, self.simulator), 0)
 
     def batch(self, step: int, paths: int, simulator: Simulator) -> Draws:
-        return self._longer(self.own.batch(step, paths, self.simulator), step)
+        return self._longer(self.inner.batch(step, paths, self.simulator), step)
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
-        return self.own.groups(paths)
+        return self.inner.groups(paths)
 
     def available(self, requested: int) -> int:
-        return self.own.available(requested)
+        return self.inner.available(requested)
 
     def _longer(self, drawn: Draws, step: int) -> Draws:
         if isinstance(drawn, Counter):  # it counts as many as a simulator asks for
             return drawn
         steps, paths, _ = drawn.step_noise.shape
         random = np.random.default_rng([self.seed, step])
-        more = random.standard_normal((steps, paths, self.simulator.action.explores))
+        more = random.standard_normal((steps, paths, self.simulator.action.exploration_size))
         noise = np.concatenate([np.asarray(drawn.step_noise), more], axis=2)
         return Stored(drawn.initial_noise, noise)  # pyright: ignore[reportArgumentType]
 
@@ -97,7 +97,7 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
             "number of normals that `initial` takes, and spread the state by them: "
             'initial(self, constants, noise) gives {"x": constants["x"] + 0.1 * noise[0]}'
         )
-    if training.exploration and not simulator.action.explores:
+    if training.exploration and not simulator.action.exploration_size:
         return "exploration", (
             f"{type(simulator.action).__name__} explores by itself, at a temperature: set "
             "temperature_start"
@@ -105,7 +105,7 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
     return None
 
 
-def practised(problem: Problem, training: TrainingPlan) -> Problem:
+def perturbed_problem(problem: Problem, training: TrainingPlan) -> Problem:
     """The problem that training sees: itself where it practises no more than it will meet.
 
     **Raises:** `ValueError` for settings that this problem cannot have.

@@ -14,13 +14,13 @@ from ..limits.dual import Dual
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
 from .features import Scale
-from .following import fitted
+from .following import resolve_auto
 from .growth import Growth
-from .optimiser import anew, begun
+from .optimiser import initial_state, restarted
 from .settings import Training, TrainingPlan
 
 SLOWER = 0.25  # of the rate, after a step that broke
-MOST_SLOWED = 3  # times that a run whose rate nobody gave goes on after it broke, with a lower one
+MAX_SLOWED = 3  # times that a run whose rate nobody gave goes on after it broke, with a lower one
 
 
 class Record(NamedTuple):
@@ -101,7 +101,7 @@ class Progress:
     raced: tuple[Round, ...] = ()
     slowed: tuple[int, ...] = ()
     redrawn: tuple[int, ...] = ()
-    alike: int = 0
+    unchanged: int = 0
     scale: Scale | None = None
 
     def __str__(self) -> str:
@@ -143,10 +143,12 @@ def marks(step: int, steps: int) -> bool:
     return step in (steps >> k for k in range(steps.bit_length()))
 
 
-def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
+def initial_progress(
+    policy: Policy, training: Training, problem: Problem | None = None
+) -> Progress:
     """The state before the first step; training on windows needs the problem, for its critic."""
     if problem is not None:
-        training = fitted(training, problem, policy)
+        training = resolve_auto(training, problem, policy)
     plan = training if isinstance(training, TrainingPlan) else TrainingPlan.of(training)
     values = training.clip if isinstance(training.clip, int | float) else None
     keep = training.keep if isinstance(training.keep, int | float) else 1.0
@@ -158,7 +160,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
             raise ValueError("begin: training on windows knows no constraints; take window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
-    state = begun(plan, policy, UPDATES if window else 1)
+    state = initial_state(plan, policy, UPDATES if window else 1)
     same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
     empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
     return Progress(
@@ -177,9 +179,7 @@ def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
     """Whether a rate that the problem chose may have led training astray: its first step did not
     break, nor its first value."""
     available = progress.step > 0 and np.isfinite(progress.best_value)
-    return (
-        available and "learning_rate" in training.automatic and len(progress.slowed) < MOST_SLOWED
-    )
+    return available and "learning_rate" in training.automatic and len(progress.slowed) < MAX_SLOWED
 
 
 def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:
@@ -211,7 +211,7 @@ def _begun_with(
         policy=policy,
         average=policy,
         recent=policy,
-        optimiser=anew(training, policy, progress.optimiser, 1),
+        optimiser=restarted(training, policy, progress.optimiser, 1),
         critic=critic,
         dual=Dual(),
         since=step,

@@ -121,7 +121,7 @@ class TrainingPlan(Training):
         object.__setattr__(self, "automatic", tuple(self.automatic))
 
     @classmethod
-    def given(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
+    def from_settings(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
         """The plan of a case's numbers; one that is None or missing has its usual value."""
         numbers: dict[str, Any] = {"validation_every": every(settings["steps"])}
         numbers |= {name: value for name, value in settings.items() if value is not None}

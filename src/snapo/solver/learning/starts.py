@@ -61,7 +61,7 @@ def race(
     return next(iter(left.values())), tuple(rounds)
 
 
-def words(rounds: tuple[Round, ...]) -> str:
+def describe(rounds: tuple[Round, ...]) -> str:
     """Who won a race, how far apart the starts were at equal steps, and what to try."""
     count, winner = len(rounds[0].values), rounds[-1].values[0][0]
     summary, furthest = [], 0.0

@@ -14,7 +14,7 @@ from . import clipping
 from .growth import Growth
 from .progress import Progress
 from .settings import TrainingPlan
-from .starts import words
+from .starts import describe
 
 
 def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
@@ -29,17 +29,17 @@ def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Pr
     return replace(progress, growth=Growth.of(measured, progress.step))
 
 
-def chosen(progress: Progress) -> tuple[str, ...]:
+def start_notes(progress: Progress) -> tuple[str, ...]:
     """Which start went on, and where training began anew; by how much adjoints grow, where they do,
     and how training went back; the steps that broke."""
-    raced = (words(progress.raced),) if progress.raced else ()
+    raced = (describe(progress.raced),) if progress.raced else ()
     if progress.redrawn:
-        raced = (*raced, idle.words(progress.redrawn, progress.history))
+        raced = (*raced, idle.describe(progress.redrawn, progress.history))
     slowed = (_slowed(progress.slowed),) if progress.slowed else ()
     growth = progress.growth
     if growth is None or not growth.large:
         return raced + slowed
-    return (*raced, f"{growth.words()} {went_back(progress)}", *slowed)
+    return (*raced, f"{growth.describe()} {went_back(progress)}", *slowed)
 
 
 def _slowed(steps: tuple[int, ...]) -> str:

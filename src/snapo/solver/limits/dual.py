@@ -27,7 +27,7 @@ from .slopes import slope_of
 
 MOVE, DAMP = 0.1, 3.0  # of a multiplier and of a price, for an excess of one deviation
 EVERY, KEPT = 5, 0.5  # steps between two measurements of a unit, and the share of those before
-LEAST = 1e-12
+MINIMUM = 1e-12
 
 
 class Dual(NamedTuple):
@@ -49,7 +49,7 @@ class Dual(NamedTuple):
 
     def measured(
         self,
-        bound: BoundEngine,
+        bound_engine: BoundEngine,
         policy: Policy,
         draws: Draws,
         smooth,
@@ -58,7 +58,7 @@ class Dual(NamedTuple):
     ) -> "Dual":
         """With the units of prices on these paths, smoothed over the measurements before."""
         lengths = np.array([
-            np.linalg.norm(slope_of(bound, policy, draws, smooth, item))
+            np.linalg.norm(slope_of(bound_engine, policy, draws, smooth, item))
             for item in (objective, *(limit.measure for limit in limits))
         ])  # fmt: skip
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -70,7 +70,7 @@ class Dual(NamedTuple):
         return self._replace(units=tuple(np.where(available, smoothed, before).tolist()))
 
 
-def moved(
+def updated_prices(
     dual: Dual, objective: Objective, limits: Sequence[Limit], totals: Totals, slower: float
 ) -> Dual:
     """The prices after a step with these exact totals; `slower`, 1 to 0, slows multipliers down
@@ -97,4 +97,4 @@ def _deviation(objective: Objective, totals: Totals) -> float:
     """Of one path's share in an objective; at least a tenth of the largest share, since all paths
     may be alike."""
     shares = objective.influence(totals)
-    return max(float(shares.std()), 0.1 * float(np.abs(shares).max()), LEAST)
+    return max(float(shares.std()), 0.1 * float(np.abs(shares).max()), MINIMUM)

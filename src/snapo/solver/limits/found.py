@@ -15,7 +15,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
-from ..evaluate import worth_of_groups
+from ..evaluate import value_of_groups
 from ..statistics import of_shares
 from .dual import Dual
 from .slopes import slope_of
@@ -79,7 +79,7 @@ def limits_found(
     limits, source = problem.constraints, problem.sources.evaluation
     if not limits:
         return ()
-    measured = [of_shares(worth_of_groups(item.measure, totals, source)) for item in limits]
+    measured = [of_shares(value_of_groups(item.measure, totals, source)) for item in limits]
     multipliers = dual.multipliers or (0.0,) * len(limits)
     binds = np.zeros(len(limits), bool)
     met = []

@@ -12,9 +12,9 @@ from ..adjoint import weighted_adjoint
 
 
 def slope_of(
-    bound: BoundEngine, policy: Policy, draws: Draws, smooth, objective: Objective
+    bound_engine: BoundEngine, policy: Policy, draws: Draws, smooth, objective: Objective
 ) -> np.ndarray:
     """In one row, in float64."""
-    result = weighted_adjoint(bound, policy, draws, smooth, objective, wrt=("policy",))[1]
+    result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, wrt=("policy",))[1]
     leaves = jax.tree.leaves(trainable(result.policy)[0])
     return np.concatenate([np.ravel(np.asarray(leaf, np.float64)) for leaf in leaves])

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.engine import Engine, Engines, Native
-from snapo.lanes.machine.threads import beside
+from snapo.lanes.machine.threads import in_thread
 from snapo.problem.objective import Totals
 from snapo.problem.policies.memory import Memory, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import EXACT, Smooth
-from snapo.problem.unseen import words
+from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
 from ..derivatives.coordinates import coordinates
@@ -28,11 +28,11 @@ from ..evaluate import (
     ruined,
     shares_of,
     totals_and_decisions,
-    worth,
+    value_of,
 )
 from ..learning.convergence import AS_BEGUN, ending
 from ..learning.settings import TrainingPlan
-from ..learning.told import chosen
+from ..learning.told import start_notes
 from ..limits.found import limits_found, notes_of
 from ..provenance.broken import why_broken
 from ..sensitivity import Sensitivities, sensitivities_and_totals, through_policy
@@ -69,7 +69,9 @@ class Run(NamedTuple):
             max(1, self.progress.step),
             min(self.evaluation.search_paths, self.held_paths),
         )
-        return Effort.beside(steps * self.training.paths, self.problem.simulator.horizon, maximum)
+        return Effort.for_training(
+            steps * self.training.paths, self.problem.simulator.horizon, maximum
+        )
 
     @property
     def smooth(self) -> Smooth:
@@ -107,13 +109,13 @@ def measure(run: Run) -> dict[str, Any]:
         "sensitivities": table.dropped if table else 0,
     }
     selected = selection.kind == START
-    unseen = words(problem.partly_observed, remembered(policy) > 0)
+    unseen = note(problem.partly_observed, remembered(policy) > 0)
     broken = why_broken(problem, progress, training, run.engines.train)
     notes = (
         *_notes(value, dropped, ruined(objective, exact)),
         *_tails(problem, len(exact[objective.outputs[0]])),
-        *filter(None, [broken, unseen, selection.words]),
-        *chosen(progress),
+        *filter(None, [broken, unseen, selection.description]),
+        *start_notes(progress),
         *ended.notes,
         *notes_of(limits),
     )
@@ -154,13 +156,13 @@ def _compiled_meanwhile(run: Run) -> AbstractContextManager:
     requested = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
     if not requested or not isinstance(engine, Native):
         return nullcontext()
-    return beside(through_policy(problem, run.progress.best, run.smooth, engine).compile)
+    return in_thread(through_policy(problem, run.progress.best, run.smooth, engine).compile)
 
 
 def _surface(run: Run, problem: Problem) -> Surface | None:
     """The value around the newest policy; None where no derivative is asked for."""
     progress, effort = run.progress, run.effort
-    if not effort.most or not np.isfinite(progress.best_value):
+    if not effort.maximum or not np.isfinite(progress.best_value):
         return None
     newest = progress.best if problem.constraints or run.problem.constraints else progress.average
     around = coordinates(newest, progress.halfway if progress.step > 1 else None)
@@ -209,7 +211,7 @@ def _sensitivities(
         return table._replace(reported=held_alone(problem, table.held)), soft
     bumped = reactions(
         problem, policy, paths, table.held,
-        most=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
+        maximum=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
     )  # fmt: skip
     result = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
     derivatives = reported(problem, table.held, table.smooth, bumped, result)
@@ -254,7 +256,7 @@ def _smoothing_gap(
         soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
     same = {name: total[: len(soft[name])] for name, total in exact.items() if name in soft}
     with np.errstate(invalid="ignore"):
-        gap = float(np.subtract(worth(objective, same), worth(objective, soft)))
+        gap = float(np.subtract(value_of(objective, same), value_of(objective, soft)))
         difference = shares_of(objective, same, source) - shares_of(objective, soft, source)
     return gap, of_shares(difference).standard_error
 
@@ -271,7 +273,7 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {item.words()} is that of {item.tail * paths:.0f} of "
+        f"Few paths in the tail: the {item.describe()} is that of {item.tail * paths:.0f} of "
         f"{paths:,} paths, and its error is rough below {TAIL}; take "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures

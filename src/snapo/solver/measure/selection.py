@@ -19,9 +19,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, stream
 
 from .. import statistics
-from ..evaluate import of_groups, path_totals, shares_of, worth
+from ..evaluate import of_groups, path_totals, shares_of, value_of
 
-SURE = 2.0  # standard errors above the starting rule
+SIGNIFICANT = 2.0  # standard errors above the starting rule
 STAGES, PLAIN = (2048, 8192), 4.0  # paths that are enough for a gain of so many standard errors,
 NOTHING = 5e-5  # and where not even this share of the value can be gained
 FINAL = 1  # of the validation's streams
@@ -45,7 +45,7 @@ class Selection(NamedTuple):
     search: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """One sentence for the report; empty where nothing was compared."""
         if not np.isfinite(self.gain):
             return ""
@@ -76,7 +76,7 @@ def select(
             break
         result, level = _selected(problem, start, candidates, source, few, engine)
         plain = result.gain > PLAIN * result.error
-        if plain or result.gain + SURE * result.error <= NOTHING * abs(level):
+        if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
             return result
     return _selected(problem, start, candidates, source, paths, engine)[0]
 
@@ -97,7 +97,7 @@ def _selected(
         return path_totals(problem, policy, paths, engine=engine, source=source)
 
     base = totals(start)
-    level = float(worth(problem.objective, base))
+    level = float(value_of(problem.objective, base))
     taken = [of_groups(problem.objective, base, source, base[name]) for name in controls]
     shares = {START: shares_of(problem.objective, base, source)}
     same: dict[str, Policy] = {START: start}
@@ -127,7 +127,7 @@ def _selected(
     gains = {name: above(shares[name], shares[START]) for name in trained or finite}
     best = max(gains, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
-    if gain > SURE * error:
+    if gain > SIGNIFICANT * error:
         return Selection(best, candidates[best], gain, error, search), level
     return Selection(START, start, gain, error, search), level
 

@@ -41,8 +41,8 @@ class Evaluation:
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
             raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
-        for name in LEAST:
-            count(f"Evaluation: {name}", getattr(self, name), LEAST[name])
+        for name in MINIMUM:
+            count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 
     def sources(self, seed: int) -> Sources:
         """Fresh scenarios for every role, those of the evaluation as they are asked for here."""
@@ -50,7 +50,7 @@ class Evaluation:
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
 
-LEAST = {
+MINIMUM = {
     "paths": 2, "sensitivity_paths": 0, "smooth_paths": 0, "judge_paths": 0, "search_paths": 0,
     "selection_paths": 0,
 }  # fmt: skip
@@ -68,10 +68,10 @@ class Effort(NamedTuple):
     """
 
     work: float
-    most: int
+    maximum: int
 
     @classmethod
-    def beside(cls, trained: int, horizon: int, maximum: int) -> "Effort":
+    def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
         """That of a training on so many paths in all, of so many steps each."""
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
 
@@ -84,4 +84,4 @@ class Effort(NamedTuple):
         return self._within(self.work / (BACK * max(times, 1)))
 
     def _within(self, paths: float) -> int:
-        return int(min(self.most, max(FEWEST, paths)))
+        return int(min(self.maximum, max(FEWEST, paths)))

@@ -25,7 +25,7 @@ LATER = (
 )
 
 
-class Place(NamedTuple):
+class FirstNonFinite(NamedTuple):
     """The first number of a path that is not finite: "state water", "output cash"."""
 
     step: int
@@ -73,11 +73,11 @@ def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
     """All totals are finite, and the way back is not: the checker knows where."""
     many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
-    text = f" {errors[0].where}: {errors[0].what}" if errors else ""
+    text = f" {errors[0].where}: {errors[0].subject}" if errors else ""
     return f"{many} not finite, though all totals are.{text}"
 
 
-def _first(problem: Problem, policy, draws, smooth) -> Place | None:
+def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:
     """Where the course of these paths first leaves the finite numbers."""
     record = ("state", "outputs")
     trajectory = Xla().bind(problem).values(policy, draws, smooth, record=record).record
@@ -89,7 +89,7 @@ def _first(problem: Problem, policy, draws, smooth) -> Place | None:
             if wrong.any():
                 # The state before step t was made by step t - 1.
                 step = int(np.argwhere(wrong)[0][0]) - (kind == "state")
-                positions.append(Place(max(step, 0), f"{word} {name}".strip()))
+                positions.append(FirstNonFinite(max(step, 0), f"{word} {name}".strip()))
     return min(
         positions, default=None, key=lambda position: (position.step, position.name[0] != "s")
     )

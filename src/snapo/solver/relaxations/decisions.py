@@ -35,7 +35,7 @@ class Decisions(NamedTuple):
     problem: Problem
     rights: int
     right: int
-    worth: dict[str, float]
+    values: dict[str, float]
 
     def step(self, schedule, t: Array, state: PyTree, noise: Array) -> tuple[PyTree, Array]:
         """One path: the next state, and the earnings [rights + 1, 2] with 0, 1, … rights left,
@@ -77,7 +77,9 @@ class Decisions(NamedTuple):
 
     def earned(self, outputs: dict[str, Array]) -> Array:
         """What outputs are worth to the objective."""
-        weights = [weight * outputs[name] for name, weight in self.worth.items() if name in outputs]
+        weights = [
+            weight * outputs[name] for name, weight in self.values.items() if name in outputs
+        ]
         return jnp.asarray(sum(weights), jnp.float64)
 
     def left(self, states: PyTree) -> np.ndarray:
@@ -133,11 +135,11 @@ def _states(rollout) -> dict[str, np.ndarray]:
     """{name: [T + 1, N, …]} of every leaf of the states."""
     return {
         jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(whole(rollout))
+        for path, leaf in jax.tree_util.tree_leaves_with_path(states_of(rollout))
     }
 
 
-def whole(rollout) -> PyTree:
+def states_of(rollout) -> PyTree:
     """The states of a rollout, leaves [T + 1, N, …]: those of every step and the last ones."""
     return jax.tree.map(
         lambda a, b: np.concatenate([np.asarray(a), np.asarray(b)[None]]),

@@ -24,7 +24,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.simulator import at
 
-from .decisions import NotStopping, decisions, whole
+from .decisions import NotStopping, decisions, states_of
 from .value import better, fit, value
 
 FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
@@ -42,7 +42,7 @@ class StopRelaxation:
     """
 
     terms = 1
-    words = "the surprises of a fitted value of the rights"
+    description = "the surprises of a fitted value of the rights"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
@@ -53,7 +53,7 @@ class StopRelaxation:
         source = Pseudo(problem.sources.training.seed, stream=stream(EVALUATE, FITTING))
         with jax.enable_x64(True):
             self.schedule = cast(problem.schedule, np.float64)
-            self.fitted = fit(self.decisions, source, paths, self.schedule)
+            self.fitted_value = fit(self.decisions, source, paths, self.schedule)
             self._surprises, self._end = self._compiled()
             self._better = jax.jit(jax.vmap(better))
         self._kept: list[tuple[Rollout, np.ndarray, np.ndarray]] = []
@@ -69,7 +69,7 @@ class StopRelaxation:
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         innovations = self._table(rollout, draws)[1]
-        left = self.decisions.left(whole(rollout))
+        left = self.decisions.left(states_of(rollout))
         result = np.zeros(left.shape[1])
         for innovation, before, after in zip(innovations, left, left[1:]):
             result += innovation[np.arange(left.shape[1]), before, before - after]
@@ -93,9 +93,14 @@ class StopRelaxation:
 
     def _compiled(self) -> tuple[Callable, Callable]:
         """What every step computes on all paths, and what the last states earn."""
-        problem, schedule, resolved, last = self.decisions, self.schedule, self.fitted, self.horizon
+        problem, schedule, resolved, last = (
+            self.decisions,
+            self.schedule,
+            self.fitted_value,
+            self.horizon,
+        )
 
-        def worth(t, state):
+        def value_at(t, state):
             """The value at step t, or of the last state."""
             return jax.lax.cond(
                 t == last,
@@ -106,7 +111,7 @@ class StopRelaxation:
         def decided(t, state, noise):
             """[rights + 1, 2] of every decision: its earnings, and with what is left after it."""
             after, earnings = problem.step(schedule, t, state, noise)
-            ahead = worth(t + 1, after)
+            ahead = value_at(t + 1, after)
             left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)
             return earnings, earnings + left
 

@@ -19,11 +19,11 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from .decisions import Decisions, whole
+from .decisions import Decisions, states_of
 
-MOST, DEGREE = 100, 6  # functions, and the degree of a polynomial
+MAXIMUM, DEGREE = 100, 6  # functions, and the degree of a polynomial
 REACH = 4.0  # standard deviations
-LEAST = 1e-9  # of a number's size: a smaller deviation is none
+MINIMUM = 1e-9  # of a number's size: a smaller deviation is none
 
 
 def exponents(numbers: int) -> list[tuple[int, ...]]:
@@ -31,7 +31,7 @@ def exponents(numbers: int) -> list[tuple[int, ...]]:
     results: list[tuple[int, ...]] = []
     for degree in range(DEGREE + 1):
         more = list(combinations_with_replacement(range(numbers), degree))
-        if degree > 1 and len(results) + len(more) > MOST:
+        if degree > 1 and len(results) + len(more) > MAXIMUM:
             break
         results += more
     return results
@@ -47,7 +47,7 @@ class Scale(NamedTuple):
     def of(cls, numbers: Float[np.ndarray, "paths d"]) -> "Scale":
         """From a sample; a number that is the same on all paths counts as zero."""
         centre, deviation = numbers.mean(0), numbers.std(0)
-        varies = deviation > LEAST * np.maximum(np.abs(centre), 1.0)
+        varies = deviation > MINIMUM * np.maximum(np.abs(centre), 1.0)
         per = np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
         return cls(jnp.asarray(centre), jnp.asarray(per))
 
@@ -75,7 +75,7 @@ def value(
     decisions: Decisions, schedule, resolved: Fitted, t: Array, state: PyTree
 ) -> Float[Array, " left"]:
     """One path: the value at step t, by the rights left."""
-    numbers, earnings = known(decisions, schedule, t, state)
+    numbers, earnings = basis_and_earnings(decisions, schedule, t, state)
     result = at(resolved.waiting, t) @ functions(numbers, at(resolved.scales, t))
     return better(earnings, result)
 
@@ -86,7 +86,9 @@ def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Fl
     return jnp.concatenate([waiting[:1], jnp.maximum(waiting[1:], using)])
 
 
-def known(decisions: Decisions, schedule, t: Array, state: PyTree) -> tuple[Array, Array]:
+def basis_and_earnings(
+    decisions: Decisions, schedule, t: Array, state: PyTree
+) -> tuple[Array, Array]:
     """One path: the numbers of the basis, and every decision's earnings where no noise comes."""
     calm = jnp.zeros(decisions.problem.simulator.noise_size)
     _, earnings = decisions.step(schedule, t, state, calm)
@@ -100,8 +102,8 @@ def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted
     engine, simulator = Xla(precision="float64").bind(problem), problem.simulator
     draws = source.draws(np.arange(source.available(paths)), simulator)
     waits = np.zeros((simulator.horizon, draws.size, decisions.rights))
-    states = whole(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
-    item = jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0))
+    states = states_of(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
+    item = jax.vmap(lambda t, state: basis_and_earnings(decisions, schedule, t, state), (None, 0))
     numbers_of = followed(jax.jit(item), problem.version)
     functions_of = jax.jit(jax.vmap(functions, (0, None)))
     better_of = jax.jit(jax.vmap(better))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..derivatives.bump import one_percent
-from .rolled import CELLS, POINTS, chosen, decisions, rolled
+from .rolled import CELLS, POINTS, decisions, series_named, simulated_series
 
 if TYPE_CHECKING:
     from snapo.problem.policy import Policy
@@ -108,7 +108,7 @@ class Figures:
 
         **Raises:** `KeyError` for a name that is none, `ValueError` without a problem or a policy.
         """
-        series = chosen(rolled(*self._played("fan", problem)), name, "fan")
+        series = series_named(simulated_series(*self._played("fan", problem)), name, "fan")
         low, lower, upper, high = np.nanquantile(series, [0.05, 0.25, 0.75, 0.95], axis=1)
         steps = np.arange(len(series))
         figure, ax = _axes(ax)
@@ -133,11 +133,11 @@ class Figures:
         """
         result, policy = self._played("policy", problem)
         names = (state,) if other is None else (state, other)
-        series = rolled(result, policy)
+        series = simulated_series(result, policy)
         points = POINTS if other is None else CELLS
         ranges = []
         for name in names:
-            low, high = np.nanquantile(chosen(series, name, "policy"), [0.005, 0.995])
+            low, high = np.nanquantile(series_named(series, name, "policy"), [0.005, 0.995])
             ranges.append(np.linspace(low, high, points))
         decided = decisions(result, policy, names, ranges, step)
         figure, ax = _axes(ax)

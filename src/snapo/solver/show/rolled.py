@@ -21,13 +21,13 @@ from ..simulate import simulate
 PATHS, POINTS, CELLS = 1024, 121, 61
 
 
-def rolled(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
+def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
     """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
     trajectory = simulate(problem, policy, paths=paths)
     return {**trajectory.states, **trajectory.actions, **trajectory.outputs}
 
 
-def chosen(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
+def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
     """One of the series. **Raises:** `KeyError` for a name that is none."""
     if name not in series:
         raise KeyError(f"plot.{subject}: nothing is called {name!r}; there are {sorted(series)}.")

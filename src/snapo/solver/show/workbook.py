@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 NEEDED = "workbooks need the package openpyxl: pip install 'snapo[xlsx]'"
-MOST_ROWS, MOST_NAME = 1_000_000, 31  # of a sheet; letters of its name
+MAX_ROWS, MAX_NAME = 1_000_000, 31  # of a sheet; letters of its name
 DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 
@@ -41,7 +41,7 @@ def write_tables(file: Path, tables: Mapping[str, Table]) -> None:
     book = Workbook()
     book.remove(book.worksheets[0])
     for name, table in tables.items():
-        sheet = book.create_sheet(re.sub(r"[\[\]:*?/\\']", " ", name)[:MOST_NAME])
+        sheet = book.create_sheet(re.sub(r"[\[\]:*?/\\']", " ", name)[:MAX_NAME])
         columns = _fill(sheet, table)
         for cell in sheet[1]:
             cell.font = Font(bold=True)
@@ -56,7 +56,7 @@ def _fill(sheet: Any, table: Table) -> int:
     from openpyxl.utils import get_column_letter
 
     largest: dict[int, float] = {}
-    for i, row in enumerate([table.header, *table.rows][: MOST_ROWS + 1], 1):
+    for i, row in enumerate([table.header, *table.rows][: MAX_ROWS + 1], 1):
         for j, value in enumerate(map(_native, row), 1):
             if value is None:
                 continue

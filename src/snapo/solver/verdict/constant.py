@@ -31,14 +31,14 @@ class Constant(NamedTuple):
     limit: bool
 
     @property
-    def named(self) -> str:
+    def suffix(self) -> str:
         """Its name behind a space, where it has one."""
         return f" ({self.name})" if self.name else ""
 
     @property
     def where(self) -> str:
         """ "0.9, at its limit"."""
-        return told(self.value) + (", at its limit" if self.limit else "")
+        return numbers_text(self.value) + (", at its limit" if self.limit else "")
 
 
 def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
@@ -56,17 +56,19 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
     ]
 
 
-def words(constants: list[Constant], of: int) -> str:
+def describe(constants: list[Constant], of: int) -> str:
     """A sentence on decisions that never change, of so many."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
-        where = told(np.concatenate([item.value for item in constants]))
+        where = numbers_text(np.concatenate([item.value for item in constants]))
         return f"The decision never changes ({where}{limit})"
     if len(constants) == 1:
         one = constants[0]
-        return f"Decision {one.number} of {of}{one.named} never changes ({one.where})"
+        return f"Decision {one.number} of {of}{one.suffix} never changes ({one.where})"
     more = f" and {len(constants) - TOLD} more" if len(constants) > TOLD else ""
-    listed = ", ".join(f"{entry.number}{entry.named} ({entry.where})" for entry in constants[:TOLD])
+    listed = ", ".join(
+        f"{entry.number}{entry.suffix} ({entry.where})" for entry in constants[:TOLD]
+    )
     return f"{len(constants)} of {of} decisions never change: {listed}{more}"
 
 
@@ -97,7 +99,7 @@ def at_limit(constants: list[Constant]) -> bool:
     return all(item.limit for item in constants)
 
 
-def rivals(action: Actions, actions: np.ndarray) -> list[np.ndarray]:
+def constant_baselines(action: Actions, actions: np.ndarray) -> list[np.ndarray]:
     """Constant decisions [size] that a rule should beat: the mean of the decisions [T, paths, size]
     that it takes, and where limits are finite the few decisions at all of them."""
     mean = actions.mean((0, 1))
@@ -127,7 +129,7 @@ def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarra
     return list(np.eye(len(group))) if shares else [mean[group]]
 
 
-def told(numbers: np.ndarray) -> str:
+def numbers_text(numbers: np.ndarray) -> str:
     """The numbers of a decision in words."""
     if numbers.size > LONG:
         return f"{numbers.size} numbers"

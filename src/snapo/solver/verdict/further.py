@@ -15,7 +15,7 @@ from ..learning.optimiser import schedule
 from ..learning.progress import Progress
 from ..learning.settings import TrainingPlan
 
-SURE = 2.0  # standard errors
+SIGNIFICANT = 2.0  # standard errors
 SHARE = 0.01  # of the size: as many steps again would bring more
 UNSURE = 0.03  # of the size: two errors above this tell nothing
 WARMUPS = 5  # a training of fewer warm-ups than this tells nothing
@@ -43,12 +43,12 @@ class Further(NamedTuple):
     @property
     def improving(self) -> bool:
         """Whether that is much, and sure."""
-        return self.late > SURE * self.late_error and self.more > SHARE * self.size
+        return self.late > SIGNIFICANT * self.late_error and self.more > SHARE * self.size
 
     @property
-    def known(self) -> bool:
+    def is_small(self) -> bool:
         """Whether it is surely not much, in either direction."""
-        wide = SURE * self.times * self.late_error
+        wide = SIGNIFICANT * self.times * self.late_error
         return bool(abs(self.more) <= SHARE * self.size and wide <= UNSURE * self.size)
 
 

@@ -19,7 +19,7 @@ from snapo.problem.problem import Problem
 from ..learning.progress import Progress, Record
 from ..learning.settings import TrainingPlan
 
-MOST = 3  # times that a training begins anew
+MAXIMUM = 3  # times that a training begins anew
 DRAWN = 0.3  # of every decision, at random, in one that began anew
 LAST = 0.5  # of the steps: later on too few are left
 NONE = 1e-9  # of a total: a difference that is round-off
@@ -40,18 +40,18 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 def caught(progress: Progress, training: TrainingPlan) -> bool:
     """Whether training should begin anew: the last two validations say that it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
-    return progress.alike >= 2 and early and len(progress.redrawn) < MOST
+    return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
 
 
 def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
     """The training with more of every decision drawn, where decisions have bounds."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
-    if not (bounded and action.explores and training.cools):
+    if not (bounded and action.exploration_size and training.cools):
         return training
     return replace(training, exploration=max(training.exploration, DRAWN))
 
 
-def words(steps: Sequence[int], history: Sequence[Record]) -> str:
+def describe(steps: Sequence[int], history: Sequence[Record]) -> str:
     """One sentence on the steps at which training began anew."""
     *first, last = map(str, steps)
     where = f"steps {', '.join(first)} and {last}" if first else f"step {last}"

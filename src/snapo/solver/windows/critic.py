@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, Float, PyTree
 
 from snapo.engine import Rollout
-from snapo.problem.code.version import following, of_rollout
+from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Network
 from snapo.problem.problem import Problem
@@ -78,7 +78,7 @@ def blank(features: int, seed: int = 0) -> Learner:
     return Learner(critic, _ADAM.init(eqx.filter(network, eqx.is_inexact_array)))
 
 
-def worth_ahead(objective: Objective, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
+def continuation_value(objective: Objective, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
     """The worth of all outputs from each step on, [T, N], and which paths [N] are finite."""
     totals = float64(rollout.totals)
     paths = next(iter(totals.values())).size
@@ -92,7 +92,7 @@ def worth_ahead(objective: Objective, rollout: Rollout) -> tuple[np.ndarray, np.
     return value, np.asarray(np.isfinite(value).all(0))
 
 
-def fitted(
+def fitted_critic(
     problem: Problem, available: Learner, states, value, valid, firsts, length: int, step: int
 ) -> Learner:
     """The critic after some steps of regression on states at the ends of windows."""
@@ -122,7 +122,7 @@ def fitted(
 
 def observations(simulator: Simulator, constants, nows, states) -> Array:
     """Observations [ends, paths, features]."""
-    with following(of_rollout(simulator, None, Schedule(constants, nows))):
+    with read_context(of_rollout(simulator, None, Schedule(constants, nows))):
         return _observations(simulator, constants, nows, states)
 
 

@@ -27,7 +27,7 @@ from snapo.problem.smooth import Smooth
 
 from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
-from .critic import Critic, Learner, fitted, worth_ahead
+from .critic import Critic, Learner, continuation_value, fitted_critic
 
 UPDATES = 8  # windows that one sweep over the horizon serves
 AHEAD = "worth ahead"  # the output that a critic adds to a window
@@ -40,25 +40,25 @@ class Windowed(Around):
         raise NotImplementedError("its schedule is made of the simulator's own, by `_ending`")
 
     def initial(self, constants, noise):
-        return self.own.initial(constants["own"], noise)
+        return self.inner.initial(constants["own"], noise)
 
     def observe(self, constants, now, state):
-        return self.own.observe(constants["own"], now, state)
+        return self.inner.observe(constants["own"], now, state)
 
     def step(self, constants, now, state, action, noise, smooth):
-        return self.own.step(constants["own"], now, state, action, noise, smooth)
+        return self.inner.step(constants["own"], now, state, action, noise, smooth)
 
     def terminal(self, constants, state, smooth):
-        observed = self.own.observe(constants["own"], constants["end"], state)
+        observed = self.inner.observe(constants["own"], constants["end"], state)
         # What the horizon's end alone gives lies ahead: it is part of the critic's worth.
-        later = dict.fromkeys(self.own.terminal(constants["own"], state, smooth), jnp.zeros(()))
+        later = dict.fromkeys(self.inner.terminal(constants["own"], state, smooth), jnp.zeros(()))
         return later | {AHEAD: constants["critic"](observed, constants["left"])}
 
     def state_scale(self, constants):
-        return self.own.state_scale(constants["own"])
+        return self.inner.state_scale(constants["own"])
 
     def slack(self, constants, now, state, outputs):
-        return self.own.slack(constants["own"], now, state, outputs)
+        return self.inner.slack(constants["own"], now, state, outputs)
 
 
 def starts(horizon: int, length: int) -> np.ndarray:
@@ -73,12 +73,12 @@ class Sweep(NamedTuple):
 
     objective: float
     states: PyTree
-    known: Learner
+    critic: Learner
 
 
 def sweep(
     problem: Problem,
-    bound: BoundEngine,
+    bound_engine: BoundEngine,
     learner: Learner,
     policy: PyTree,
     draws: Draws,
@@ -87,10 +87,10 @@ def sweep(
     step: int,
 ) -> Sweep:
     """The first states of all windows, [T, N] a leaf, and the critic fitted anew."""
-    rollout = bound.values(policy, draws, smooth, record=("state", "outputs"))
-    value, valid = worth_ahead(problem.objective, rollout)
+    rollout = bound_engine.values(policy, draws, smooth, record=("state", "outputs"))
+    value, valid = continuation_value(problem.objective, rollout)
     states, firsts = rollout.record["state"], starts(problem.simulator.horizon, length)
-    learner = fitted(problem, learner, states, value, valid, firsts, length, step)
+    learner = fitted_critic(problem, learner, states, value, valid, firsts, length, step)
     totals = {name: total[valid] for name, total in float64(rollout.totals).items()}
     objective = problem.objective.value(totals) if valid.any() else float("nan")
     return Sweep(objective, states, learner)
@@ -98,7 +98,7 @@ def sweep(
 
 def window_adjoint(
     problem: Problem,
-    bound: BoundEngine,
+    bound_engine: BoundEngine,
     swept: Sweep,
     policy: PyTree,
     draws: Draws,
@@ -118,10 +118,12 @@ def window_adjoint(
     if first + length == horizon:
         options["window"], objective = Window(first, length), problem.objective
     else:
-        bound = BoundEngine(bound.engine, *_ending(problem, swept.known.critic, first + length))
+        bound_engine = BoundEngine(
+            bound_engine.engine, *_ending(problem, swept.critic.critic, first + length)
+        )
         options["window"] = Window(first, length, terminal=True)
         objective = problem.objective + Mean(AHEAD)
-    return adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)
+    return adjoint_of_finite_paths(bound_engine, policy, draws, smooth, objective, **options)
 
 
 def _turn(number: int, count: int) -> int:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Section, Text
 from snapo.report.quantity import decimals, finite, number, percent
 from snapo.report.rows import Column, table
@@ -73,11 +73,11 @@ def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> Va
     )
     value, error = run.solution.value, run.solution.standard_error
     result = result.above(value, error, setup.problem.objective)
-    run.tell(str(result))
+    run.progress(str(result))
     return ValueBounds.of(result)
 
 
-def bound(run: Folder) -> Section:
+def value_bounds(run: RunFiles) -> Section:
     """The section; of a run without bounds, how to get them."""
     section = BOUND(run)
     if BOUND.name in run.parts or BOUND.of(run) is not None:
@@ -88,7 +88,7 @@ def bound(run: Folder) -> Section:
     return replace(section, blocks=[Text(text)])
 
 
-def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
+def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     """Lower and upper bound with their 95 % intervals, and the gap between them in a sentence."""
     digits = decimals([result.upper.value], 6)
     rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
@@ -102,7 +102,7 @@ def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
     blocks: list[Block] = [
         Text(sentence(run, result, digits)),
         _chart(run, result, rows, digits),
-        table([*rows, ("Gap, path by path", result.gap)], columns, caption, places=digits),
+        table([*rows, ("Gap, path by path", result.gap)], columns, caption, decimal_places=digits),
     ]
     low, high = result.sure
     if low is not None and high is not None:
@@ -111,22 +111,23 @@ def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
     return blocks
 
 
-def sentence(run: Folder, result: ValueBounds, digits: int) -> str:
+def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
     """ "No policy whatever earns more than EUR 78,498 …"."""
     top, gap, low = (finite(x) for x in (result.upper.high, result.gap.high, result.lower.value))
     if top is None or gap is None or low is None:
         return "There are too few paths for an interval."
     if small := result.says_little:
-        return f"This bound {small}. No policy earns more than {run.worth(top, None, digits)}."
+        return f"This bound {small}. No policy earns more than {run.value_text(top, None, digits)}."
     share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
     return (
-        f"No policy whatever earns more than {run.worth(top, None, digits)}, and the trained one"
-        f" leaves at most {run.worth(gap, None, digits)}{share} on the table (95 % intervals)."
+        f"No policy whatever earns more than {run.value_text(top, None, digits)}, and the "
+        f"trained one leaves at most {run.value_text(gap, None, digits)}{share} on the table (95 "
+        "% intervals)."
     )
 
 
 def _chart(
-    run: Folder, result: ValueBounds, rows: Sequence[tuple[str, BoundInterval]], digits: int
+    run: RunFiles, result: ValueBounds, rows: Sequence[tuple[str, BoundInterval]], digits: int
 ) -> Chart:
     exact = finite(run.get("dynamic_programming"))
     texts = "; ".join(

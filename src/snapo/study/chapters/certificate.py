@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.problem.problem import Problem
 from snapo.report import evidence
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table
 from snapo.report.quantity import finite, number, percent, power, readable
 from snapo.solver.certificate import certify_derivatives, feasibility, in_the_mean, nudged
@@ -69,7 +69,7 @@ class Certificate:
 
 def largest(problem: Problem) -> float:
     """The size of the largest number among the inputs, at least one."""
-    sizes = [np.max(np.abs(entry.value), initial=1.0) for entry in problem.named.values()]
+    sizes = [np.max(np.abs(entry.value), initial=1.0) for entry in problem.inputs_by_name.values()]
     return float(max(sizes, default=1.0))
 
 
@@ -128,7 +128,7 @@ def certificate(
     return Chapter("certificate", TITLE, result, measure, blocks, key="certificate")
 
 
-def show_certificate(run: Folder, result: Certificate) -> list[Block]:
+def show_certificate(run: RunFiles, result: Certificate) -> list[Block]:
     """The tables of bumps and of limits."""
     step = str(run.get("step", "step")).capitalize()
     if not result.feasibility:
@@ -196,7 +196,7 @@ def _direction(inputs: str | float | None) -> str:
 CERTIFICATE = certificate()
 
 
-def checks(run: Folder) -> list[tuple[str, bool]]:
+def checks(run: RunFiles) -> list[tuple[str, bool]]:
     """(subject, whether it holds) of every check of the certificate of a run."""
     result = CERTIFICATE.of(run)
     return [] if result is None else result.checks

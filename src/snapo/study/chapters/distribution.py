@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.report import charts
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart
 from snapo.report.quantity import number, quantity, readable, unit_words, with_unit
 from snapo.report.rows import Column, table
@@ -108,7 +108,7 @@ def distributed(
     )
 
 
-def show(run: Folder, result: OutputTotals) -> list[Block]:
+def show(run: RunFiles, result: OutputTotals) -> list[Block]:
     """A histogram for each of the first outputs, and one table for all of them."""
     first = run.get("objective_output")
     totals = [total for total in result.distribution if total.paths]

@@ -1,10 +1,10 @@
 """The value of a run with its standard error, and the numbers that stand beside it."""
 
 from snapo.report.evidence import gradient, notes
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Facts, Headline, Mark, Section
 from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 
 from .certificate import checks
 
@@ -15,11 +15,11 @@ STATUS = {
 }
 
 
-def headline(run: Folder) -> Section:
+def headline(run: RunFiles) -> Section:
     """The value that a reader came for."""
     value, unit = finite(run.result.get("value")), run.unit
     if value is None:
-        return Section("value", "Value", "Value", [lacking(run, "training")])
+        return Section("value", "Value", "Value", [why_missing(run, "training")])
     error = finite(run.result.get("standard_error"))
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     text = f"{number(value, digits)}{SPACE}{unit}".rstrip(SPACE)
@@ -31,7 +31,7 @@ def headline(run: Folder) -> Section:
     return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
 
 
-def marks(run: Folder) -> list[Mark]:
+def marks(run: RunFiles) -> list[Mark]:
     """The state of the run, and of its checks together."""
     status = str(run.result.get("status", ""))
     result = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
@@ -41,7 +41,7 @@ def marks(run: Folder) -> list[Mark]:
     return result
 
 
-def _facts(run: Folder, value: float, digits: int) -> list[tuple[str, str, str]]:
+def _facts(run: RunFiles, value: float, digits: int) -> list[tuple[str, str, str]]:
     facts = []
     for name, item in (run.result.get("references") or {}).items():
         if finite(item) is not None:

@@ -7,11 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from snapo.engine import COURSE
+from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.report.bands import quantile_fan
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import number, quantity, readable, with_unit
 
@@ -19,8 +19,8 @@ from ..chapter import Chapter, Floats, Number, floats
 from ..study import Setup, StudyRun
 from .distribution import QUANTILES
 
-PATHS, MOST_NUMBERS = 4096, 4_000_000  # paths, and numbers of one record that are held at once
-MOST_ENTRIES = 12  # of an array in the state: a larger one has no band of its own
+PATHS, MAX_NUMBERS = 4096, 4_000_000  # paths, and numbers of one record that are held at once
+MAX_ENTRIES = 12  # of an array in the state: a larger one has no band of its own
 KINDS = ("state", "action", "outputs")
 PICTURES = 12  # of one kind
 HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one step"}
@@ -81,7 +81,7 @@ class BandProfile:
 def profile(
     *,
     without: Collection[str] = (),
-    factor: Callable[[Folder, BandSeries], float] = lambda run, series: 1.0,
+    factor: Callable[[RunFiles, BandSeries], float] = lambda run, series: 1.0,
 ) -> Chapter[BandProfile]:
     """The chapter "profile".
 
@@ -102,13 +102,13 @@ def profile(
 def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
     """The bands of the trained policy; units are those of the study's `about`."""
     horizon, units = run.setup.problem.simulator.horizon, run.study.about.get("units", {})
-    requested = min(PATHS, max(256, MOST_NUMBERS // horizon))
+    requested = min(PATHS, max(256, MAX_NUMBERS // horizon))
     series, notes, paths = [], [], 0
     for kind, name, values in recorded(run.setup, run.solution.policy, requested):
         _, paths, entries = values.shape
         if kind == "state" and name in without:
             continue
-        if entries > MOST_ENTRIES:
+        if entries > MAX_ENTRIES:
             notes.append(f"{name} has {entries} numbers and no band of its own.")
             continue
         for i in range(entries):
@@ -125,7 +125,7 @@ def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.nd
     records: dict[tuple[str, str], list[np.ndarray]] = {}
     for block in source.blocks(source.available(paths), 8):
         draws = source.draws(block, problem.simulator)
-        rollout = bound.values(policy, draws, Exact(), record=COURSE)
+        rollout = bound.values(policy, draws, Exact(), record=TRAJECTORY)
         last = leaves(rollout.state)
         for kind in KINDS:
             for name, values in leaves(rollout.record[kind]).items():
@@ -166,9 +166,9 @@ def _quantiles(values: np.ndarray) -> np.ndarray:
 
 
 def show(
-    run: Folder,
+    run: RunFiles,
     result: BandProfile,
-    factor: Callable[[Folder, BandSeries], float] = lambda run, series: 1.0,
+    factor: Callable[[RunFiles, BandSeries], float] = lambda run, series: 1.0,
 ) -> Sequence[Block]:
     """A fan for every number of the state, of the decision and of the outputs."""
     series = [x.times(factor(run, x)) for x in result.series]

@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.inputs import Input
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder, Sensitivity
+from snapo.report.folder import RunFiles, Sensitivity
 from snapo.report.page import Block, Chart, Section, Table, Text
 from snapo.report.quantity import (
     SPACE,
@@ -23,7 +23,7 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.derivatives.bump import one_percent
 from snapo.solver.derivatives.verdict import Verdict
 from snapo.solver.sensitivity import Sensitivities
@@ -145,12 +145,12 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
     observed, seen_error = bump.bump if bump else (None, None)
     return InputMove(
         name,
-        entry.words,
+        entry.meaning,
         entry.group,
         entry.value.size,
-        None if entry.move is None else entry.move * entry.trade_factor,
+        None if entry.move is None else entry.move * entry.display_factor,
         SHARE if entry.move is None else None,
-        entry.trade_unit or entry.unit,
+        entry.display_unit or entry.unit,
         **interval(table, name, along),
         source=table.source(name),
         held=held,
@@ -187,25 +187,25 @@ def _along(
     return (None, None) if table is None else table[name].along(along)
 
 
-def sensitivities(run: Folder) -> Section:
+def sensitivities(run: RunFiles) -> Section:
     """The tornado with its table, and the derivative with respect to every number."""
     title = "Sensitivities"
     if not run.sensitivities:
-        return Section("sensitivities", title, title, [lacking(run, "training")])
+        return Section("sensitivities", title, title, [why_missing(run, "training")])
     result = MOVES.of(run)
     blocks = [] if result is None else show(run, result)
-    blocks = blocks or [lacking(run, "moves")]
+    blocks = blocks or [why_missing(run, "moves")]
     caveat = Text(CAVEAT, caveat=True)
     return Section("sensitivities", title, title, [*blocks, _derivatives(run), caveat])
 
 
-def show(run: Folder, result: InputMoves) -> Sequence[Block]:
+def show(run: RunFiles, result: InputMoves) -> Sequence[Block]:
     """The tornado and the table of moves; nothing where no effect is known."""
     moves = [move for move in result.moves if move.effect is not None]
     return [_tornado(run, moves), _moves(run, moves)] if moves else []
 
 
-def _tornado(run: Folder, moves: Sequence[InputMove]) -> Chart:
+def _tornado(run: RunFiles, moves: Sequence[InputMove]) -> Chart:
     drawn = moves[:LONGEST]
     digits = decimals([move.effect for move in drawn], 4)
     swings = [
@@ -227,7 +227,7 @@ def _tornado(run: Folder, moves: Sequence[InputMove]) -> Chart:
     return Chart(svg, caption)
 
 
-def _moves(run: Folder, moves: Sequence[InputMove]) -> Table:
+def _moves(run: RunFiles, moves: Sequence[InputMove]) -> Table:
     digits = decimals([move.effect for move in moves], 4)
     rows = [
         (
@@ -255,7 +255,7 @@ def _at_bump(move: InputMove, digits: int) -> tuple[str, str]:
     return text, plus_minus(move.bump_error, digits)
 
 
-def _derivatives(run: Folder) -> Table:
+def _derivatives(run: RunFiles) -> Table:
     rows = [_line(row, run.unit) for row in run.sensitivities[:ROWS]]
     head = [("Input", ""), ("", ""), ("Derivative", ""), ("95 % low", ""), ("high", ""),
             ("Unit", ""), ("Source", ""), ("Held", ""), ("", ""), ("Smooth", ""), ("", ""),

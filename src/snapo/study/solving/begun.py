@@ -13,17 +13,17 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
-from snapo.solver.evaluate import estimate, path_totals, worth_of_groups
+from snapo.solver.evaluate import estimate, path_totals, value_of_groups
 
 from ..run_folder import START
 from ..study import Part, Setup, Study, StudyRun
 from ..training import TRAINING
-from .given import Given
+from .given import SuppliedPolicy
 
 KEPT, GAIN = "given policy", "gain over the given policy"
 
 
-def begun_with(study: Study, values: Given, file: str) -> Study:
+def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     """The study with `given` in the place of its untrained policy; `file` is that of its case.
 
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
@@ -43,20 +43,23 @@ def begun_with(study: Study, values: Given, file: str) -> Study:
     return replace(study, parts=parts, setup=setup, result=_told(study.result))
 
 
-def _fitted(setup: Callable[[], Setup], values: Given) -> Callable[[], Setup]:
+def _fitted(setup: Callable[[], Setup], values: SuppliedPolicy) -> Callable[[], Setup]:
     """The setup of a study, which may change while it runs, with the policy in it."""
     made: dict[int, tuple[Setup, Setup]] = {}
 
-    def fitted() -> Setup:
+    def build() -> Setup:
         local = setup()
         if id(local) not in made:  # the pair keeps `own`, and with it its number
-            made[id(local)] = local, local._replace(policy=values.fitted(local.policy), recipe=None)
+            made[id(local)] = (
+                local,
+                local._replace(policy=values.adopted_by(local.policy), recipe=None),
+            )
         return made[id(local)][1]
 
-    return fitted
+    return build
 
 
-def _kept(values: Given) -> Callable[[StudyRun], Mapping[str, Any]]:
+def _kept(values: SuppliedPolicy) -> Callable[[StudyRun], Mapping[str, Any]]:
     def work(run: StudyRun) -> Mapping[str, Any]:
         (run.folder / START).write_bytes(values.content)
         about = {"policy": str(values.source), "checksum": values.checksum, "value": values.value}
@@ -73,7 +76,7 @@ def _gain(run: StudyRun) -> Mapping[str, Any]:
     totals = path_totals(problem, setup.policy, solution.paths["evaluate"], engine=engine)
     value = estimate(problem.objective, totals, source, controls)
     both = (solution.totals, totals)
-    shares = [worth_of_groups(problem.objective, item, source) for item in both]
+    shares = [value_of_groups(problem.objective, item, source) for item in both]
     with np.errstate(invalid="ignore"):
         more = statistics.of_shares(np.subtract(*shares))
     return {
@@ -89,21 +92,21 @@ def _gain(run: StudyRun) -> Mapping[str, Any]:
 def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
     """The result with the start, and with a sentence on it for the report."""
 
-    def told(run: StudyRun) -> Mapping[str, Any]:
+    def report(run: StudyRun) -> Mapping[str, Any]:
         results, start = dict(result(run)), run.get("began_with")
         if not start or results.get("value") is None:
             return results
         gain = run.get("start_gain") or {}
-        sentence = words(start, gain)
+        sentence = describe(start, gain)
         return results | {
             "start": {**start, **gain},
             "notes": [*results.get("notes", ()), sentence],
         }
 
-    return told
+    return report
 
 
-def words(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
+def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
     """What training began with, and by how much it came further."""
     text = f"Training began with the policy of {start['policy']}"
     if start.get("value") is not None:

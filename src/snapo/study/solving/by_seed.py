@@ -10,7 +10,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
-from snapo.solver.evaluate import estimate, path_totals, worth_of_groups
+from snapo.solver.evaluate import estimate, path_totals, value_of_groups
 from snapo.solver.solution import Solution
 
 from ..study import Setup, Study
@@ -129,7 +129,7 @@ def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     totals = path_totals(problem, policy, paths, engine=engine)  # pyright: ignore
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
     value = estimate(problem.objective, totals, source, controls).value
-    shares = worth_of_groups(problem.objective, totals, source, controls)
+    shares = value_of_groups(problem.objective, totals, source, controls)
     return shares if np.isfinite(value) else np.full_like(shares, np.nan)
 
 
@@ -162,7 +162,7 @@ def _row(item: Trained, shares: np.ndarray | None, best: np.ndarray | None, with
     )
 
 
-def words(result: Mapping[str, Any]) -> str:
+def describe(result: Mapping[str, Any]) -> str:
     """What choosing the best of several does to the value that is reported."""
     from snapo.report.quantity import decimals, finite, number
 

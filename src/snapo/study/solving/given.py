@@ -34,7 +34,7 @@ OWN = re.compile(r"\.(low|high|groups)(\W|$)")  # settings that are those of the
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class SuppliedPolicy:
     """A policy to begin with, before it is known whether it fits.
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
@@ -46,7 +46,7 @@ class Given:
     file: Path
     content: bytes
     arrays: tuple[np.ndarray, ...]
-    words: Mapping[str, str]
+    text: Mapping[str, str]
     value: float | None = None
 
     @property
@@ -54,15 +54,15 @@ class Given:
         """Of the file: a resumed run must begin with the same."""
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
-    def fitted(self, local: Policy) -> Policy:
+    def adopted_by(self, local: Policy) -> Policy:
         """The policy of a case, `own`, with the trained numbers of this one.
 
         **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
         """
         needed = described({"policy": local})
         for position, word in needed.items():
-            if self.words.get(position, word) != word and not OWN.search(position):
-                has, needs = self.words[position], word
+            if self.text.get(position, word) != word and not OWN.search(position):
+                has, needs = self.text[position], word
                 raise self._misfit(_name(position), has, needs)
         leaves = jax.tree_util.tree_flatten_with_path(eqx.filter(local, eqx.is_array))[0]
         sizes = [array.shape for array in self.arrays], [leaf.shape for _, leaf in leaves]
@@ -82,7 +82,7 @@ class Given:
         return CaseError(str(self.file), "", None, text + more)
 
 
-def read(source: Path, kind: str, out: Path, resume: bool) -> Given:
+def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     """The policy of a run folder or of a file.
 
     - `kind`: of the case; `out`: the folder of the new run. Where both folders are one, the policy
@@ -112,7 +112,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> Given:
         message = str(error).removeprefix(f"{file}: ").rstrip(".")
         raise CaseError(str(file), "", None, message) from None
     text, leaves = _parted(file, header, list(arrays.values()))
-    return Given(source, file, content, tuple(leaves), text, value)
+    return SuppliedPolicy(source, file, content, tuple(leaves), text, value)
 
 
 def _of_run(run: Path, kind: str) -> float | None:
@@ -156,12 +156,12 @@ def _flat(tree: Any) -> list[tuple[Any, Any]]:
     return jax.tree_util.tree_flatten_with_path(tree)[0]
 
 
-def _with(policy: Policy, moved: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
+def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
     """The policy with other numbers where they are trained."""
     numbers, rest = eqx.partition(policy, eqx.is_array)
     flat, structure = jax.tree_util.tree_flatten_with_path(numbers)
     new = [
-        jnp.asarray(result, leaf.dtype) if path in moved else leaf
+        jnp.asarray(result, leaf.dtype) if path in names else leaf
         for (path, leaf), result in zip(flat, arrays)
     ]
     return eqx.combine(structure.unflatten(new), rest)

@@ -14,7 +14,7 @@ from .. import run_folder
 from ..domain import Loaded, Options, RunsCode
 
 if TYPE_CHECKING:
-    from ..study import Study, Tell
+    from ..study import ProgressCallback, Study
 
 
 def use_every_core() -> None:
@@ -46,7 +46,7 @@ class Wanted(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Ready:
+class Prepared:
     """A run that can be carried out: its case, its folder, what decides it, and its study."""
 
     loaded: Loaded
@@ -55,7 +55,7 @@ class Ready:
     study: "Study"
 
 
-def place(loaded: Loaded, out: Path | None) -> Path:
+def output_folder(loaded: Loaded, out: Path | None) -> Path:
     """The folder of the run, which can be written.
 
     **Raises:** `CaseError` where it cannot, or is that of the case.
@@ -73,7 +73,7 @@ def place(loaded: Loaded, out: Path | None) -> Path:
     return out
 
 
-def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Ready:
+def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     """The study of a case, beginning with a given policy where one is named.
 
     **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
@@ -98,7 +98,7 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Ready:
         from .begun import begun_with
 
         study = begun_with(study, values, str(loaded.file))
-    return Ready(loaded, out, decides, study)
+    return Prepared(loaded, out, decides, study)
 
 
 def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
@@ -108,9 +108,9 @@ def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
 
 
 def carried_out(
-    ready: Ready,
+    prepared: Prepared,
     resume: bool,
-    progress: "Tell",
+    progress: "ProgressCallback",
     began: float,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
@@ -120,9 +120,9 @@ def carried_out(
     """
     from ..carry_out import carry_out
 
-    run_folder.copy_case(ready.loaded.file, ready.out)
+    run_folder.copy_case(prepared.loaded.file, prepared.out)
     spent = time.perf_counter() - began
-    domain = ready.loaded.domain
+    domain = prepared.loaded.domain
     return carry_out(
-        domain, ready.study, ready.out, ready.decides, resume, progress, spent, adjacent
+        domain, prepared.study, prepared.out, prepared.decides, resume, progress, spent, adjacent
     )

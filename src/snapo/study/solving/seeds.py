@@ -17,24 +17,24 @@ from snapo.case.error import CaseError
 from snapo.solver.files import write_csv
 
 from .. import run_folder
-from ..choice import chosen
-from ..domain import Asked, Loaded, load, remarks
+from ..choice import with_needs
+from ..domain import CaseRequest, Loaded, load, remarks
 from ..run_folder import SEEDS
 from ..study import Part, Study, StudyRun
 from ..training import TRAINING
 from .begun import KEPT
-from .by_seed import Comparison, Row, Trained, compared, words
-from .prepare import Ready, Wanted, carried_out, made_ready, place
+from .by_seed import Comparison, Row, Trained, compared, describe
+from .prepare import Prepared, Wanted, carried_out, made_ready, output_folder
 
 if TYPE_CHECKING:
-    from ..study import Tell
+    from ..study import ProgressCallback
 
 TABLE = "seeds"  # the name of the part, and of the folder with the runs
 
 
 def solve_seeds(
-    request: Asked,
-    progress: "Tell",
+    request: CaseRequest,
+    progress: "ProgressCallback",
     out: Path | None,
     requested: Wanted,
     seeds: int | Sequence[int],
@@ -48,14 +48,14 @@ def solve_seeds(
     began = time.perf_counter()
     loaded = load(request)
     remarks(loaded.case.notes, progress)
-    out = place(loaded, out)
+    out = output_folder(loaded, out)
     numbers = _numbers(loaded, seeds)
     trained, ready = [], {}
     for seed in numbers:
         local = request._replace(assignments=(*request.assignments, f"training.seed={seed}"))
         one = _ready(load(local), out, seed, requested)
         if seed == numbers[0]:
-            remarks(one.study.about["notes"], progress, known=loaded.case.notes)
+            remarks(one.study.about["notes"], progress, ignored=loaded.case.notes)
             if requested.resume:
                 _check_same(out, one)
         ready[seed] = one
@@ -81,7 +81,7 @@ def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
     return list(range(first, first + seeds))
 
 
-def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Ready:
+def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Prepared:
     """The run of one seed in its own folder."""
     folder = out / TABLE / str(seed)
     selected, values = folder / run_folder.START, requested.policy
@@ -95,20 +95,22 @@ def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Ready:
     return ready
 
 
-def _trained(one: Ready, seed: int, requested: Wanted, progress: "Tell", began: float) -> Trained:
+def _trained(
+    one: Prepared, seed: int, requested: Wanted, progress: "ProgressCallback", began: float
+) -> Trained:
     """The parts up to the training, done in the seed's folder."""
-    parts = chosen(one.study.parts, (KEPT, TRAINING.name))
+    parts = with_needs(one.study.parts, (KEPT, TRAINING.name))
     study = replace(one.study, parts=parts)
 
-    def told(text: str) -> None:
+    def report(text: str) -> None:
         progress(f"seed {seed}: {text}")
 
-    told("begins")
-    result = carried_out(replace(one, study=study), requested.resume, told, began)
+    report("begins")
+    result = carried_out(replace(one, study=study), requested.resume, report, began)
     return Trained(seed, one.study, one.out, result)
 
 
-def _check_same(out: Path, one: Ready) -> None:
+def _check_same(out: Path, one: Prepared) -> None:
     """**Raises:** `CaseError` where RUN holds a run that differs by more than its seed."""
     if not (out / run_folder.RUN).exists():
         return
@@ -120,7 +122,7 @@ def _check_same(out: Path, one: Ready) -> None:
     run_folder.check_same(out, seeded)
 
 
-def _adopt(best: Ready, source: Path, resume: bool) -> None:
+def _adopt(best: Prepared, source: Path, resume: bool) -> None:
     """The folder of the best seed as RUN; kept, but for the table, where it is the same already."""
     if resume and (best.out / run_folder.RUN).exists():
         record = run_folder.read(best.out)
@@ -142,7 +144,7 @@ def _with_table(study: Study, comparison: Comparison) -> Study:
         summary, table = dict(study.result(run)), run.get("by_seed")
         if not table:
             return summary
-        return summary | {"seeds": table, "notes": [words(table), *summary.get("notes", ())]}
+        return summary | {"seeds": table, "notes": [describe(table), *summary.get("notes", ())]}
 
     return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
 

@@ -9,14 +9,14 @@ from snapo import Pseudo, bound
 from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.references.lattice import lattice
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
-from snapo.study.commands import Asked, load
+from snapo.study.commands import CaseRequest, load
 
 CASES = Path(__file__).parents[1] / "cases"
 
 
 def ready(name: str):
     """The setup of a case, and its relaxation."""
-    case = load(Asked(CASES / name)).case
+    case = load(CaseRequest(CASES / name)).case
     setup = make_setup(case, "auto", fitted_value(bare_problem(case)))
     return setup, StoreRelaxation(setup.problem)
 

@@ -8,7 +8,7 @@ from tests.domains.gas_storage.storage_cases import read
 
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
-from snapo.engine import COURSE
+from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import estimate, path_totals
 
@@ -77,9 +77,9 @@ def test_without_its_control_variates_a_path_is_the_same(setup):
     problem = setup.problem
     draws = problem.sources.evaluation.draws(np.arange(64), problem.simulator)
     engine = setup.engines.evaluate
-    whole = engine.bind(problem).values(setup.policy, draws, Exact(), record=COURSE)
+    whole = engine.bind(problem).values(setup.policy, draws, Exact(), record=TRAJECTORY)
     bare = engine.bind(problem, controls=False)
-    found = bare.values(setup.policy, draws, Exact(), record=COURSE)
+    found = bare.values(setup.policy, draws, Exact(), record=TRAJECTORY)
     assert set(whole.totals) - set(found.totals) == {"value_surprise"}
     for name, total in found.totals.items():
         np.testing.assert_array_equal(total, whole.totals[name])

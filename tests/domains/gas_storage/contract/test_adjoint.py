@@ -206,7 +206,7 @@ def test_the_guide_keeps_a_slope_at_its_knots():
 
 def test_moved_inputs_are_near_and_forced_flows_stay_zero():
     problem = bare_problem(read("quick"))
-    given, moved = problem.named, off_ties(problem).named
+    given, moved = problem.inputs_by_name, off_ties(problem).inputs_by_name
     for name, entry in given.items():
         zero = entry.value == 0
         assert_allclose(moved[name].value[~zero], entry.value[~zero], rtol=certificate.NUDGE)

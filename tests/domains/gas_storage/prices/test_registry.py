@@ -4,7 +4,7 @@ import equinox as eqx
 import pytest
 
 from snapo.domains.gas_storage.prices.one_factor import OneFactor
-from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, lacks, register
+from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, missing_members, register
 from snapo.domains.gas_storage.prices.registry import kinds
 
 PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "describe", "state_at"}
@@ -16,7 +16,7 @@ def test_every_kind_is_whole_and_says_its_table():
         found
     )
     for kind, process in found.items():
-        assert lacks(process) == []
+        assert missing_members(process) == []
         assert process.table.model_fields["kind"].annotation.__args__ == (kind,)
 
 
@@ -26,7 +26,7 @@ def test_a_process_without_dynamics_is_refused():
     class Dull(PriceProcess):
         kind = "dull"
 
-    assert set(lacks(Dull)) >= PARTS
+    assert set(missing_members(Dull)) >= PARTS
     with pytest.raises(TypeError, match=r"price process Dull lacks .*forward.*noise_size.*step"):
         register(Dull)
     with pytest.raises(TypeError):
@@ -39,7 +39,7 @@ def test_one_missing_method_is_named(part):
     """Everything of a one-factor price is there but for one method, which is abstract again."""
     abstract = getattr(PriceProcess, part)
     Almost = type(eqx.Module)("Almost", (OneFactor,), {part: abstract, "kind": "almost"})
-    assert lacks(Almost) == [part]
+    assert missing_members(Almost) == [part]
     with pytest.raises(TypeError, match=f"Almost lacks {part}"):
         register(Almost)
 

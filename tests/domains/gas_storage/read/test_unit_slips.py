@@ -9,7 +9,7 @@ from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.read.case import read_case
 from snapo.study.commands import check
-from snapo.study.domain import Asked
+from snapo.study.domain import CaseRequest
 
 CASES = Path(__file__).parents[1] / "cases"
 TEMPLATE = Path(str(DOMAIN.templates["flagship"]))
@@ -113,7 +113,7 @@ def test_check_prints_the_note_before_the_lines_of_the_case(tmp_path):
     text = (folder / "case.toml").read_text()
     (folder / "case.toml").write_text(text.replace("volatility = 0.85", "volatility = 45.0"))
     printed: list[str] = []
-    lines = check(Asked(folder), printed.append)
+    lines = check(CaseRequest(folder), printed.append)
     assert printed == [
         "note: model.spot_volatility: spot_volatility is 4,500 volatility points (45), outside 0.5 "
         "to 500 volatility points: fractions are meant, 0.85 is 85 %."

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, assets, full, given
 
-from snapo.domains.pension.bounds.gaussian import gaussian_returns, worth
+from snapo.domains.pension.bounds.gaussian import discounted_growth, gaussian_returns
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.coupon_bond import CouponBond
@@ -53,7 +53,7 @@ def test_bonds_and_swaps_of_every_kind_are_worth_what_they_cost_under_q():
         @jax.jit
         def unit(market):
             returns = gaussian_returns(one, schedule.constants, now, market)
-            return worth(one, returns, jnp.zeros(returns.load.shape[-1]))
+            return discounted_growth(one, returns, jnp.zeros(returns.load.shape[-1]))
 
         found = unit(market)
     assert np.asarray(found.classes) == pytest.approx(np.ones(5), abs=1e-13)

@@ -14,7 +14,7 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.engine import Xla
 from snapo.engine.native import Native
-from snapo.problem.inputs import named, values
+from snapo.problem.inputs import named_inputs, values
 from snapo.problem.inputs import replace as with_values
 from snapo.problem.prepare import prepare
 from snapo.problem.scenarios import Pseudo
@@ -116,7 +116,7 @@ def test_every_input_agrees_with_central_differences(problem):
         return sum(w * totals[name].mean() for name, w in WEIGHT.items())
 
     dead, rng = [], np.random.default_rng(0)
-    for i, entry in enumerate(named(inputs)):
+    for i, entry in enumerate(named_inputs(inputs)):
         found = ours[entry.name][0].ravel()
         assert native[entry.name][0].ravel() == pytest.approx(found, rel=1e-8, abs=1e-12)
         # Of long rows (payments, correlations) a sample.

@@ -21,7 +21,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sobol
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import value_and_gradient
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 pytestmark = pytest.mark.study
 
@@ -86,7 +86,7 @@ def solved():
     start = new_policy(one, simulator, problem.schedule, jax.random.key(0))
     training = Training(steps=400, paths=2048, learning_rate=0.02, validation_every=200)
     engine = Native("float32")
-    return problem, train(problem, begin(start, training), training, engine).best
+    return problem, train(problem, initial_progress(start, training), training, engine).best
 
 
 def weights_of(solved):

@@ -14,7 +14,7 @@ from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.inputs import named, values
+from snapo.problem.inputs import named_inputs, values
 from snapo.problem.inputs import replace as with_values
 from snapo.problem.objective import CRRA, ExpectedUtility, Mean
 from snapo.problem.prepare import prepare
@@ -22,7 +22,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sobol
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import float64, pull_back, value_and_gradient
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 STEPS, RATE, DRIFT = 24, 0.02, 0.05
 ENGINES = {"xla": Xla("float64"), "native": Native("float64")}
@@ -112,7 +112,7 @@ def test_training_finds_the_levered_weight_of_a_logarithm():
         training = Training(steps=300, paths=2048, learning_rate=0.05, validation_every=100)
         policy = ConstantMix(one, np.array([1 - start, start]))
         engine = Native("float32")
-        found = train(problem, begin(policy, training), training, engine).best
+        found = train(problem, initial_progress(policy, training), training, engine).best
         weight = np.asarray(found(jnp.zeros(1), Exact()))
         assert weight[1] == pytest.approx(best, abs=0.03)
         assert weight.sum() == pytest.approx(1, abs=1e-6)
@@ -179,7 +179,7 @@ def test_engines_agree_and_every_derivative_is_that_of_central_differences():
         return sum(w * found[name].mean() for name, w in weight.items())
 
     rng = np.random.default_rng(0)
-    for i, entry in enumerate(named(inputs)):
+    for i, entry in enumerate(named_inputs(inputs)):
         found, size = ours[entry.name][0].ravel(), entry.input.value.size
         assert native[entry.name][0].ravel() == pytest.approx(found, rel=1e-8, abs=1e-12)
         for place in rng.choice(size, min(size, 2), replace=False):

@@ -37,7 +37,7 @@ from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import pull_back
 from snapo.solver.evaluate import path_totals
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 NATIVE = Native("float64")
 
@@ -112,7 +112,7 @@ def test_the_final_ratio_depends_on_the_node_of_the_payment_alone(trained):
     if trained:
         training = Training(steps=20, paths=128, validation_every=20, validation_paths=128)
         goal = ExpectedUtility("funding_ratio", CRRA(5.0))
-        start = begin(policy, training)
+        start = initial_progress(policy, training)
         problem = Problem(simulator, inputs, goal)
         policy = train(problem, start, training, Native("float32")).best
     for engine in (NATIVE, Xla("float64")) if trained else (NATIVE,):

@@ -9,7 +9,7 @@ from tests.domains.pension.miniature import TEMPLATES, solved
 from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.setup import make_setup
 from snapo.solver.evaluate import path_totals
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 
 YOUNG, OLD = "Actives M 27", "Pensioners F 80"
 SHORT = (
@@ -43,7 +43,7 @@ def test_its_published_numbers_stand_in_it():
 @pytest.mark.prove
 def test_it_is_trained_and_keeps_the_law(folder):
     setup = make_setup(read_case(folder))
-    state = begin(setup.policy, setup.training)
+    state = initial_progress(setup.policy, setup.training)
     best = train(setup.problem, state, setup.training, setup.engines.train).best
     totals = path_totals(setup.problem, best, 256, engine=setup.engines.evaluate)
     reserve, pension = np.asarray(totals["reserve"]), np.asarray(totals["pension"])

@@ -82,7 +82,7 @@ def test_every_number_that_is_no_input_was_held_by_name(sized):
 def test_every_number_says_what_is_moved(sized):
     _, case = sized
     for given in every_given(case):
-        assert given.words, given.name
+        assert given.meaning, given.name
         assert given.group in GROUPS, given.name
 
 

@@ -4,7 +4,7 @@ import datetime
 
 import pytest
 
-from snapo.case.csv import Mention
+from snapo.case.csv import FileReference
 from snapo.case.error import CaseError
 from snapo.case.table import Section
 from snapo.domains.pension.read.cash_plan import Clock, read_cash_plan
@@ -17,7 +17,7 @@ def plan(folder, text, step=1 / 12, years=3, arrears=True):
     (folder / "plan.csv").write_text(text)
     section = Section(folder / "case.toml", "plan.contribution", [])
     clock = Clock(Grid(round(years / step), step, "GBP"), START, arrears)
-    return read_cash_plan(Mention(section, "schedule", "plan.csv"), clock), section.notes
+    return read_cash_plan(FileReference(section, "schedule", "plan.csv"), clock), section.notes
 
 
 def test_a_date_is_paid_in_its_month(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.pension.market_cases import CASH, assets, case, given
 
 from snapo.case.error import CaseError
-from snapo.domains.pension.read.cells import Place
+from snapo.domains.pension.read.cells import TableContext
 from snapo.domains.pension.read.tables import FundingTable
 from snapo.domains.pension.regulation.bases import discounted, read_funding, side_by_side
 from snapo.domains.pension.regulation.due import Due
@@ -19,7 +19,7 @@ DAY = datetime.date(2024, 12, 31)
 
 def scheme(day=DAY, amount=80.0, **keys):
     """Payments of 50 after 10 and after 20 years, gilts at 4 % a year, assets of `amount`."""
-    place = Place(Path("case.toml"), "funding", [], set())
+    place = TableContext(Path("case.toml"), "funding", [], set())
     usual = {"rules": "uk", "technical_provisions": 0.01, "buy_out": -0.002}
     held = replace(assets(1, [CASH], weight=[1.0]), amount=given("assets", amount))
     one = case(1, step=1.0, held_assets=held)
@@ -54,17 +54,17 @@ def test_the_recovery_plan_is_worth_the_deficit():
     found = side_by_side(scheme(amount=40.0), due()).recovery
     annuity = (1 - 1.05**-6) / 0.05
     assert found.years == 6 and found.deficit > 0
-    assert found.each == pytest.approx(found.deficit / annuity, rel=1e-12)
-    assert found.total == pytest.approx(6 * found.each)
-    assert side_by_side(scheme(amount=90.0), due()).recovery.each == 0
+    assert found.probability == pytest.approx(found.deficit / annuity, rel=1e-12)
+    assert found.total == pytest.approx(6 * found.probability)
+    assert side_by_side(scheme(amount=90.0), due()).recovery.probability == 0
     soon = due()._replace(years=np.arange(31.0) / 3, discount=1.04 ** -(np.arange(31.0) / 3))
     short = side_by_side(scheme(amount=40.0), soon)
     assert short.mature and short.recovery.years == 3
     part = side_by_side(scheme(amount=40.0, recovery_years=2.5), due()).recovery
     at = discounted(due(), 0.01)
     worth = at[1] + at[2] + 0.5 * (at[2] + at[3]) / 2
-    assert part.each == pytest.approx(found.deficit / worth, rel=1e-12)
-    assert part.total == pytest.approx(2.5 * part.each)
+    assert part.probability == pytest.approx(found.deficit / worth, rel=1e-12)
+    assert part.total == pytest.approx(2.5 * part.probability)
 
 
 def test_rules_have_a_date():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.domains.pension.read.cells import Place
+from snapo.domains.pension.read.cells import TableContext
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.regulation.read import read_regulation
 from snapo.domains.pension.regulation.required import (
@@ -16,13 +16,13 @@ from snapo.domains.pension.regulation.required import (
     correlated,
     currency_loss,
     equity_loss,
-    moved_discount,
+    shifted_discount,
     total,
 )
 
 
 def read(day=datetime.date(2024, 12, 31), **keys):
-    place = Place(Path("case.toml"), "regulation", [], set())
+    place = TableContext(Path("case.toml"), "regulation", [], set())
     found = read_regulation(place, RegulationTable(**({"rules": "dutch-ftk"} | keys)), day)
     assert found is not None
     return found
@@ -35,7 +35,7 @@ def test_the_example_of_annex_3():
     """A rate of 4 % at 16 years falls by 0.96 and rises by 1.28 percentage points."""
     years, discount = np.array([0.0, 16.0]), np.array([1.0, 1.04**-16])
     for name, change in (("fall", -0.0096), ("rise", 0.0128)):
-        moved = moved_discount(RULES, name, years, discount)
+        moved = shifted_discount(RULES, name, years, discount)
         assert moved[0] == 1
         assert moved[1] ** (-1 / 16) - 1 - 0.04 == pytest.approx(change, abs=1e-15)
 
@@ -65,7 +65,7 @@ def test_the_factors_are_those_of_the_table_and_constant_beyond_it():
     assert RULES.factors["rise"][[0, 4, 9]].tolist() == [2.05, 1.49, 1.34]
     assert RULES.factors["real_fall"][[0, 9, 15]].tolist() == [0.75, 0.88, 0.88]
     discount = 1.02 ** -np.array([25.0, 80.0])
-    moved = moved_discount(RULES, "fall", np.array([25.0, 80.0]), discount)
+    moved = shifted_discount(RULES, "fall", np.array([25.0, 80.0]), discount)
     assert moved == pytest.approx(1.0152 ** -np.array([25.0, 80.0]), rel=1e-14)
 
 
@@ -74,7 +74,7 @@ def test_a_change_of_law_is_a_change_of_file(tmp_path):
     text = own.read_text()
     later = text.replace("2015-01-01", "2030-01-01").replace("minimum = 0.04", "minimum = 0.05")
     (tmp_path / "law.toml").write_text(text + later[later.index("[[version]]") :])
-    place = Place(tmp_path / "case.toml", "regulation", [], set())
+    place = TableContext(tmp_path / "case.toml", "regulation", [], set())
     for year, minimum in ((2029, 0.04), (2030, 0.05)):
         table = RegulationTable(rules="law.toml")
         found = read_regulation(place, table, datetime.date(year, 6, 1))

@@ -10,20 +10,20 @@ from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, c
 
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.coupon_bond import CouponBond
-from snapo.domains.pension.read.cells import Place
+from snapo.domains.pension.read.cells import TableContext
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.regulation.due import due
 from snapo.domains.pension.regulation.read import read_regulation
-from snapo.domains.pension.regulation.stand import known, recovery, shocked, stand
+from snapo.domains.pension.regulation.stand import recovery, regulation_of, shocked, stand
 from snapo.problem.inputs import plain
 
 
 def fund(**keys):
     """A payment after 20 years at 2 %; a 10-year bond and cash; cash counts as shares here."""
-    place = Place(Path("case.toml"), "regulation", [], set())
+    place = TableContext(Path("case.toml"), "regulation", [], set())
     table = RegulationTable(**({"rules": "dutch-ftk"} | keys))
     held = assets(1, [CASH, Bond("Bond", maturity=10)], weight=[0.4, 0.6])
     one = case(
@@ -73,7 +73,7 @@ def test_coupon_bonds_and_par_swaps_move_by_their_payments():
         collateral_stress=given("overlay_collateral_stress", 0.035),
     )
     one = replace(one, assets=replace(one.assets, classes=(CASH, bond)), overlay=swap)
-    rules, inputs = known(one).rules, plain(pension_inputs(one))
+    rules, inputs = regulation_of(one).rules, plain(pension_inputs(one))
     found = shocked(one, inputs, due(one, inputs), "fall")
 
     def change(coupon, years):

@@ -11,7 +11,7 @@ from snapo.domains.pension.chapters.policies import compare
 from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.setup import make_setup
 from snapo.solver.evaluate import path_totals
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 
 pytestmark = pytest.mark.study
 
@@ -29,7 +29,7 @@ def setup():
 def totals(setup):
     """Path totals of the trained network on paths that it was not trained on."""
     problem, policy, training, evaluation, engines, *_ = setup
-    best = train(problem, begin(policy, training), training, engines.train).best
+    best = train(problem, initial_progress(policy, training), training, engines.train).best
     assert evaluation.paths >= 16384
     return path_totals(problem, best, evaluation.paths, engine=engines.evaluate)
 

@@ -57,7 +57,7 @@ def test_each_output_moves_as_its_own_differences_say(run):
     assert values["underfunded"] == pytest.approx((totals["funding_ratio"] <= 1).mean())
     tail = np.sort(totals["funding_ratio"])[:12].sum() + 0.8 * np.sort(totals["funding_ratio"])[12]
     assert values["tail"] == pytest.approx(tail / 12.8)
-    goals = {key: goal.value for key, _, _, goal in outputs.asked(FUNDING)} | {
+    goals = {key: goal.value for key, _, _, goal in outputs.requested(FUNDING)} | {
         "underfunded": smoothed
     }
     problem, engine = run.setup.problem, run.setup.engines.evaluate

@@ -11,7 +11,7 @@ from tests.domains.pension.results.test_frontier import fund
 
 from snapo.case.settings import TrainingTable
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.records.parts import PARTS, lacking
+from snapo.domains.pension.records.parts import PARTS, missing_parts
 from snapo.domains.pension.results import study
 from snapo.study.carry_out import carry_out
 from snapo.study.domain import Options
@@ -21,7 +21,7 @@ DECIDES = {"case": {}, "options": {}, "files": {}}
 
 
 def names(*parts: str) -> list[str]:
-    return [part.name for part in study.wanted(replace(fund(), parts=parts))]
+    return [part.name for part in study.requested(replace(fund(), parts=parts))]
 
 
 def test_every_part_has_a_name_that_a_case_may_ask_for():
@@ -40,11 +40,11 @@ def test_what_a_wanted_part_needs_is_done_too():
 
 def test_a_part_that_the_case_cannot_have_is_lacking_with_its_reason():
     promised, personal = fund(), fund_of_pots()
-    assert lacking(promised, True) == {"pots": "the case has no [pots]"}
-    assert lacking(promised, False)["stress"] == "the case has no [stress]"
-    assert "[frontier]" in lacking(replace(promised, frontier=None), True)["frontier"]
+    assert missing_parts(promised, True) == {"pots": "the case has no [pots]"}
+    assert missing_parts(promised, False)["stress"] == "the case has no [stress]"
+    assert "[frontier]" in missing_parts(replace(promised, frontier=None), True)["frontier"]
     own = {part.name for part in study.parts(personal)}
-    assert set(lacking(personal, True)) == set(PARTS) - own
+    assert set(missing_parts(personal, True)) == set(PARTS) - own
 
 
 def solved(out, resume: bool = False, parts: tuple[str, ...] = ("today",)):

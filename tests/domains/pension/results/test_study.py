@@ -37,7 +37,7 @@ def test_a_lost_frontier_or_rival_costs_no_other_part(study):
 def test_figures_and_shocks_come_before_training(study, tmp_path):
     run = StudyRun(study, tmp_path, print)
     for part in study.parts[:2]:
-        run.found |= json.loads(json.dumps(plain_json(part.work(run))))
+        run.results |= json.loads(json.dumps(plain_json(part.work(run))))
     assert run.get("funding") == pytest.approx(study.about["assets"] / run.get("liability"))
     years = np.array(run.get("reconciliation.key_rate_durations.years"))
     assert years.sum() == pytest.approx(run.get("reconciliation.duration"), rel=1e-9)

@@ -8,7 +8,7 @@ from snapo.domains.pharma.chapters.model import (
     NumberStatement,
     Statement,
     UnitStatement,
-    place,
+    location,
 )
 from snapo.domains.pharma.chapters.sensitivities import _ranking
 from snapo.domains.pharma.derivatives.sensitivities import Rank
@@ -38,7 +38,11 @@ def test_a_coefficient_has_the_unit_of_its_power(label, unit, written):
 
 
 def test_a_place_keeps_the_digits_of_a_temperature():
-    assert (place(313.15), place(303.0, "K"), place(None)) == ("313.15", f"303{SPACE}K", "–")
+    assert (location(313.15), location(303.0, "K"), location(None)) == (
+        "313.15",
+        f"303{SPACE}K",
+        "–",
+    )
 
 
 def test_a_ranking_has_its_words_outside_the_columns_of_numbers():

@@ -12,7 +12,7 @@ from snapo.engine import Engines, Xla
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 CONTROL = Control(
     (
@@ -65,7 +65,7 @@ def test_feedback_beats_the_best_fixed_recipe():
     )  # fmt: skip
     engines = Engines(Xla("float32"), Xla("float64"), "xla", "as the test says")
     first, recipe = best_recipe(problem, loop.baseline, plan, engines, print)
-    climbed = train(problem, begin(first.closed(), plan), plan, engines.train)
+    climbed = train(problem, initial_progress(first.closed(), plan), plan, engines.train)
     bound = engines.train.bind(problem)
     fresh = Pseudo(1, stream=stream(EVALUATE)).draws(np.arange(10_000), loop.simulator)
     met = [

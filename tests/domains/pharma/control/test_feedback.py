@@ -15,7 +15,7 @@ from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
-from snapo.solver.train import Training, begin, train
+from snapo.solver.train import Training, initial_progress, train
 
 BEST = 0.6108  # with any number of pieces, from the literature
 
@@ -42,7 +42,7 @@ def test_feedback_on_measured_states_is_as_good_as_the_best_profile():
     plan = Training(
         steps=400, paths=2, learning_rate=0.02, validation_paths=2, validation_every=100
     )
-    found = train(problem, begin(policy, plan), plan, Xla("float32"))
+    found = train(problem, initial_progress(policy, plan), plan, Xla("float32"))
     draws = Pseudo(0).draws(np.arange(2), loop.simulator)
     bound = Xla("float64").bind(problem)
     value = float(bound.values(found.best, draws, Exact()).totals["attribute.x2"][0])

@@ -15,8 +15,8 @@ from snapo.domains.pharma.control.rivals import (
     simc,
     ziegler_nichols,
 )
-from snapo.domains.pharma.control.rules import Loops, Wire
-from snapo.domains.pharma.control.sensors import begun, moved, reading
+from snapo.domains.pharma.control.rules import LoopConnection, Loops
+from snapo.domains.pharma.control.sensors import initial_history, reading, shifted
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
@@ -64,7 +64,7 @@ class Delayed(Simulator):
 
 
 def rule(horizon: int, seconds: float, setpoint: float = 1.0) -> Loops:
-    wire = Wire(0, horizon, seconds, 2, 3, 0, -1, 0.0, 1.0)
+    wire = LoopConnection(0, horizon, seconds, 2, 3, 0, -1, 0.0, 1.0)
     loops = Loops(np.zeros((horizon, 1)), (wire,), np.full((1, horizon), setpoint))
     return loops.on(np.full((horizon, 1), RECIPE))
 
@@ -186,10 +186,10 @@ def test_a_sensor_shows_the_state_a_dead_time_ago():
     """Of a state that rises evenly it shows t - delay, also between two decisions; its first
     reading before that."""
     sensors = [Measurement("reactor.x", 0.0, 0.0, 1.0, 7.0), Measurement("reactor.y", 0, 0, 1)]
-    past = begun(jnp.array([0.0, 5.0]), sensors, 3.0)
+    past = initial_history(jnp.array([0.0, 5.0]), sensors, 3.0)
     seen = []
     for t in np.arange(1, 8) * 3.0:
-        past = moved(jnp.array([t, 5.0]), past)
+        past = shifted(jnp.array([t, 5.0]), past)
         seen.append(float(reading(t, past[0], sensors[0], 3.0)))
         assert reading(5.0, past[1], sensors[1], 3.0) == 5.0
     assert seen == pytest.approx(np.maximum(np.arange(1, 8) * 3.0 - 7.0, 0.0), abs=1e-6)
@@ -216,8 +216,8 @@ def test_a_cascade_is_tuned_from_the_inside_and_holds_its_setpoint():
     """The jacket's load is taken out, and the outer loop asks for no more than it may."""
     horizon, most = 400, 1.3
     wires = (
-        Wire(0, horizon, 1.0, 2, 4, 0, 1, -most, most),
-        Wire(0, horizon, 1.0, 3, 4, 0, -1, 0.0, 1.0),
+        LoopConnection(0, horizon, 1.0, 2, 4, 0, 1, -most, most),
+        LoopConnection(0, horizon, 1.0, 3, 4, 0, -1, 0.0, 1.0),
     )
     recipe = np.full((horizon, 1), RECIPE)
     loops = Loops(np.zeros((horizon, 1)), wires, np.zeros((2, horizon))).on(recipe)
@@ -227,7 +227,9 @@ def test_a_cascade_is_tuned_from_the_inside_and_holds_its_setpoint():
     loops = loops.tuned(1, *simc(inner))
     outer = respond(quiet, loops, recipe, 0)
     assert outer.gain == pytest.approx(1.0, rel=0.05)
-    loops = loops.tuned(0, *simc(outer)).following(np.stack([np.ones(horizon), np.zeros(horizon)]))
+    loops = loops.tuned(0, *simc(outer)).with_setpoints(
+        np.stack([np.ones(horizon), np.zeros(horizon)])
+    )
     seen = readings(problem(Jacketed(horizon, load=-0.5)), loops)
     assert seen[-1, 2] == pytest.approx(1.0, abs=2e-3)
     assert seen[:, 3].max() < 1.1 * most and seen[:, 2].max() < 1.1

@@ -128,7 +128,7 @@ def test_observe_interpolates():
         "observed", lambda: lambda inputs: process.observe(inputs, "reactor", states, times)
     )
     published = [0.118582315, 0.125771639, 0.090949095]
-    np.testing.assert_allclose(call(process.given()), published, atol=1e-7)
+    np.testing.assert_allclose(call(process.nominal_inputs()), published, atol=1e-7)
 
 
 @pytest.mark.prove

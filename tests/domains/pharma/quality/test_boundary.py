@@ -37,14 +37,14 @@ def test_the_boundary_is_that_of_the_normal_probability():
     slope = 2 / SIGMA * np.exp(-Z * Z / 2) / np.sqrt(2 * np.pi)  # dP/dT2 there
     for samples in (400, 3200):
         found = design_space.probability_map(linear(samples), 7)
-        middle = [each for each in found.ends if each.at == (-1, 2)]  # T_f at its set point
+        middle = [each for each in found.boundaries if each.at == (-1, 2)]  # T_f at its set point
         assert len(middle) == 1 and middle[0].side == -1 and middle[0].binding == 0
         end = middle[0]
-        assert end.outer < end.place < end.inner
+        assert end.outer < end.position < end.inner
         half = 1.959964 * np.sqrt(0.09 / samples) / slope
         assert (end.inner - end.outer) / 2 == pytest.approx(half, rel=0.25)
-        assert end.place == pytest.approx(truth, abs=4 / 1.96 * half)
-    across = [each for each in found.ends if each.axis == 1]
+        assert end.position == pytest.approx(truth, abs=4 / 1.96 * half)
+    across = [each for each in found.boundaries if each.axis == 1]
     assert {each.side for each in across} == {1}  # T_f lowers it: the space ends upwards
 
 
@@ -66,7 +66,7 @@ def test_lines_that_are_good_or_bad_throughout_have_no_end():
     rooms[3] = -1.0  # the last row of the first axis fails, between 2 and 3 at 2.5
     found = boundaries(rooms, grid, 0.9)
     assert [each.at for each in found] == [(-1, 0), (-1, 1), (-1, 2)]
-    assert all(each.side == 1 and each.place == pytest.approx(2.5, abs=0.02) for each in found)
+    assert all(each.side == 1 and each.position == pytest.approx(2.5, abs=0.02) for each in found)
     few = boundaries(rooms[:, :, :5], grid, 0.9)  # five draws make nothing sure
     assert all(np.isnan(each.inner) for each in few)
 
@@ -87,7 +87,7 @@ def test_two_ranges_together():
     assert found.nominal.share == pytest.approx(0.5, abs=0.02)
     assert (found.nominal.corner, found.nominal.fails) == ((-1, 1), 0)
     assert found.probable.share == pytest.approx(0.5, abs=0.08)
-    assert found.probable.sure <= found.probable.share <= found.probable.possible
+    assert found.probable.certain <= found.probable.share <= found.probable.possible
     edge = ranges[1]["T2"]
     assert edge is not None and ndtr((100 + 2 * (edge[0] - 295) - 97) / SIGMA) >= 0.88
     # At the corner of the normal ranges, 1 K to either side, nothing is left: 100 - 2 - 1 = 97.
@@ -112,5 +112,5 @@ def test_an_interaction_is_the_product_of_half_the_ranges():
     (found,) = pairs(process, nothing, nothing, 0.9, 16, 7)
     assert found.nominal is None and found.probable is None
     assert found.interaction == pytest.approx([0.3, 0])
-    assert (found.used, found.most) == (pytest.approx(0.1), 0)
+    assert (found.used, found.maximum) == (pytest.approx(0.1), 0)
     assert not found.holds_normal  # 100 - 2 - 1 - 0.3 is below 97

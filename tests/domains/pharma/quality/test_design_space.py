@@ -81,7 +81,7 @@ def test_the_map_is_the_normal_probability(linear):
     assert set(np.unique(found.at.binding)) <= {-1, 0}
     assert (found.at.binding[p < 1] == 0).all()
     assert found.at.mean[4, 4, 0] == pytest.approx(100, abs=0.1)
-    assert found.at.each[..., 1].min() == 1
+    assert found.at.by_attribute[..., 1].min() == 1
 
 
 def test_the_edge_lies_where_the_closed_form_has_it(linear):
@@ -103,10 +103,10 @@ def test_edges_and_contours_have_intervals(linear):
     widths = []
     for samples in (128, 2048):
         found = ranges.proven_ranges(linear, 0.9, samples, SEED)[0].probable
-        assert found.sure is not None and found.possible is not None
-        assert found.possible[0] <= truth <= found.sure[0]
-        assert found.sure[0] >= found.low >= found.possible[0]
-        widths.append(found.sure[0] - found.possible[0])
+        assert found.certain is not None and found.possible is not None
+        assert found.possible[0] <= truth <= found.certain[0]
+        assert found.certain[0] >= found.low >= found.possible[0]
+        widths.append(found.certain[0] - found.possible[0])
     assert widths[1] <= widths[0]
     at = design_space.at_points(linear, [{}], 128, SEED)
     assert at.probability[0] == 1 and at.high[0] == 1

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.stats import t as student
 
 from snapo.domains.pharma.chapters.estimation import not_handed_on
-from snapo.domains.pharma.chapters.headline import doubts
+from snapo.domains.pharma.chapters.headline import reservations
 from snapo.domains.pharma.quality import estimation
 from snapo.domains.pharma.quality.records import Estimation, Experiment
 
@@ -71,10 +71,10 @@ def test_first_order_fitted_to_second_order_is_refused(monkeypatch):
     assert found.covariance[0, 0] == pytest.approx(variance * found.chi2 / 7, rel=1e-6)
     half = student.ppf(0.975, 7) * np.sqrt(found.covariance[0, 0])
     assert found.high[0] - found.low[0] == pytest.approx(2 * half, rel=1e-9)
-    said = doubts(found)
+    said = reservations(found)
     assert said.startswith("the fit does not describe its data: chi² ")
     assert "at 7 degrees of freedom" in said
-    assert doubts(replace(found, tail=np.nan)) == ""
+    assert reservations(replace(found, tail=np.nan)) == ""
 
 
 def test_errors_that_are_relative_alone_scale_the_covariance_both_ways(monkeypatch):

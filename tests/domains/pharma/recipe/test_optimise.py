@@ -70,7 +70,7 @@ def rosenbrock(x):
 )
 def test_an_optimisation_stops_at_its_limit_and_says_so(limits, words):
     lines = []
-    told = Limits(tell=lines.append, **limits)
+    told = Limits(progress=lines.append, **limits)
     start, ends = np.array([-1.2, 1.0]), (np.full(2, -2.0), np.full(2, 2.0))
     found = best(rosenbrock, start, *ends, sense=-1, limits=told)
     assert not found.converged and words in found.message and found.evaluations <= 6
@@ -177,7 +177,7 @@ def test_the_example_flowsheet():
     found = optimise(Process(read_case(EXAMPLE)))
     recipe = found.recipe
     assert recipe.converged and recipe.conditions.stationarity < 1e-6
-    assert np.ptp(found.ends) < 1e-6 * recipe.value and recipe.value > 1.5 * found.before
+    assert np.ptp(found.endpoints) < 1e-6 * recipe.value and recipe.value > 1.5 * found.before
     multipliers = np.concatenate(
         [recipe.conditions.low, recipe.conditions.high, recipe.conditions.above]
     )

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.pharma.time.runge_kutta import last_state, runge_kutta
+from snapo.domains.pharma.time.runge_kutta import final_state, runge_kutta
 
 STEPS = 11  # fills no whole number of blocks
 
@@ -22,7 +22,7 @@ def inputs(x):
 
 
 def at_once(x):
-    return last_state(*inputs(x))
+    return final_state(*inputs(x))
 
 
 def step_by_step(x):

@@ -155,7 +155,7 @@ def test_a_continuous_reactor_ends_with_its_feed(kind):
     np.testing.assert_allclose(found[1].species, found[0].species, rtol=1e-12)
     with jax.enable_x64(True):  # at the end itself the slope is that of a shorter run
         slope = jax.grad(
-            lambda t: process.attributes({**process.given(), "reactor.duration": t})[0]
+            lambda t: process.attributes({**process.nominal_inputs(), "reactor.duration": t})[0]
         )
         assert np.isfinite(slope(jnp.array([7200.0]))).all()
 

@@ -46,7 +46,7 @@ def test_batch_reactor():
 def test_best_temperature_profile(pieces, value):
     """A classic: the best value with this many pieces, to the digits published."""
     process = Process(temperature_profile(pieces))
-    fixed = process.given()
+    fixed = process.nominal_inputs()
     found = best(
         lambda t: process.attributes({**fixed, "reactor.temperature": t})[0],
         np.full(pieces, 335.0),

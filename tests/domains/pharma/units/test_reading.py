@@ -9,7 +9,7 @@ from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.batch import ONE_BATCH, BatchResult, drying
-from snapo.domains.pharma.chapters.model import UnitStatement, given
+from snapo.domains.pharma.chapters.model import UnitStatement, number_text
 from snapo.domains.pharma.units.crystalliser import Crystalliser
 from snapo.domains.pharma.units.reactor import Reactor
 from snapo.domains.pharma.units.tray_dryer import TrayDryer
@@ -155,10 +155,10 @@ def test_mistakes(name):
 
 
 def test_numbers_of_the_case_come_back_with_all_digits():
-    shown = [given(x, "K") for x in (313.15, 4.46e10, 5e-6, -50.0, 0.0, 26540.0)]
+    shown = [number_text(x, "K") for x in (313.15, 4.46e10, 5e-6, -50.0, 0.0, 26540.0)]
     expected = ["313.15", "4.46 × 10¹⁰", "5 × 10⁻⁶", "−50", "0", "26,540"]
     assert shown == [f"{each}\u00a0K" for each in expected]
-    assert given(2.0, "1") == "2"
+    assert number_text(2.0, "1") == "2"
 
 
 def test_drying_is_drawn_for_every_kind_of_dryer():

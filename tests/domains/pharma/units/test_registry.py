@@ -41,9 +41,9 @@ def test_every_operation_is_documented(kind):
 
 def test_numbers_say_what_they_are():
     found = pharma_inputs(template())
-    assert all(each.words and each.group for each in found.values())
+    assert all(each.meaning and each.group for each in found.values())
     growth, warm = found["crystalliser.kinetics.growth"], found["reactor.temperature"]
-    assert (growth.trade_unit, growth.trade_factor) == ("um/s", pytest.approx(1e6))
+    assert (growth.display_unit, growth.display_factor) == ("um/s", pytest.approx(1e6))
     assert growth.step() == pytest.approx(5e-11) and growth.group == "crystalliser"
-    assert warm.move == 1.0 and warm.words == "temperature of the reactor"
+    assert warm.move == 1.0 and warm.meaning == "temperature of the reactor"
     assert TEMPLATE.exists()

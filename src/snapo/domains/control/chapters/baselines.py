@@ -10,12 +10,12 @@ from snapo.case.error import CaseError
 from snapo.engine import Xla
 from snapo.problem.inputs import plain
 from snapo.problem.policy import Policy
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Text
 from snapo.report.quantity import decimals, number, plus_minus
 from snapo.report.rows import Bar, Column, WithError, ladder, table
-from snapo.report.sections.lacking import lacking
-from snapo.solver.evaluate import path_totals, worth_of_groups
+from snapo.report.sections.lacking import why_missing
+from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.statistics import of_shares
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
@@ -23,7 +23,7 @@ from snapo.study.study import StudyRun
 from ..inputs import make_inputs
 from ..plants.plant import Plant
 from ..regulator import optimum
-from ..rules import rivals
+from ..rules import classical_rules
 
 if TYPE_CHECKING:
     from snapo.gym.agent import Agent
@@ -56,14 +56,14 @@ def measure(run: StudyRun) -> Baselines:
     """All classical rules of the plant on the paths of the trained policy."""
     problem, plant = run.setup.problem, plant_of(run)
     source, objective = problem.sources.evaluation, problem.objective
-    trained = worth_of_groups(objective, run.solution.totals, source)
+    trained = value_of_groups(objective, run.solution.totals, source)
     rules = []
-    for name, rule in rivals(plant, problem.inputs).items():
+    for name, rule in classical_rules(plant, problem.inputs).items():
         # A rule is valued once: XLA compiles it faster than the native engine.
         totals = path_totals(
             problem, rule, run.solution.paths["evaluate"], engine=Xla(precision="float64")
         )
-        shares = worth_of_groups(objective, totals, source)
+        shares = value_of_groups(objective, totals, source)
         gap = of_shares(trained - shares)
         rules.append(Baseline(name, float(np.mean(shares)), gap.value, gap.standard_error))
     rules.sort(key=lambda rule: -rule.value)
@@ -77,12 +77,12 @@ def plant_of(run: StudyRun) -> Plant:
     return plant
 
 
-def show(run: Folder, result: Baselines) -> Sequence[Block]:
+def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     """A ladder of rewards, and what the policy earns more than each rule."""
     value = run.result.get("value")
     rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
     if not rules or value is None:
-        return [lacking(run, "rivals")]
+        return [why_missing(run, "rivals")]
     bars = [Bar("trained policy", value, run.result.get("standard_error"), strong=True)]
     bars += [Bar(rule.name, rule.value) for rule in rules]
     if result.optimum is not None:
@@ -96,7 +96,7 @@ def show(run: Folder, result: Baselines) -> Sequence[Block]:
     )
     blocks: list[Block] = [
         ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
-        table(rules, columns, "Classical rules on the policy's own paths", places=digits),
+        table(rules, columns, "Classical rules on the policy's own paths", decimal_places=digits),
     ]
     if (best := result.optimum) is not None:
         share = 100 * (best - value) / abs(best) if best else 0.0
@@ -157,7 +157,7 @@ def _check_same(plant: Plant, values: Any) -> None:
             if not np.array_equal(value, usual[group][name]):
                 allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
-    if values["noise"] or values["measurement"] or plant.clock:
+    if values["noise"] or values["measurement"] or plant.time_feature:
         allowed = f"{plant.twin} has no disturbances, no errors of measurement and shows no clock; "
         allowed += "leave --reference out"
         raise CaseError("--reference", "", None, allowed)

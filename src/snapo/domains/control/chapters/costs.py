@@ -1,23 +1,23 @@
 """The reward of an episode by part: the cost of each state and of each action."""
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Section, Table
 from snapo.report.quantity import decimals, measured, percent, readable
 from snapo.report.rows import Bar, ladder
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapters.distribution import DISTRIBUTION, OutputTotal
-from snapo.study.study import Measured, Shown
+from snapo.study.study import LiveTable, PathTotals
 
 ENDING = "_cost"  # of the names of outputs that are costs
 
 
-def costs(run: Folder) -> Section:
+def costs(run: RunFiles) -> Section:
     """A ladder of the parts, and a table with standard errors."""
     title, short = "Cost by part", "Costs"
     result = DISTRIBUTION.of(run)
     totals = [x for x in result.distribution if _is_cost(x)] if result else []
     if not totals:
-        return Section("costs", title, short, [lacking(run, "distribution")])
+        return Section("costs", title, short, [why_missing(run, "distribution")])
     totals.sort(key=lambda total: -total.mean)
     digits = decimals([total.mean for total in totals], 4)
     complete = sum(total.mean for total in totals)
@@ -41,7 +41,7 @@ def _name(output: str) -> str:
     return readable(output.removesuffix(ENDING))
 
 
-def reward_and_costs(measured: Measured) -> list[Shown]:
+def reward_and_costs(measured: PathTotals) -> list[LiveTable]:
     """The live page's table: the reward, and the cost of every state and action."""
     names = [name for name in measured.totals if name.endswith(ENDING)]
     rows = [
@@ -50,4 +50,4 @@ def reward_and_costs(measured: Measured) -> list[Shown]:
     rows.sort(key=lambda row: -row[1])
     columns = (("", ""), ("mean of an episode", ""), ("± standard error", ""))
     reward = ("reward", *measured.mean(measured.totals["reward"]))
-    return [Shown("Reward and costs by part", columns, [reward, *rows])]
+    return [LiveTable("Reward and costs by part", columns, [reward, *rows])]

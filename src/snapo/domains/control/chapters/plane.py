@@ -15,7 +15,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw, unit_above
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import readable, with_unit
 from snapo.report.theme import LIGHT
@@ -114,7 +114,7 @@ def _decisions(problem: Problem, policy: Policy, names, across, up) -> np.ndarra
     return np.asarray(jax.jit(grid)(jnp.asarray(up), jnp.asarray(across)))
 
 
-def show(run: Folder, plane: Plane) -> Sequence[Block]:
+def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
     """A phase portrait; behind it the map of the policy where these are all the states."""
     if not plane.states:
         return [Text("The plant has one state alone.")]

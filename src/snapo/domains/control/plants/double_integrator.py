@@ -16,7 +16,7 @@ class DoubleIntegrator(Plant):
     """
 
     type: ClassVar = "double-integrator"
-    words: ClassVar = "a mass on a line, brought to rest by a bounded force"
+    description: ClassVar = "a mass on a line, brought to rest by a bounded force"
     steps: ClassVar = 40
     sees_time: ClassVar = True
     parameters: ClassVar = {

@@ -18,7 +18,7 @@ class LinearQuadratic(Plant):
     """
 
     type: ClassVar = "linear-quadratic"
-    words: ClassVar = "a linear plant with a quadratic cost, with or without bounds"
+    description: ClassVar = "a linear plant with a quadratic cost, with or without bounds"
     steps: ClassVar = 20
     sees_time: ClassVar = True
     parameters: ClassVar = {

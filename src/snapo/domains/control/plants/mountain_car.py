@@ -28,7 +28,7 @@ class MountainCar(Plant):
     """
 
     type: ClassVar = "mountain-car"
-    words: ClassVar = "MountainCarContinuous-v0: swing a weak car up a hill"
+    description: ClassVar = "MountainCarContinuous-v0: swing a weak car up a hill"
     steps: ClassVar = 999
     twin: ClassVar = "MountainCarContinuous-v0"
     rests: ClassVar = False

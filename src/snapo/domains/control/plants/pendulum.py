@@ -19,7 +19,7 @@ class Pendulum(Plant):
     """
 
     type: ClassVar = "pendulum"
-    words: ClassVar = "Pendulum-v1: swing up a rod and hold it upright"
+    description: ClassVar = "Pendulum-v1: swing up a rod and hold it upright"
     steps: ClassVar = 200
     twin: ClassVar = "Pendulum-v1"
     parameters: ClassVar = {

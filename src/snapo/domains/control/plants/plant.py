@@ -28,7 +28,7 @@ class Parameter(NamedTuple):
 
     value: Any
     unit: str
-    words: str
+    description: str
     positive: bool = True
 
 
@@ -41,7 +41,7 @@ class Variable(NamedTuple):
     """
 
     unit: str
-    words: str
+    description: str
     start: Mapping[str, Any] | None = None
     turn: bool = False
 
@@ -62,7 +62,7 @@ class Plant(Simulator):
     """
 
     type: ClassVar[str]
-    words: ClassVar[str]
+    description: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
     weights: ClassVar[Mapping[str, Parameter]]
     states: ClassVar[Mapping[str, Variable]]
@@ -74,9 +74,9 @@ class Plant(Simulator):
     rests: ClassVar[bool] = True  # it has a target: a linear rule around it is a rival
 
     horizon: int = eqx.field(static=True)
-    clock: bool = eqx.field(static=True)
+    time_feature: bool = eqx.field(static=True)
     starts: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
-    shaken: tuple[str, ...] = eqx.field(static=True)
+    disturbed_parts: tuple[str, ...] = eqx.field(static=True)
     sizes: tuple[tuple[str, int], ...] = eqx.field(static=True)
     measured: tuple[str, ...] = eqx.field(static=True)
     action: Actions
@@ -89,9 +89,9 @@ class Plant(Simulator):
     ):
         """The plant for `inputs` (see `inputs.py`): their shapes and keys alone count."""
         self.horizon = self.steps if horizon is None else horizon
-        self.clock = self.sees_time if timer is None else timer
+        self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
-        self.shaken = tuple(name for name in self.states if name in inputs["noise"])
+        self.disturbed_parts = tuple(name for name in self.states if name in inputs["noise"])
         sizes = {name: np.size(_any(inputs["start"][name])) for name in self.states}
         self.sizes = tuple(sizes.items())
         self.measured = tuple(name for name in self.states if name in inputs.get(MEASURED, {}))
@@ -115,7 +115,7 @@ class Plant(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return sum(dict(self.sizes)[name] for name in (*self.shaken, *self.measured))
+        return sum(dict(self.sizes)[name] for name in (*self.disturbed_parts, *self.measured))
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -177,7 +177,7 @@ class Plant(Simulator):
         if self.measured:
             constants[MEASURED] = dict(inputs[MEASURED])
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
-        for name in self.shaken:
+        for name in self.disturbed_parts:
             values = jnp.asarray(inputs["noise"][name])
             every = (
                 values if values.ndim == 3 else values[None]
@@ -206,7 +206,7 @@ class Plant(Simulator):
         # A state without readings is one that somebody asks about: it is seen as it is.
         displayed = {name: state[name] for name in self.states} | state.get(MEASURED, {})
         observed = self.features(constants["plant"], displayed)
-        return jnp.append(observed, now["left"]) if self.clock else observed
+        return jnp.append(observed, now["left"]) if self.time_feature else observed
 
     def step(self, constants, now, state, action, noise, smooth):
         p = constants["plant"]
@@ -234,7 +234,7 @@ class Plant(Simulator):
     def disturbed(self, now, state: State, noise: Float[Array, " noise"]) -> State:
         """The state with this step's disturbances: a deviation, or a matrix, times normals."""
         state, used = dict(state), 0
-        for name in self.shaken:
+        for name in self.disturbed_parts:
             n = dict(self.sizes)[name]
             z = noise[used : used + n]
             used += n

@@ -20,7 +20,7 @@ class Quadrotor(Plant):
     """
 
     type: ClassVar = "quadrotor"
-    words: ClassVar = "a quadrotor in the plane, flown to its place"
+    description: ClassVar = "a quadrotor in the plane, flown to its place"
     steps: ClassVar = 80
     parameters: ClassVar = {
         "mass": Parameter(0.5, "kg", "mass"),

@@ -8,7 +8,7 @@ import numpy as np
 from .integrate import runge_kutta
 from .plant import Parameter, Plant, Variable
 
-LEAST = 1e-3  # of the height: below it the outflow falls linearly to 0, as the root's slope grows
+MINIMUM = 1e-3  # of the height: below it the outflow falls linearly to 0, as the root's slope grows
 
 
 class TwoTanks(Plant):
@@ -20,7 +20,7 @@ class TwoTanks(Plant):
     """
 
     type: ClassVar = "two-tanks"
-    words: ClassVar = "two tanks and a pump that holds a level"
+    description: ClassVar = "two tanks and a pump that holds a level"
     steps: ClassVar = 60
     parameters: ClassVar = {
         "area": Parameter(15.0, "cm2", "cross section of a tank"),
@@ -98,7 +98,7 @@ def _holding(p, xp):
 
 def slopes(p, at, flow):
     """The time derivatives of the levels."""
-    minimum = LEAST * p["height"]
+    minimum = MINIMUM * p["height"]
 
     def out(opening, level):
         root = jnp.sqrt(2 * p["gravity"] * jnp.maximum(level, minimum))

@@ -39,7 +39,7 @@ class Basis:
     """
 
     of: GaussianFactors
-    kept: tuple[int, ...]
+    selected: tuple[int, ...]
     common: tuple[int, ...]
     powers: np.ndarray
 
@@ -72,7 +72,7 @@ class Basis:
     @property
     def hinges(self) -> np.ndarray:
         """[hinges] where they are, in standard deviations of the fast factor."""
-        return ALONE if len(self.kept) == 1 else FEW
+        return ALONE if len(self.selected) == 1 else FEW
 
     @property
     def first(self) -> np.ndarray:
@@ -110,7 +110,7 @@ class Basis:
         return np.concatenate([plain, hinges * self._moving[after, :1, None]], axis=1)
 
     def _whitened(self, states: np.ndarray, days: slice) -> np.ndarray:
-        return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.kept])
+        return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.selected])
 
     def polynomials(self, y: np.ndarray) -> np.ndarray:
         """[..., n, paths] products of Hermite polynomials, from whitened factors."""
@@ -125,8 +125,8 @@ class Basis:
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """[T + 1, kept, F], [T + 1, F], [T + 1]: y = first f and ln g = second f - third."""
         dates, size = self.of.decay.shape
-        whiten, common = np.zeros((dates, len(self.kept), size)), np.zeros((dates, size))
-        whiten[:, :, self.kept] = self._whiten
+        whiten, common = np.zeros((dates, len(self.selected), size)), np.zeros((dates, size))
+        whiten[:, :, self.selected] = self._whiten
         common[:, self.common] = self._common_loading
         return whiten, common, self._level_variance / 2
 
@@ -144,7 +144,7 @@ class Basis:
     def key(self) -> tuple:
         """Equal for bases with the same functions of the same factors."""
         numbers = self.of.decay, self.of.shock, self._common_loading
-        return self.kept, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
+        return self.selected, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
 
     def back(self, t: int) -> np.ndarray:
         """[kept, kept] the factors of day t per unit of the whitened ones."""
@@ -187,7 +187,7 @@ class Basis:
     @cached_property
     def _moving(self) -> np.ndarray:
         """[T + 1, kept] whether the factor varies on the day."""
-        return np.diagonal(self._covariance, axis1=1, axis2=2)[:, self.kept] > NOTHING
+        return np.diagonal(self._covariance, axis1=1, axis2=2)[:, self.selected] > NOTHING
 
     @cached_property
     def _alive(self) -> np.ndarray:
@@ -195,15 +195,15 @@ class Basis:
 
     @cached_property
     def _cholesky(self) -> np.ndarray:
-        part = self._covariance[:, self.kept][:, :, self.kept]
+        part = self._covariance[:, self.selected][:, :, self.selected]
         both = self._moving[:, :, None] & self._moving[:, None, :]
-        still = ~self._moving[:, :, None] & np.eye(len(self.kept), dtype=bool)
+        still = ~self._moving[:, :, None] & np.eye(len(self.selected), dtype=bool)
         root = np.linalg.cholesky(np.where(both, part, 0.0) + still)
         return np.where(both, root, 0.0)
 
     @cached_property
     def _whiten(self) -> np.ndarray:
-        still = ~self._moving[:, :, None] & np.eye(len(self.kept), dtype=bool)
+        still = ~self._moving[:, :, None] & np.eye(len(self.selected), dtype=bool)
         both = self._moving[:, :, None] & self._moving[:, None, :]
         return np.where(both, np.linalg.inv(self._cholesky + still), 0.0)
 
@@ -211,13 +211,13 @@ class Basis:
     def _turn(self) -> np.ndarray:
         """[T + 1, kept, kept] R into each date."""
         before = np.concatenate([np.zeros_like(self._cholesky[:1]), self._cholesky[:-1]])
-        return self._whiten @ (self.of.decay[:, self.kept][:, :, None] * before)
+        return self._whiten @ (self.of.decay[:, self.selected][:, :, None] * before)
 
     @cached_property
     def _moves(self) -> np.ndarray:
         """[T + 1, n, 1] factors or [T + 1, n, n] matrices that lead into each date."""
         turn = self._turn
-        if np.all(np.abs(turn * (1 - np.eye(len(self.kept)))) < 1e-12):
+        if np.all(np.abs(turn * (1 - np.eye(len(self.selected)))) < 1e-12):
             local = np.diagonal(turn, axis1=1, axis2=2)
             return np.prod(local[:, None, :] ** self.powers[None], axis=2)[:, :, None]
         return np.array([_mehler(item, self.powers) for item in turn])

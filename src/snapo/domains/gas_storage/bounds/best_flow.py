@@ -58,7 +58,7 @@ def _best_within(line: np.ndarray, reach: Reach, rows: int) -> np.ndarray:
             wide, step = levels[-1], 1 << (len(levels) - 1)
             levels.append(np.maximum(wide[:-step], wide[step:]))
         best[selected] = np.maximum(levels[k][first], levels[k][last]) if k else line[first]
-    for selected, left, right, share in reach.ends:
+    for selected, left, right, share in reach.endpoints:
         result = line[right] - line[left]
         result *= share
         result += line[left]

@@ -39,7 +39,7 @@ class Reach(NamedTuple):
     """
 
     inside: list[tuple[int, Rows, Rows, Rows]]
-    ends: list[tuple[Rows, Rows, Rows, np.ndarray]]
+    endpoints: list[tuple[Rows, Rows, Rows, np.ndarray]]
 
 
 class Bends(NamedTuple):

@@ -37,7 +37,7 @@ class Hindsight:
         fitted_value: FittedValue | None,
         inventories: int = INVENTORIES,
     ):
-        self.schedule, self.fitted = schedule, fitted_value
+        self.schedule, self.fitted_value = schedule, fitted_value
         self.days = day_grids(schedule, interpolation, inventories)
         grids = [day.nodes for day in self.days] + [self.days[-1].after]
         self.grids = grids
@@ -81,9 +81,9 @@ class Hindsight:
 
     def _surprises(self, states: np.ndarray, scale: Scale) -> np.ndarray | None:
         """[T + 1, K, paths] functions of the prices less their expectation a day before."""
-        if self.fitted is None:
+        if self.fitted_value is None:
             return None
-        moved = self.fitted.basis.increments(states)
+        moved = self.fitted_value.basis.increments(states)
         return moved * np.broadcast_to(scale, moved.shape[1])[:, None]
 
     def _solve(self, spots: np.ndarray, innovations: np.ndarray | None) -> np.ndarray:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-MOST = 1 << 18  # multiplications; OpenBLAS takes one thread below
+MAXIMUM = 1 << 18  # multiplications; OpenBLAS takes one thread below
 
 
 def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """left [n, k] @ right [k, m], some columns at a time."""
-    wide = max(MOST // max(left.size, 1), 1)
+    wide = max(MAXIMUM // max(left.size, 1), 1)
     if right.shape[1] <= wide:
         return left @ right
     result = np.empty((len(left), right.shape[1]))

@@ -24,7 +24,7 @@ COUNTS = {
 POINTS = 1024
 LEVELS = 2  # nodes of the factor in the exponential
 RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
-MOST_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
+MAX_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
 LAST = 3  # factors: those of the case, and others that sensitivities move to
 
 
@@ -52,7 +52,7 @@ class Regression:
         self._days: dict[int, Day] = {}
         self._noises: dict[int, np.ndarray] = {}
         dates = len(basis.of.decay)
-        self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MOST_KEPT
+        self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MAX_KEPT
 
     def day(self, t: int) -> Day:
         """The regression on day t."""
@@ -68,7 +68,7 @@ class Regression:
         noise = self._noises.get(t)
         if noise is None:
             of, basis = self.basis.of, self.basis
-            log = of.loading[t][list(basis.kept)] @ basis.back(t) @ self.y
+            log = of.loading[t][list(basis.selected)] @ basis.back(t) @ self.y
             log += basis.level_deviation(t) * self.level * bool(basis.common)
             noise = np.exp(log - of.variance[t] / 2)
             if self._keeps:
@@ -111,7 +111,7 @@ def regression(basis: Basis) -> Regression:
 def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened factors [kept, Q], standardised ln g [Q], and weights of the regression [Q]."""
     levels = LEVELS if basis.common else 1
-    selected = len(basis.kept)
+    selected = len(basis.selected)
     if selected not in COUNTS:
         points = qmc.Sobol(selected + 1, rng=np.random.default_rng(0)).random(POINTS).T
         z = ndtri(np.clip(points, 2.0**-31, 1 - 2.0**-31))

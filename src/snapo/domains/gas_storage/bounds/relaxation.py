@@ -26,15 +26,15 @@ class StoreRelaxation:
         self.prices = of_prices(schedule)
         kind = simulator.interpolation
         factors = self.process.factors(self.prices)
-        self.fitted = None if factors is None else fit_value(schedule, factors, kind)
-        self.inner = Hindsight(schedule, kind, self.fitted, inventories)
+        self.fitted_value = None if factors is None else fit_value(schedule, factors, kind)
+        self.inner = Hindsight(schedule, kind, self.fitted_value, inventories)
 
     @property
     def terms(self) -> int:
-        return 0 if self.fitted is None else PARTS
+        return 0 if self.fitted_value is None else PARTS
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         return "the surprises of a fitted value of the store"
 
     def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
@@ -65,8 +65,8 @@ class StoreRelaxation:
 
     def _scales(self, scale: np.ndarray) -> Scale:
         """The scale of each function of the basis, from those of the penalty's parts."""
-        if self.fitted is None or not len(scale):
+        if self.fitted_value is None or not len(scale):
             return 1.0
-        basis = self.fitted.basis
+        basis = self.fitted_value.basis
         counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
         return np.repeat(scale, counts)

@@ -36,7 +36,7 @@ class SurpriseTable(NamedTuple):
     shift: np.ndarray
 
 
-def surprises(fitted_value: FittedValue, levels: int = LEVELS) -> SurpriseTable:
+def innovation_table(fitted_value: FittedValue, levels: int = LEVELS) -> SurpriseTable:
     """The table of a fitted value."""
     basis, dates, available = (
         fitted_value.basis,

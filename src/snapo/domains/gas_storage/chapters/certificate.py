@@ -15,7 +15,7 @@ from snapo.study.chapter import Number
 from snapo.study.chapters.certificate import Certificate, bump_table, certificate, limit_table
 from snapo.study.study import Setup, StudyRun
 
-from ..setup import OUTPUT, beside, case_of
+from ..setup import OUTPUT, case_of, on_independent_paths
 from .run import StorageRun
 
 TRIES = 16  # at finding inputs nearby that still can be met
@@ -87,7 +87,7 @@ def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]
     facts = _facts(run, result)
     return [
         *([Facts(facts)] if facts else []),
-        bump_table(result, run.currency, lambda name: run.said(name).title()),
+        bump_table(result, run.currency, lambda name: run.input_number(name).title()),
         limit_table(result, run.volume, "Day", lambda step: _day(run, step)),
     ]
 
@@ -121,7 +121,7 @@ CERTIFICATE = certificate(
     bump_paths=512,
     tolerance=lambda problem: 1e-6 * float(problem.schedule.constants.rate_scale),
     near=off_ties,
-    problem_of=beside,
+    problem_of=on_independent_paths,
     result=StorageCertificate,
     more=_more,
     show=show_certificate,

@@ -11,7 +11,7 @@ from snapo.report.axes import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
@@ -158,7 +158,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     """Deltas by delivery month with intervals, against the intrinsic volumes."""
     months = deltas.deltas_monthly
     if not any(np.isfinite(x.undiscounted) for x in months):
-        return [lacking(run, DELTAS.name)]
+        return [why_missing(run, DELTAS.name)]
     bars = [f"{long_month(x.month)} {number(x.undiscounted, 0)}" for x in months]
     alt = f"Bars of the delta per delivery month in {run.volume}: " + ", ".join(bars) + "."
     svg = draw("deltas-by-month", alt, month_painter(run, months), 280)
@@ -227,7 +227,7 @@ def daily(run: StorageRun) -> Section:
     by_day = DailyDeltas() if deltas is None else deltas.deltas_daily
     values = by_day.undiscounted
     if days is None or not np.isfinite(values).any():
-        return Section("daily", title, short, [lacking(run, DELTAS.name)])
+        return Section("daily", title, short, [why_missing(run, DELTAS.name)])
     half, compare = None, None
     if by_day.low.size and by_day.discounted.size:
         discounted = by_day.discounted

@@ -2,7 +2,7 @@
 
 from snapo.report import evidence
 from snapo.report.page import Block, Section, Table, Text
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 
 from .run import StorageRun
 
@@ -16,7 +16,7 @@ def assumptions(run: StorageRun) -> Section:
     """The price model, and the meaning of the units."""
     blocks: list[Block] = [Text(str(run.get("model")))] if run.get("model") else []
     if not blocks:
-        blocks.append(lacking(run, "training"))
+        blocks.append(why_missing(run, "training"))
     title = "Assumptions and units"
     return Section("assumptions", title, "Assumptions", [*blocks, _glossary(run)])
 

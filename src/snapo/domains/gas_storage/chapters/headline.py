@@ -12,7 +12,7 @@ from snapo.report.quantity import (
     plus_minus,
     quantity,
 )
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapters.certificate import checks
 
 from .position import POSITION, Cycles, Position
@@ -45,7 +45,7 @@ def headline(run: StorageRun) -> Section:
     )
     blocks: list[Block] = [block, *notes(run)]
     if not now.action:
-        blocks.append(lacking(run, POSITION.name))
+        blocks.append(why_missing(run, POSITION.name))
     if facts := _facts(run, value, digits, position.cycles, now):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from snapo.engine import COURSE
+from snapo.engine import TRAJECTORY
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.report import charts
@@ -13,7 +13,7 @@ from snapo.report.axes import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section
 from snapo.report.quantity import quantity
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import Setup, StudyRun
@@ -21,7 +21,7 @@ from snapo.study.study import Setup, StudyRun
 from ..contract.records import StorageCase
 from ..policy.network import StoragePolicy
 from ..policy.triggers import Triggers, decide, triggers
-from ..setup import beside, case_of, policy_of
+from ..setup import case_of, on_independent_paths, policy_of
 from .run import StorageRun
 from .today import FirstDecision, first_decision, levels_of
 
@@ -134,13 +134,13 @@ def _by_price(problem: Problem, case: StorageCase, policy: StoragePolicy, levels
 
 def _paths(setup: Setup, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Inventories [T + 1, paths] and net injections [T, paths] of the exact simulator."""
-    problem = beside(setup)
+    problem = on_independent_paths(setup)
     source = problem.sources.evaluation
     bound = setup.engines.evaluate.bind(problem, controls=False)
     inventories, flows = [], []
     for block in source.blocks(source.available(PATHS), 8):
         draws = source.draws(block, problem.simulator)
-        rollout = bound.values(policy_of(solution), draws, Exact(), record=COURSE)
+        rollout = bound.values(policy_of(solution), draws, Exact(), record=TRAJECTORY)
         start = np.asarray(rollout.record["state"].inventory)
         inventories.append(np.concatenate([start, np.asarray(rollout.state.inventory)[None]]))
         outputs = rollout.record["outputs"]
@@ -156,7 +156,7 @@ def show(run: StorageRun, position: Position) -> Sequence[Block]:
     """The forward curve between the prices below which to inject and above which to withdraw."""
     prices, days = run.numbers("forward", "forward"), run.days
     if prices is None or days is None:
-        return [lacking(run, POSITION.name)]
+        return [why_missing(run, POSITION.name)]
     when, lines = date_numbers(days), []
     for key, label, colour in TRIGGERS:
         values = getattr(position, f"trigger_{key}")
@@ -184,7 +184,7 @@ def inventory(run: StorageRun) -> Section:
     title, short = "Inventory against its limits", "Inventory"
     position, days = POSITION.of(run), run.days
     if position is None or days is None or not position.inventory.mean.size:
-        return Section("inventory", title, short, [lacking(run, POSITION.name)])
+        return Section("inventory", title, short, [why_missing(run, POSITION.name)])
     mean, when, flow = position.inventory.mean, date_numbers(days), position.flow.mean
     endpoints = np.append(when, when[-1] + 1)[
         : len(mean)

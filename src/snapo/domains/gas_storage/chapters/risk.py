@@ -17,12 +17,12 @@ from snapo.problem.smooth import Exact
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
 from snapo.report.rows import Column, table
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
-from ..setup import OUTPUT, beside, case_of, policy_of
-from .run import SPAN, Said, Sensitivity, StorageRun
+from ..setup import OUTPUT, case_of, on_independent_paths, policy_of
+from .run import SPAN, InputNumber, Sensitivity, StorageRun
 
 PATHS = 2048  # of shadow prices
 UNITS = 1.0  # of the capacity; small against it, large against rounding
@@ -81,7 +81,7 @@ class _Replay:
     """Values of the exact simulator under recorded decisions, with inputs shifted."""
 
     def __init__(self, setup: Setup, policy: Policy):
-        self.problem, self.engine = beside(setup), setup.engines.evaluate
+        self.problem, self.engine = on_independent_paths(setup), setup.engines.evaluate
         source = self.problem.sources.evaluation
         bound = self.engine.bind(self.problem)
         paths = source.available(PATHS)
@@ -94,7 +94,7 @@ class _Replay:
 
     def value(self, shifts: dict[str, float]) -> float:
         """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
-        by_name = self.problem.named
+        by_name = self.problem.inputs_by_name
         values = {name: by_name[name].value + shift for name, shift in shifts.items()}
         if any(np.any(value < 0) for value in values.values()):
             return float("nan")
@@ -112,7 +112,7 @@ class _Replay:
 def risk(run: StorageRun) -> Section:
     """Vegas, shadow prices, and parallel shifts of every other input."""
     prices = SHADOW_PRICES.of(run)
-    shadow = lacking(run, SHADOW_PRICES.name) if prices is None else show(run, prices)[0]
+    shadow = why_missing(run, SHADOW_PRICES.name) if prices is None else show(run, prices)[0]
     blocks: list[Block] = [_vegas(run), shadow]
     if (others := _others(run)) is not None:
         blocks.append(others)
@@ -135,21 +135,21 @@ def show(run: StorageRun, result: ShadowPrices) -> Sequence[Block]:
     """The table of shadow prices."""
     prices = result.shadow_prices
     if not prices:
-        return [lacking(run, SHADOW_PRICES.name)]
+        return [why_missing(run, SHADOW_PRICES.name)]
     digits = decimals([x for price in prices for x in (price.up, price.down)], 4)
     columns = (
         Column("Capacity", lambda price: price.name.capitalize()), Column("Unit", "unit"),
         Column("One more is worth", "up", run.currency, sign=True),
         Column("One less costs", "down", run.currency, sign=True),
     )  # fmt: skip
-    return [table(prices, columns, "Shadow prices of volume and capacity", places=digits)]
+    return [table(prices, columns, "Shadow prices of volume and capacity", decimal_places=digits)]
 
 
 def _others(run: StorageRun) -> Table | None:
     """Parallel shifts: the sensitivities of an input summed over its labels."""
     groups: dict[str, list[Sensitivity]] = defaultdict(list)
     for sensitivity in run.sensitivities:
-        if run.said(sensitivity.input).group not in (CURVE, *MODEL):
+        if run.input_number(sensitivity.input).group not in (CURVE, *MODEL):
             groups[sensitivity.input].append(sensitivity)
     if not groups:
         return None
@@ -166,7 +166,7 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     out. Where there is one, it tells how many digits mean anything.
     """
     first = members[0]
-    metadata = run.said(first.input, first.unit)
+    metadata = run.input_number(first.input, first.unit)
     total, error = metadata.move * math.fsum(member.value or 0.0 for member in members), None
     if len(members) == 1 and first.low is not None and first.high is not None:
         error = metadata.move * (first.high - first.low) / 2
@@ -177,7 +177,7 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     change = number(total, digits, True)
     return (
         metadata.title(label),
-        metadata.words,
+        metadata.meaning,
         move,
         change,
         plus_minus(error, digits),
@@ -185,7 +185,7 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     )
 
 
-def _move(metadata: Said) -> str:
+def _move(metadata: InputNumber) -> str:
     """ "1 volatility point", "10 bp", "0.01 EUR/MWh", "1 per year"."""
     if metadata.trade_unit.startswith("1/"):
         return f"{metadata.trade_move:.6g} per {metadata.trade_unit[2:]}"
@@ -223,7 +223,7 @@ def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
     """The whole curve; its delivery months, or quarters where there are many months."""
     months: dict[str, float] = defaultdict(float)
     for sensitivity in run.sensitivities:
-        if run.said(sensitivity.input).group == CURVE:
+        if run.input_number(sensitivity.input).group == CURVE:
             months[long_month(sensitivity.label)] += sensitivity.value or 0.0
     if not months:
         return [], []
@@ -252,12 +252,16 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
     """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for item in run.group("volatility", RATE):
-        by_name = run.said(item.input).group != RATE and len(item.label) < 10  # no delivery day
+        by_name = (
+            run.input_number(item.input).group != RATE and len(item.label) < 10
+        )  # no delivery day
         totals[item.input, item.label if by_name else ""] += item.value or 0.0
-    return [_slider(run.said(name), label, slope) for (name, label), slope in totals.items()]
+    return [
+        _slider(run.input_number(name), label, slope) for (name, label), slope in totals.items()
+    ]
 
 
-def _slider(metadata: Said, label: str, slope: float) -> Slider:
+def _slider(metadata: InputNumber, label: str, slope: float) -> Slider:
     """A slider over ten usual moves to either side; `slope` is per unit of the input."""
     span = SPAN * metadata.trade_move
     step = span / 20

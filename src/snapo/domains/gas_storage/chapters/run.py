@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.folder import Sensitivity as Sensitivity
 from snapo.report.quantity import quantity
 
@@ -12,14 +12,14 @@ SPAN = 10
 
 
 @dataclass(frozen=True)
-class Said:
+class InputNumber:
     """All that an input says about itself; see `snapo.problem.inputs.Input`.
 
     `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
     """
 
     name: str
-    words: str
+    meaning: str
     group: str
     move: float
     trade_move: float
@@ -32,15 +32,15 @@ class Said:
 
 
 @dataclass(frozen=True)
-class StorageRun(Folder):
+class StorageRun(RunFiles):
     """A run folder with the units of the contract."""
 
-    def said(self, name: str, unit: str = "") -> Said:
+    def input_number(self, name: str, unit: str = "") -> InputNumber:
         """All that the input `name` says about itself; a move of one unit where it says nothing."""
         result = self.get("inputs", {}).get(name, {})
         move, factor = result.get("move") or 1.0, result.get("trade_factor") or 1.0
         plain = unit if unit not in ("", "1") else "unit"
-        return Said(
+        return InputNumber(
             name,
             str(result.get("words") or ""),
             str(result.get("group") or ""),
@@ -54,7 +54,7 @@ class StorageRun(Folder):
         return [
             sensitivity
             for sensitivity in self.sensitivities
-            if self.said(sensitivity.input).group in groups
+            if self.input_number(sensitivity.input).group in groups
         ]
 
     @property

@@ -11,7 +11,7 @@ from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import finite, long_date, number, quantity
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Number
 from snapo.study.study import Setup, Today
@@ -130,7 +130,7 @@ def ladder(run: StorageRun, now: FirstDecision | None) -> Section:
     """The decision of today for every inventory, as a picture and as a table."""
     title, short = "Today's ladder over inventory", "Today"
     if now is None or not now.ladder:
-        return Section("today", title, short, [lacking(run, "profile")])
+        return Section("today", title, short, [why_missing(run, "profile")])
     blocks: list[Block] = []
     if finite(now.spot) is not None and finite(now.inventory) is not None:
         blocks.append(_chart(run, now))

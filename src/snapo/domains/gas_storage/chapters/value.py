@@ -10,7 +10,7 @@ from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Section, Table, Text
 from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
@@ -22,7 +22,7 @@ from ..contract.simulator import simulator_of
 from ..policy.fitted_guide import FittedKnots
 from ..references.intrinsic import intrinsic
 from ..references.refined import refined
-from ..setup import OUTPUT, beside, case_of, factors, policy_of
+from ..setup import OUTPUT, case_of, factors, on_independent_paths, policy_of
 from .position import working_volume
 from .run import StorageRun
 
@@ -101,7 +101,7 @@ class ContractValues:
     cash_flow: CashFlow = field(default_factory=CashFlow)
 
     @property
-    def known(self) -> list[ContractValue]:
+    def value_of(self) -> list[ContractValue]:
         """The values that are numbers."""
         return [value for value in self.value_ladder if np.isfinite(value.value)]
 
@@ -119,7 +119,9 @@ def measure(run: StudyRun) -> ContractValues:
 def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
     """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
     engine = run.setup.engines.evaluate
-    guide = evaluate(beside(run.setup), policy_of(solution).guide, paths=PATHS, engine=engine)
+    guide = evaluate(
+        on_independent_paths(run.setup), policy_of(solution).value_rule, paths=PATHS, engine=engine
+    )
     plan, error = INTRINSIC.of(run), solution.standard_error
     ladder = [
         ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")
@@ -147,7 +149,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
 
 def _guide_value(setup: Setup, value: Value) -> ContractValue:
     """The value of the guide before any training."""
-    guide = simulator_of(setup.problem).guide
+    guide = simulator_of(setup.problem).value_table
     if guide is not None and isinstance(guide.knots, FittedKnots):
         name, note = "Fitted rule", "value iteration in the price factors, before training"
     else:
@@ -163,10 +165,10 @@ def _distribution(cash: np.ndarray) -> CashFlow:
 
 def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
     """Every value of the same contract on the same curve, from the least to the best."""
-    values = result.known
+    values = result.value_of
     if not values:
-        return [lacking(run, VALUES.name)]
-    digits, bars = decimals([x.value for x in values]), rungs(run, values)
+        return [why_missing(run, VALUES.name)]
+    digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
     alt = "Horizontal bars. " + "; ".join(f"{bar.name}: {bar.text}" for bar in bars) + "."
     svg = draw("ladder", alt, lambda axes: charts.ladder(axes, bars), 28 + 27 * len(bars))
     caption = (
@@ -185,13 +187,13 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
     return blocks
 
 
-def rungs(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.Rung]:
+def ladder_bars(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.LadderBar]:
     """The bars of the ladder; that of the headline's value is set apart."""
     digits, headline = decimals([x.value for x in values]), finite(run.result.get("value"))
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [
-        charts.Rung(
-            x.name, x.value, run.worth(x.value, x.standard_error, digits), x.standard_error,
+        charts.LadderBar(
+            x.name, x.value, run.value_text(x.value, x.standard_error, digits), x.standard_error,
             i == strong,
         )
         for i, x in enumerate(values)
@@ -204,7 +206,7 @@ def cash_flow(run: StorageRun) -> Section:
     values = VALUES.of(run)
     cash = CashFlow() if values is None else values.cash_flow
     if not cash.counts.size or len(cash.edges) != len(cash.counts) + 1:
-        return Section("cash-flow", title, short, [lacking(run, VALUES.name)])
+        return Section("cash-flow", title, short, [why_missing(run, VALUES.name)])
     quantiles = {float(q): x for q, x in cash.quantiles.items() if np.isfinite(x)}
     marks = [("mean", cash.mean)] if np.isfinite(cash.mean) else []
     marks += [(f"{q:g} %", x) for q, x in quantiles.items() if q in (5, 95, 1, 99)]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 from ..prices.process import use
 
@@ -55,18 +55,18 @@ class EndRule(eqx.Module):
         """The numbers of the worth, for the schedule."""
 
     @abc.abstractmethod
-    def worth(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
+    def end_value(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
         """Worth of the inventory left on one path; `price` gives that day's spot price."""
 
     @abc.abstractmethod
-    def known(self, inventory: float, price: float) -> float:
+    def value_known(self, inventory: float, price: float) -> float:
         """The same in NumPy where price and inventory are known: no decision is left."""
 
 
 class LevelAtEnd(EndRule):
     """The inventory that must be in store on the end date: one number, index []."""
 
-    inventory: Given
+    inventory: CaseInput
 
     @property
     def owed(self) -> float:
@@ -79,10 +79,10 @@ class LevelAtEnd(EndRule):
     def terms(self, inputs):
         return EndTerms(*_no_table(), jnp.asarray(0.0))
 
-    def worth(self, terms, inventory, price):
+    def end_value(self, terms, inventory, price):
         return jnp.zeros_like(inventory)
 
-    def known(self, inventory: float, price: float) -> float:
+    def value_known(self, inventory: float, price: float) -> float:
         return 0.0
 
 
@@ -93,7 +93,7 @@ class PriceAtEnd(EndRule):
     needs no price.
     """
 
-    fraction: Given
+    fraction: CaseInput
 
     @property
     def needs_price(self) -> bool:
@@ -102,10 +102,10 @@ class PriceAtEnd(EndRule):
     def terms(self, inputs):
         return EndTerms(*_no_table(), use(inputs, self.fraction))
 
-    def worth(self, terms, inventory, price):
+    def end_value(self, terms, inventory, price):
         return inventory * terms.fraction * price()
 
-    def known(self, inventory: float, price: float) -> float:
+    def value_known(self, inventory: float, price: float) -> float:
         return float(self.fraction.used()) * inventory * price if self.needs_price else 0.0
 
 
@@ -115,14 +115,14 @@ class ValueAtEnd(EndRule):
     - `inventory`: levels, strictly rising, index [M]; `value`: currency, index [M].
     """
 
-    inventory: Given
-    value: Given
+    inventory: CaseInput
+    value: CaseInput
 
     def terms(self, inputs):
         return EndTerms(use(inputs, self.inventory), use(inputs, self.value), jnp.asarray(0.0))
 
-    def worth(self, terms, inventory, price):
+    def end_value(self, terms, inventory, price):
         return jnp.interp(inventory, terms.levels, terms.values)
 
-    def known(self, inventory: float, price: float) -> float:
+    def value_known(self, inventory: float, price: float) -> float:
         return float(np.interp(inventory, self.inventory.used(), self.value.used()))

@@ -195,24 +195,24 @@ def _start(case: StorageCase) -> list[Interval]:
     return [(inventory, inventory)]
 
 
-def _within_limits(case: StorageCase, t: int, moved: list[Interval], tolerance: float):
+def _within_limits(case: StorageCase, t: int, flows: list[Interval], tolerance: float):
     low = float(case.contract.min_inventory.used()[t])
     high = float(case.contract.max_inventory.used()[t])
     selected = [
         (min(max(left, low), high), max(min(right, high), low))
-        for left, right in moved
+        for left, right in flows
         if right >= low - tolerance and left <= high + tolerance
     ]
     if selected:
         return selected
-    maximum, minimum, date = moved[-1][1], moved[0][0], _date(case, t)
+    maximum, minimum, date = flows[-1][1], flows[0][0], _date(case, t)
     if maximum < low:
         message = f"this cannot be met on {date}: by then at most {maximum:.10g} can be in store"
         raise _error(case, "min_inventory", low, message)
     if minimum > high:
         message = f"this cannot be met on {date}: by then at least {minimum:.10g} is in store"
         raise _error(case, "max_inventory", high, message)
-    text = _words(moved)
+    text = _words(flows)
     message = f"with min_inventory {low:g} this cannot be met on {date}: in store will be {text}"
     raise _error(case, "max_inventory", high, message)
 

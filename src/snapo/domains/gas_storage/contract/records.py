@@ -15,7 +15,7 @@ from typing import Literal
 import equinox as eqx
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..prices.process import PriceProcess
@@ -33,9 +33,9 @@ class Ratchets(eqx.Module):
     - `withdrawal`, `injection`: most volume per day, not negative, index [T, K]; before outages.
     """
 
-    inventory: Given
-    withdrawal: Given
-    injection: Given
+    inventory: CaseInput
+    withdrawal: CaseInput
+    injection: CaseInput
     interpolation: Literal["linear", "step"] = eqx.field(static=True)
 
 
@@ -57,24 +57,24 @@ class Contract(eqx.Module):
       `fixed_cost_day`: [n] day on which each of them is paid.
     """
 
-    inventory: Given
-    min_inventory: Given
-    max_inventory: Given
+    inventory: CaseInput
+    min_inventory: CaseInput
+    max_inventory: CaseInput
     ratchets: Ratchets
     injection_factor: np.ndarray
     withdrawal_factor: np.ndarray
-    min_injection: Given
-    min_withdrawal: Given
-    injection_cost: Given
-    withdrawal_cost: Given
+    min_injection: CaseInput
+    min_withdrawal: CaseInput
+    injection_cost: CaseInput
+    withdrawal_cost: CaseInput
     injection_cost_day: np.ndarray
     withdrawal_cost_day: np.ndarray
-    injection_fuel: Given
-    withdrawal_fuel: Given
-    inventory_loss: Given
-    inventory_cost: Given
+    injection_fuel: CaseInput
+    withdrawal_fuel: CaseInput
+    inventory_loss: CaseInput
+    inventory_cost: CaseInput
     at_end: EndRule
-    fixed_costs: Given
+    fixed_costs: CaseInput
     fixed_cost_day: np.ndarray
 
 
@@ -90,8 +90,8 @@ class Market(eqx.Module):
     A payment on day d is discounted by exp(-r(d) d / 365), and not at all where d <= 0.
     """
 
-    forward_curve: Given
-    zero_rate: Given
+    forward_curve: CaseInput
+    zero_rate: CaseInput
     zero_rate_day: np.ndarray
     gas_day: np.ndarray
 

@@ -47,9 +47,9 @@ class Day(NamedTuple):
     next_high: Array
     price: PyTree
     ahead: Array
-    guide: Any = None
+    value_table: Any = None
     hedge: Any = 0.0
-    surprise: Any = None
+    innovation: Any = None
 
 
 class Terms(NamedTuple):
@@ -73,7 +73,7 @@ class Terms(NamedTuple):
     end_price: PyTree
     price_scale: Array
     rate_scale: Array
-    surprise: Any = None
+    innovation: Any = None
 
 
 class State(NamedTuple):
@@ -91,8 +91,8 @@ class Flows(NamedTuple):
 
     keep: Array
     base: Array
-    most: Array
-    least: Array
+    maximum: Array
+    minimum: Array
 
 
 class Discount(eqx.Module):

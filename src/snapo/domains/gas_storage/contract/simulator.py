@@ -62,14 +62,14 @@ class StorageSimulator(Simulator):
     end_day: Int[np.ndarray, ""]
     price_scale: Float[np.ndarray, ""]
     rate_scale: Float[np.ndarray, ""]
-    guide: ValueTable | None = None
+    value_table: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
-    surprises: Surprises | None = None
+    innovations: Surprises | None = None
     action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 2))
     fully_observed = True
 
     @classmethod
-    def of(cls, case: StorageCase, guide: ValueTable | None = None) -> Self:
+    def of(cls, case: StorageCase, value_table: ValueTable | None = None) -> Self:
         """The contract of a case, with the scales of its own numbers."""
         contract, market = case.contract, case.market
         rows = contract.ratchets
@@ -85,7 +85,7 @@ class StorageSimulator(Simulator):
             np.asarray(case.end_day),
             np.zeros(()),
             np.zeros(()),
-            guide,
+            value_table,
         )
         return made.scaled(numbers)
 
@@ -137,7 +137,7 @@ class StorageSimulator(Simulator):
 
     def _completed(self, schedule: Schedule) -> Schedule:
         """With the guide, the hedge and the surprises, which no input makes here."""
-        guide, hedge, result = self.guide, self.hedge, self.surprises
+        guide, hedge, result = self.value_table, self.hedge, self.innovations
         steps = schedule.steps._replace(
             guide=None if guide is None else guide.knots,
             hedge=np.zeros(self.horizon) if hedge is None else hedge,
@@ -225,8 +225,8 @@ class StorageSimulator(Simulator):
         spot = self.spot(constants, now, state)
         flows = self.flows(now, state, smooth, constants.rate_scale)
         injection = smooth.positive_part(flows.base, constants.rate_scale)
-        withdrawal = injection - flows.base + action[1] * (flows.base - flows.least)
-        injection = injection + action[0] * (flows.most - flows.base)
+        withdrawal = injection - flows.base + action[1] * (flows.base - flows.minimum)
+        injection = injection + action[0] * (flows.maximum - flows.base)
         gas = spot * now.gas_discount
         cost = (
             injection * now.injection_cost * now.injection_cost_discount
@@ -259,9 +259,9 @@ class StorageSimulator(Simulator):
 
     def _control(self, constants: Terms, now: Day, state: State, after: State, spot):
         """The day's part of the control variate."""
-        if now.surprise is not None:
+        if now.innovation is not None:
             factors = self.process.gaussian(state.price)
-            day = of_day(now.surprise, factors, state.inventory, after.inventory)
+            day = of_day(now.innovation, factors, state.inventory, after.inventory)
             return {"value_surprise": day}
         innovation = spot - self.process.forward(constants.price, now.price)
         return {"forward_hedge": now.hedge * now.gas_discount * innovation}
@@ -271,11 +271,11 @@ class StorageSimulator(Simulator):
             return self.process.level(constants.price, constants.end_price, state.price)
 
         terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
-        value = self.contract.at_end.worth(terms, state.inventory, price)
+        value = self.contract.at_end.end_value(terms, state.inventory, price)
         outputs = {"cash_flow": value * constants.end_discount}
-        if constants.surprise is not None:
+        if constants.innovation is not None:
             factors = self.process.gaussian(state.price)
-            outputs["value_surprise"] = of_end(constants.surprise, factors, state.inventory)
+            outputs["value_surprise"] = of_end(constants.innovation, factors, state.inventory)
         return self._weighed(state, outputs) | {"fixed_costs": constants.fixed_costs}
 
     def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:
@@ -301,7 +301,7 @@ class StorageSimulator(Simulator):
         return Flows(keep, base, maximum, minimum)
 
     def control_variates(self) -> tuple[str, ...]:
-        if self.surprises is not None:
+        if self.innovations is not None:
             return ("value_surprise",)
         hedged = self.hedge is not None and self.process.martingale
         return ("forward_hedge",) if hedged else ()

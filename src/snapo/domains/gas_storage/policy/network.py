@@ -48,7 +48,7 @@ class StoragePolicy(Policy):
         return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
 
     @property
-    def guide(self) -> "StoragePolicy":
+    def value_rule(self) -> "StoragePolicy":
         """The guide alone, by a network that adds nothing: one program runs both."""
 
         def last(policy: StoragePolicy):

@@ -13,7 +13,7 @@ from .fitted_guide import functions
 from .value_table import between
 
 
-class Place(NamedTuple):
+class DateValues(NamedTuple):
     """The value on one date: `bounds.surprise.SurpriseTable`."""
 
     low: Array
@@ -32,15 +32,15 @@ class Reading(NamedTuple):
 class SurpriseDay(NamedTuple):
     """One day: its own value, the expectation of the next date's, and its functions."""
 
-    now: Place
-    ahead: Place
+    now: DateValues
+    ahead: DateValues
     reading: Reading
 
 
 class SurpriseEnd(NamedTuple):
     """The end date, and the expectation on the valuation date."""
 
-    now: Place
+    now: DateValues
     reading: Reading
     first: Array
 
@@ -53,12 +53,15 @@ class Surprises(eqx.Module):
 
     @classmethod
     def of(cls, result: SurpriseTable) -> "Surprises":
-        position = Place(result.low, result.high, result.now)  # pyright: ignore
+        position = DateValues(result.low, result.high, result.now)  # pyright: ignore
         reading = Reading(result.whiten, result.common, result.shift)  # pyright: ignore
-        first = Place(*(item[:-1] for item in position))
-        ahead = Place(result.low[1:], result.high[1:], result.ahead)  # pyright: ignore
+        first = DateValues(*(item[:-1] for item in position))
+        ahead = DateValues(result.low[1:], result.high[1:], result.ahead)  # pyright: ignore
         days = SurpriseDay(first, ahead, Reading(*(entry[:-1] for entry in reading)))
-        last = Place(*(value[-1] for value in position)), Reading(*(each[-1] for each in reading))
+        last = (
+            DateValues(*(value[-1] for value in position)),
+            Reading(*(each[-1] for each in reading)),
+        )
         return cls(days, SurpriseEnd(*last, np.asarray(result.first)))  # pyright: ignore
 
 
@@ -81,6 +84,6 @@ def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:
     return _worth(row.now, left, observed) - row.first
 
 
-def _worth(position: Place, inventory: Array, observed: Array) -> Array:
+def _worth(position: DateValues, inventory: Array, observed: Array) -> Array:
     inside = jnp.clip(inventory, position.low, position.high)
     return between(position, position.coefficients, inside, lambda row: row @ observed)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.case.given import FilePosition, Given
+from snapo.case.given import CaseInput, FilePosition
 from snapo.case.quantity import Quantity, Range, stacked
 from snapo.case.table import Section, Table
 from snapo.problem.process import Factors
@@ -18,8 +18,8 @@ from .process import REVERSION, VOLATILITY, Delivery, Times, use
 class FactorTable(Table):
     """A factor: { mean_reversion = 12.0, volatility = 0.6 }"""
 
-    mean_reversion: Given = REVERSION("speed at which a factor returns to zero")
-    volatility: Given = VOLATILITY("of a factor, by delivery day", by="date")
+    mean_reversion: CaseInput = REVERSION("speed at which a factor returns to zero")
+    volatility: CaseInput = VOLATILITY("of a factor, by delivery day", by="date")
 
 
 CORRELATION = Quantity(
@@ -36,9 +36,9 @@ class GivenFactors(FactorPrices):
     """
 
     delivery: Times
-    mean_reversion: Given
-    volatility: Given
-    correlation: Given
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    correlation: CaseInput
     noise_size: int = eqx.field(static=True)
     fast_factor: int = eqx.field(static=True)
 
@@ -47,7 +47,13 @@ class GivenFactors(FactorPrices):
         return cls.of(delivery, **read_factors(section, [table], [], [], delivery))
 
     @classmethod
-    def of(cls, delivery: Delivery, mean_reversion: Given, volatility: Given, correlation: Given):
+    def of(
+        cls,
+        delivery: Delivery,
+        mean_reversion: CaseInput,
+        volatility: CaseInput,
+        correlation: CaseInput,
+    ):
         """With the number of factors, and the fast one among them."""
         moves = volatility.used().max(axis=0) > 0
         fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
@@ -80,7 +86,7 @@ def read_factors(
     correlation: Sequence[float],
     positions: Sequence[FilePosition],
     delivery: Delivery,
-) -> dict[str, Given]:
+) -> dict[str, CaseInput]:
     """The numbers of several factors, with the strict lower triangle of their correlations."""
     count, dates = len(factors), delivery.dates
     volatilities = [factor.volatility.on(dates, section.notes) for factor in factors]
@@ -88,6 +94,6 @@ def read_factors(
     numbers = (
         stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
         stacked("volatility", volatilities),
-        CORRELATION.given("correlation", correlation, pairs, places=tuple(positions)),
+        CORRELATION.input("correlation", correlation, pairs, places=tuple(positions)),
     )
     return {values.name: values for values in numbers}

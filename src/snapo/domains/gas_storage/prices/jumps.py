@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import Quantity, Range
 from snapo.problem.process import integral
@@ -45,9 +45,9 @@ class JumpTable(SingleFactorTable):
     """`[model]` of kind "one-factor-jumps"."""
 
     kind: Literal["one-factor-jumps"]
-    jump_intensity: Given = INTENSITY("spikes per year")
-    jump_size: Given = SIZE("mean spike of ln S")
-    jump_mean_reversion: Given = REVERSION("speed at which a spike dies out")
+    jump_intensity: CaseInput = INTENSITY("spikes per year")
+    jump_size: CaseInput = SIZE("mean spike of ln S")
+    jump_mean_reversion: CaseInput = REVERSION("speed at which a spike dies out")
 
 
 class JumpConstants(NamedTuple):
@@ -94,17 +94,17 @@ class OneFactorJumps(PriceProcess):
     martingale = True
     proportional = True
     delivery: Times
-    mean_reversion: Given
-    volatility: Given
-    jump_intensity: Given
-    jump_size: Given
-    jump_mean_reversion: Given
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    jump_intensity: CaseInput
+    jump_size: CaseInput
+    jump_mean_reversion: CaseInput
     gap: int = eqx.field(static=True)
     last: int = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=3)
 
     @classmethod
-    def of(cls, delivery: Delivery, **numbers: Given):
+    def of(cls, delivery: Delivery, **numbers: CaseInput):
         gap, last = delivery.ahead[0], delivery.ahead[-1]
         return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import Section, Table
@@ -30,8 +30,8 @@ VOLATILITY = Quantity(
     NOT_NEGATIVE,
     "volatility",
     move=0.01,
-    trade_unit="volatility point",
-    trade_factor=100.0,
+    display_unit="volatility point",
+    display_factor=100.0,
     limits=Range(0.0, 50.0, note=" (5,000 % a year)"),
     plausible=Plausible(0.005, 5.0, "fractions are meant, 0.85 is 85 %"),
 )
@@ -48,8 +48,8 @@ REVERSION = Quantity(
 class SingleFactorTable(Table):
     """The factor of a price that has one: { mean_reversion = 12.0, volatility = 0.6 }"""
 
-    mean_reversion: Given = REVERSION("speed at which the factor returns to zero")
-    volatility: Given = VOLATILITY("of the factor, by delivery day", by="date")
+    mean_reversion: CaseInput = REVERSION("speed at which the factor returns to zero")
+    volatility: CaseInput = VOLATILITY("of the factor, by delivery day", by="date")
 
 
 class Delivery(NamedTuple):
@@ -65,7 +65,7 @@ class Delivery(NamedTuple):
     price_days: Sequence[datetime.date]
     end: datetime.date
     valuation: datetime.date
-    curve: Given
+    curve: CaseInput
 
     @property
     def dates(self) -> tuple[datetime.date, ...]:
@@ -93,7 +93,7 @@ class Times(eqx.Module):
 
     years: Float[np.ndarray, " T+1"]
     gaps: Gaps
-    curve: Given
+    curve: CaseInput
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""
@@ -144,7 +144,7 @@ class PriceProcess(Process):
         return cls.of(delivery, **on_dates(table, delivery.dates, section.notes))
 
     @classmethod
-    def of(cls, delivery: Delivery, **numbers: Given) -> Self:
+    def of(cls, delivery: Delivery, **numbers: CaseInput) -> Self:
         """The process with these numbers, by field, on the days of a delivery."""
         return cls(delivery.times, **numbers)  # pyright: ignore
 
@@ -175,7 +175,7 @@ class PriceProcess(Process):
         return None
 
 
-def use(inputs: dict[str, Any], series: Given | Use):
+def use(inputs: dict[str, Any], series: CaseInput | Use):
     """The numbers of an input where they are used: its values at their index."""
     return (series if isinstance(series, Use) else series.use())(inputs)
 
@@ -185,7 +185,7 @@ KINDS: dict[str, type[PriceProcess]] = {}
 
 def register(process: type[PriceProcess]) -> type[PriceProcess]:
     """Makes a process known under its `kind`; one that lacks a part of its behaviour is refused."""
-    missing = lacks(process)
+    missing = missing_members(process)
     if missing:
         raise TypeError(f"price process {process.__name__} lacks {', '.join(missing)}")
     if process.kind in KINDS:
@@ -194,7 +194,7 @@ def register(process: type[PriceProcess]) -> type[PriceProcess]:
     return process
 
 
-def lacks(process: type[PriceProcess]) -> list[str]:
+def missing_members(process: type[PriceProcess]) -> list[str]:
     """Names of the methods and attributes of the contract that a class leaves open."""
     marks = ("__abstractmethods__", "__abstractvars__", "__abstractclassvars__")
     return sorted(name for mark in marks for name in getattr(process, mark, ()))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.quantity import Quantity, Range
 from snapo.problem.noise import Markov
 from snapo.problem.process import integral
@@ -30,8 +30,8 @@ PROBABILITY = Quantity(
     Range(0.0, 1.0, "()", noun="a probability a day"),
     "price model",
     move=0.001,
-    trade_unit="percentage point",
-    trade_factor=100.0,
+    display_unit="percentage point",
+    display_factor=100.0,
 )
 PREMIUM = Quantity("1", Range(0.0, note=": the rise of ln S"), "price model", move=0.01)
 
@@ -40,9 +40,9 @@ class RegimeTable(SingleFactorTable):
     """`[model]` of kind "regimes"."""
 
     kind: Literal["regimes"]
-    tightens: Given = PROBABILITY("probability a day that a calm market becomes tight")
-    eases: Given = PROBABILITY("probability a day that a tight market becomes calm")
-    premium: Given = PREMIUM("ln of a tight market's price over a calm one's")
+    tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
+    eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
+    premium: CaseInput = PREMIUM("ln of a tight market's price over a calm one's")
 
 
 class RegimeState(NamedTuple):
@@ -98,17 +98,17 @@ class Regimes(PriceProcess):
     martingale = True
     proportional = True
     delivery: Times
-    mean_reversion: Given
-    volatility: Given
-    tightens: Given
-    eases: Given
-    premium: Given
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    tightens: CaseInput
+    eases: CaseInput
+    premium: CaseInput
     gap: int = eqx.field(static=True)
     last: int = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=2)
 
     @classmethod
-    def of(cls, delivery: Delivery, **numbers: Given):
+    def of(cls, delivery: Delivery, **numbers: CaseInput):
         gap, last = delivery.ahead[0], delivery.ahead[-1]
         return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 

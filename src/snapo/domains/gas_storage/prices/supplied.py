@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.csv import Mention, read_array
+from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
 from snapo.case.table import Section, Table
 from snapo.problem.scenarios import Sources, Supplied
@@ -74,7 +74,7 @@ class SuppliedPrices(PriceProcess):
             return cls(delivery.times, size, none, table.rescale_to_curve)  # pyright: ignore
         span = f"one for each day from {days[0]} to {days[-1]}"
         references = [
-            Mention(section, key, getattr(table, key))
+            FileReference(section, key, getattr(table, key))
             for key in ("training_paths", "evaluation_paths")
         ]
         arrays = [read_array(reference, len(days), span) for reference in references]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.table import Table
 from snapo.problem.process import Factors
@@ -23,12 +23,12 @@ class SeasonalTable(Table):
     """`[model]` of kind "three-factor-seasonal"."""
 
     kind: Literal["three-factor-seasonal"]
-    spot_mean_reversion: Given = REVERSION(
+    spot_mean_reversion: CaseInput = REVERSION(
         "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
     )
-    spot_volatility: Given = VOLATILITY("of the fast factor, which reverts")
-    long_term_volatility: Given = VOLATILITY("of the whole curve, in parallel")
-    seasonal_volatility: Given = VOLATILITY("of the summer-winter spread")
+    spot_volatility: CaseInput = VOLATILITY("of the fast factor, which reverts")
+    long_term_volatility: CaseInput = VOLATILITY("of the whole curve, in parallel")
+    seasonal_volatility: CaseInput = VOLATILITY("of the summer-winter spread")
 
 
 @register
@@ -44,16 +44,16 @@ class ThreeFactorSeasonal(FactorPrices):
     kind = "three-factor-seasonal"
     table = SeasonalTable
     delivery: Times
-    spot_mean_reversion: Given
-    spot_volatility: Given
-    long_term_volatility: Given
-    seasonal_volatility: Given
+    spot_mean_reversion: CaseInput
+    spot_volatility: CaseInput
+    long_term_volatility: CaseInput
+    seasonal_volatility: CaseInput
     season: Float[np.ndarray, " T+1"]
     noise_size: int = eqx.field(static=True, default=3)
     fast_factor: int = eqx.field(static=True, default=0)
 
     @classmethod
-    def of(cls, delivery: Delivery, **numbers: Given):
+    def of(cls, delivery: Delivery, **numbers: CaseInput):
         days = season(delivery.dates, delivery.valuation)
         return cls(delivery.times, season=days, **numbers)  # pyright: ignore
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.dates import ordinals
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import more
 from snapo.case.quantity import Quantity
 from snapo.case.table import Section
@@ -51,7 +51,7 @@ def read_contract(
 ) -> Contract:
     """The contract on its decision days [T], and on the end date where limits are concerned."""
 
-    def daily(numbers: Given) -> Given:
+    def daily(numbers: CaseInput) -> CaseInput:
         return numbers.on(days, section.notes)
 
     def paid(key: str) -> np.ndarray:
@@ -82,17 +82,17 @@ def read_contract(
     )
 
 
-def _stock(level: Given, limits: Limits) -> Given:
+def _stock(level: CaseInput, limits: Limits) -> CaseInput:
     """An inventory; one of zero moves by more than the least inventory does, and stays above it."""
     return replace(level, move=2 * small_move(limits.ratchets))
 
 
-def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, np.ndarray]:
+def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInput, np.ndarray]:
     amount = replace(AMOUNT, unit=table.currency)
     if table.fixed_costs is None:
         nothing = np.zeros(0, np.int64)
-        return amount.given("fixed_costs", np.zeros(0), ()), nothing
-    rows = read_rows(Mention(section, "fixed_costs", table.fixed_costs), ("date", "amount"))
+        return amount.input("fixed_costs", np.zeros(0), ()), nothing
+    rows = read_rows(FileReference(section, "fixed_costs", table.fixed_costs), ("date", "amount"))
     dates = [row.day("date") for row in rows]
     when = ordinals(dates) - valuation.toordinal()
     # Nothing is owed any more when the contract has ended, nor amounts due before today.
@@ -114,13 +114,13 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
             raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
         position = (*section.keys, "end_inventory")
-        owed = stock.given("end_inventory", [table.end_inventory], places=(position,))
+        owed = stock.input("end_inventory", [table.end_inventory], places=(position,))
         return LevelAtEnd(_stock(owed, limits))
     if not isinstance(table.end_value, str):
         position = (*section.keys, "end_value")
-        share = SPOT_SHARE.given("end_value", [table.end_value or 0.0], places=(position,))
+        share = SPOT_SHARE.input("end_value", [table.end_value or 0.0], places=(position,))
         return PriceAtEnd(share)
-    rows = read_rows(Mention(section, "end_value", table.end_value), ("inventory", "value"))
+    rows = read_rows(FileReference(section, "end_value", table.end_value), ("inventory", "value"))
     levels = [row.number("inventory", 0.0) for row in rows]
     for row, below, level in zip(rows[1:], levels[:-1], levels[1:], strict=True):
         if level <= below:

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from snapo.case.csv import DAY, Mention, read_rows
+from snapo.case.csv import DAY, FileReference, read_rows
 from snapo.case.dates import ordinals
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..contract.records import Ratchets
@@ -21,8 +21,8 @@ from .tables import ContractTable
 class Limits:
     """The fields of `Contract` with the same names."""
 
-    min_inventory: Given
-    max_inventory: Given
+    min_inventory: CaseInput
+    max_inventory: CaseInput
     ratchets: Ratchets
     injection_factor: np.ndarray
     withdrawal_factor: np.ndarray
@@ -49,7 +49,7 @@ def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.
     )
 
 
-def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> None:
+def _check_limits(section: Section, dates, minimum: CaseInput, maximum: CaseInput) -> None:
     crossed = np.flatnonzero(minimum.used() > maximum.used())
     if len(crossed):
         t = crossed[0]
@@ -96,7 +96,7 @@ def _outages(section: Section, values: list[str] | str) -> list[Outage]:
     if isinstance(values, str):
         columns = ("from", "to", "injection_factor", "withdrawal_factor")
         rows = []
-        for row in read_rows(Mention(section, "outages", values), columns):
+        for row in read_rows(FileReference(section, "outages", values), columns):
             first, last = row.day("from"), row.day("to")
             if last < first:
                 raise row.error("to", f"its last day cannot lie before its first, {first}")

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import Given, SheetCell
+from snapo.case.given import CaseInput, SheetCell
 from snapo.case.table import Section
 
 from ..contract.records import Market
@@ -37,9 +37,9 @@ def read_market(
     return Market(curve, rate, rate_day, gas_day)
 
 
-def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit: str) -> Given:
+def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit: str) -> CaseInput:
     """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
-    rows = read_rows(Mention(section, "forward_curve", name), ("date", "price"))
+    rows = read_rows(FileReference(section, "forward_curve", name), ("date", "price"))
     by_day, by_month = quotes(rows)
     both = [day for day in days if day in by_day and (day.year, day.month) in by_month]
     if both:
@@ -60,7 +60,7 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
     labels = [day.isoformat() for day in days]
     forward = replace(FORWARD, unit=unit)
     positions = tuple(price.cell for price in prices)
-    return forward.given(
+    return forward.input(
         "forward_curve", [price.value for price in prices], labels, places=positions
     )
 
@@ -100,7 +100,7 @@ def month_days(year: int, month: int) -> list[datetime.date]:
     return [datetime.date(year, month, day) for day in range(1, count + 1)]
 
 
-def _nodes(rate: Given, valuation: datetime.date) -> tuple[Given, np.ndarray]:
+def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.ndarray]:
     """The rates of all nodes, and their days since the valuation date."""
     starts = rate.starts
     days = np.zeros(1, np.int64) if starts is None else starts - valuation.toordinal()

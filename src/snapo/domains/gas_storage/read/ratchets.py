@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.dates import ordinals
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
 from snapo.case.table import Section
 
@@ -44,7 +44,7 @@ def read_ratchets(
     if plain:
         message = f"give either {plain[0]} or ratchets, not both"
         raise section.error(plain[0], getattr(table, plain[0]).written, message)
-    rows = read_rows(Mention(section, "ratchets", table.ratchets), COLUMNS)
+    rows = read_rows(FileReference(section, "ratchets", table.ratchets), COLUMNS)
     blocks = read_blocks(rows)
     index = _rows_by_day(table.ratchets, blocks, days)
     ratchets = _ratchets(rows, blocks, index, table)
@@ -57,7 +57,7 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
         if key not in plain:
             raise section.error(key, None, "this key is missing; give both max rates, or ratchets")
 
-    def rate(numbers: Given) -> Given:
+    def rate(numbers: CaseInput) -> CaseInput:
         numbers = numbers.on(days, section.notes)
         return replace(numbers, index=numbers.index[:, None])
 
@@ -65,7 +65,7 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
     everywhere = np.zeros((len(days), 1), np.int64)
     level = replace(LEVEL, unit=table.volume_unit)
     # No file has this inventory: plain rates hold at every one.
-    inventory = level.given("ratchet_inventory", [0.0], index=everywhere, places=(None,))
+    inventory = level.input("ratchet_inventory", [0.0], index=everywhere, places=(None,))
     return Ratchets(inventory, rate(table.max_withdrawal), rate(table.max_injection), "step")
 
 
@@ -124,7 +124,7 @@ def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets
     labels = [f"{dates[number]} at {level:g}" for number, level in enumerate(levels)]
     units = {"currency": table.currency, "volume_unit": table.volume_unit}
 
-    def column(name: str, quantity: Quantity) -> Given:
+    def column(name: str, quantity: Quantity) -> CaseInput:
         quantity = replace(quantity, unit=quantity.unit.format_map(units))
         return quantity.from_rows(name, rows, labels, index=index)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.dates import ordinals
 from snapo.case.error import CaseError
 from snapo.case.table import Section
@@ -71,7 +71,7 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
             "{ months = 1, day = 20 }, or a CSV file with columns delivery_month,date"
         )
         raise section.error(key, name, message)
-    rows = read_rows(Mention(section, key, name), ("delivery_month", "date"))
+    rows = read_rows(FileReference(section, key, name), ("delivery_month", "date"))
     paid = {}
     for row in rows:
         month = row.month("delivery_month")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range, choice
 from snapo.case.table import TITLE, Table, Title
@@ -46,7 +46,9 @@ OF_SPOT = Plausible(
     1.5,
     "it is a share of the spot price, 0.9 is 90 % of it; a value in money is a CSV inventory,value",
 )
-POINTS = Quantity("1", group="cost", move=1e-3, trade_unit="percentage point", trade_factor=100.0)
+POINTS = Quantity(
+    "1", group="cost", move=1e-3, display_unit="percentage point", display_factor=100.0
+)
 SHARE = replace(POINTS, range=BELOW_ONE, plausible=OF_VOLUME, by="date", before=0.0)
 STOCK = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP)
 LIMIT = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0, by="date")
@@ -59,8 +61,8 @@ ZERO_RATE = Quantity(
     Range(-1.0, 1.0, "()"),
     "interest rate",
     move=1e-3,  # ten basis points
-    trade_unit="bp",
-    trade_factor=10_000.0,
+    display_unit="bp",
+    display_factor=10_000.0,
     limits=Range(-0.5, 1.0, note=" (-50 to 100 %)"),
     plausible=Plausible(-0.02, 0.25, FRACTION),
     by="date",
@@ -102,30 +104,30 @@ class ContractTable(Table):
     currency: FileName = Field("EUR", description='a name such as "EUR"')
     start: Day = Field(description=DATE)
     end: Day = Field(description=DATE)
-    inventory: Given = STOCK("gas in store at the start")
-    max_inventory: Given = LIMIT("most gas in store")
-    min_inventory: Given = LIMIT("least gas in store", 0.0, before=0.0)
-    max_injection: Given | None = RATE("most injection per day", None)
-    max_withdrawal: Given | None = RATE("most withdrawal per day", None)
+    inventory: CaseInput = STOCK("gas in store at the start")
+    max_inventory: CaseInput = LIMIT("most gas in store")
+    min_inventory: CaseInput = LIMIT("least gas in store", 0.0, before=0.0)
+    max_injection: CaseInput | None = RATE("most injection per day", None)
+    max_withdrawal: CaseInput | None = RATE("most withdrawal per day", None)
     ratchets: FileName | None = Field(
         None,
         description="a CSV file with columns date,inventory,max_withdrawal,max_injection",
     )
     ratchet_interpolation: Literal["linear", "step"] = choice("linear", "step")
-    min_injection: Given = FORCED("injection that must flow", 0.0)
-    min_withdrawal: Given = FORCED("withdrawal that must flow", 0.0)
-    injection_cost: Given = COST("per unit injected", 0.0)
-    withdrawal_cost: Given = COST("per unit withdrawn", 0.0)
+    min_injection: CaseInput = FORCED("injection that must flow", 0.0)
+    min_withdrawal: CaseInput = FORCED("withdrawal that must flow", 0.0)
+    injection_cost: CaseInput = COST("per unit injected", 0.0)
+    withdrawal_cost: CaseInput = COST("per unit withdrawn", 0.0)
     injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     fixed_costs: FileName | None = Field(None, description="a CSV file with columns date,amount")
-    injection_fuel: Given = SHARE("share of the injection, bought on top", 0.0)
-    withdrawal_fuel: Given = SHARE("share of the withdrawal, not sold", 0.0)
-    inventory_loss: Given = SHARE(
+    injection_fuel: CaseInput = SHARE("share of the injection, bought on top", 0.0)
+    withdrawal_fuel: CaseInput = SHARE("share of the withdrawal, not sold", 0.0)
+    inventory_loss: CaseInput = SHARE(
         "lost gas", 0.0, unit="1/day", trade_unit="percentage point a day", move=1e-4, bump=1e-6,
         plausible=OF_STOCK,
     )  # fmt: skip
-    inventory_cost: Given = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
+    inventory_cost: CaseInput = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
     end_inventory: NotNegative | Literal["free"] = Field(
         0.0, description='a number of at least 0, or "free"'
     )
@@ -146,7 +148,7 @@ class MarketTable(Table):
 
     valuation_date: Day = Field(description=DATE)
     forward_curve: FileName = Field(description="a CSV file with columns date,price")
-    interest_rate: Given = ZERO_RATE("continuous zero rate", 0.0)
+    interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)
 
 

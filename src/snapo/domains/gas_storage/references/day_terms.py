@@ -24,7 +24,7 @@ class Rates(NamedTuple):
     injection: np.ndarray
 
 
-class Moves(NamedTuple):
+class FlowChoices(NamedTuple):
     """Inventory at the end of the day that each inventory at its start can reach. [n]
 
     `keep` is the rest of it without any flow (after losses), `down` and `up` the least and
@@ -84,7 +84,7 @@ def flow_ends(
     return keep, keep + minimum, keep + maximum
 
 
-def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
+def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> FlowChoices:
     """The inventories at the end of day t that those at its start [n] can become.
 
     Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
@@ -94,7 +94,7 @@ def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
     down = np.clip(down, steps.next_low[t], steps.next_high[t])
     up = np.clip(up, steps.next_low[t], steps.next_high[t])
     up = np.maximum(up, down)
-    return Moves(keep, down, np.clip(keep, down, up), up)
+    return FlowChoices(keep, down, np.clip(keep, down, up), up)
 
 
 def unit_prices(schedule, t: int, spot: np.ndarray) -> UnitPrices:

@@ -18,7 +18,7 @@ from ..prices.process import GaussianFactors
 FAST_REACH, SLOW_REACH = 6.0, 4.5
 # The trapezoidal rule needs a transition at least this wide, in spacings of the grid.
 NARROW = 0.7
-MOST_NODES = 401
+MAX_NODES = 401
 
 
 class Transition(NamedTuple):
@@ -53,7 +53,7 @@ class FactorGrid:
     """
 
     of: GaussianFactors
-    kept: tuple[int, ...]
+    selected: tuple[int, ...]
     fast: np.ndarray
     slow: np.ndarray
     covariance: np.ndarray
@@ -65,10 +65,10 @@ class FactorGrid:
 
     def noise(self, t: int) -> np.ndarray:
         """Spot over forward price [columns] on day t (T: on the end date), of mean 1."""
-        loading = self.of.loading[t][list(self.kept)]
+        loading = self.of.loading[t][list(self.selected)]
         variance = loading @ self.covariance[t] @ loading
         log = loading[0] * self.fast[None, :]
-        if len(self.kept) > 1:
+        if len(self.selected) > 1:
             log = log + loading[1] * self.slow[:, None]
         return np.exp(log - variance / 2).ravel()
 
@@ -81,7 +81,7 @@ class FactorGrid:
         return self._transition(t + 1, self.slow, self.fast)
 
     def _transition(self, into: int, slow, fast) -> Transition:
-        selected, decay, shock = list(self.kept), self.of.decay[into], self.of.shock[into]
+        selected, decay, shock = list(self.selected), self.of.decay[into], self.of.shock[into]
         covariance = (shock @ shock.T)[np.ix_(selected, selected)]
         key = (len(slow), len(fast), *(f"{x:.9e}" for x in [*decay[selected], *covariance.ravel()]))
         if key not in self._known:
@@ -101,7 +101,7 @@ def factor_grid(
     fast = np.zeros(1)
     if len(daily) and widest[0] > 0:
         half = FAST_REACH * widest[0] / (spacing * daily.min())
-        fast = np.linspace(-1, 1, 2 * min(int(np.ceil(half)), MOST_NODES // 2) + 1)
+        fast = np.linspace(-1, 1, 2 * min(int(np.ceil(half)), MAX_NODES // 2) + 1)
         fast = FAST_REACH * widest[0] * fast
     slow = np.zeros(1)
     if len(selected) > 1 and widest[1] > 0:

@@ -33,7 +33,7 @@ class LatticeResult:
     end_delta: float
     net: np.ndarray
     inventory: np.ndarray
-    kept: tuple[int, ...]
+    selected: tuple[int, ...]
     dropped: tuple[int, ...]
 
 

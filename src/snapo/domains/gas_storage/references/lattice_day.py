@@ -5,8 +5,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .day_terms import (
+    FlowChoices,
     Interpolation,
-    Moves,
     Rates,
     UnitPrices,
     cash,
@@ -39,7 +39,7 @@ class Decisions(NamedTuple):
     inventory: np.ndarray
     nodes: np.ndarray
     choice: np.ndarray
-    today: Moves
+    today: FlowChoices
     buy_to: np.ndarray
     sell_to: np.ndarray
     move_to: np.ndarray | None
@@ -85,9 +85,9 @@ def decide(
     best = np.full((len(inventory), after.shape[1]), -np.inf)
     choice = np.zeros(best.shape, np.int8)
 
-    def offer(code: int, worth: np.ndarray):
-        better = worth > best
-        np.copyto(best, worth, where=better)
+    def offer(code: int, value: np.ndarray):
+        better = value > best
+        np.copyto(best, value, where=better)
         choice[better] = code
 
     for code, target in ((HOLD, today.hold), (UP, today.up), (DOWN, today.down)):
@@ -111,7 +111,9 @@ def decide(
     return Decisions(inventory, nodes, choice, today, peaks[0], peaks[1], move_to), value
 
 
-def _try_every_node(today: Moves, prices: UnitPrices, nodes, after, best, choice) -> np.ndarray:
+def _try_every_node(
+    today: FlowChoices, prices: UnitPrices, nodes, after, best, choice
+) -> np.ndarray:
     """Improves `best` and `choice` [n, columns] in place; returns the node of each MOVE_TO."""
     move_to = np.zeros(best.shape, np.int16)
     for j, node in enumerate(nodes):

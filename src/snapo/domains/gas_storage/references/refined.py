@@ -11,7 +11,7 @@ from .slope_table import common_volume
 MOVED = 1e-4  # of the value: a grid is fine enough when half its spacing moves the value by less
 HALVED = 3  # times at most
 SPACINGS = {1: 0.15, 2: 0.3}  # of the fast factor's nodes, by the number of factors
-NODES, MOST_NODES = 200, 800  # spacings of the first grid of inventories, and of one of daily flows
+NODES, MAX_NODES = 200, 800  # spacings of the first grid of inventories, and of one of daily flows
 SLOW = 17
 
 
@@ -60,6 +60,6 @@ def _first_step(schedule) -> float:
     """The spacing of inventories: a part of the common measure of the daily flows, where it can."""
     room = volume_scale(schedule)
     volume = common_volume(schedule.steps)
-    if volume is None or volume < room / MOST_NODES:
+    if volume is None or volume < room / MAX_NODES:
         return room / NODES
     return volume / max(1, round(volume * NODES / room))

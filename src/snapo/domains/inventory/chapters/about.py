@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 
 from ..item.simulator import AVERAGES, OUTPUTS
 from ..network.records import NetworkCase
@@ -36,7 +36,7 @@ class CaseSummary:
     objective: str = "the objective"
 
     @classmethod
-    def of(cls, run: Folder) -> "CaseSummary":
+    def of(cls, run: RunFiles) -> "CaseSummary":
         """That of a run; an entry that it lacks has its default."""
         entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
         return cls(**{name: value for name, value in entries.items() if value is not None})
@@ -67,10 +67,14 @@ def about(case: AnyCase) -> dict[str, Any]:
         "other_leads": case.other_leads,
     }
     if isinstance(case, NetworkCase):
-        sellers = [case.places[i] for i in case.sellers]
-        demand = "; ".join(f"{x.name}: {x.demand.words()}" for x in sellers if x.demand)
+        sellers = [case.sites[i] for i in case.sellers]
+        demand = "; ".join(f"{x.name}: {x.demand.describe()}" for x in sellers if x.demand)
         return entries | {"network": True, "lost": case.lost, "demand": demand}
-    item = {"lead_time": case.item.lead, "lost": case.item.lost, "demand": case.demand.words()}
+    item = {
+        "lead_time": case.item.lead_time,
+        "lost": case.item.lost,
+        "demand": case.demand.describe(),
+    }
     return entries | item
 
 
@@ -80,7 +84,7 @@ def units_of(case: AnyCase) -> dict[str, str]:
     outputs, averages = OUTPUTS, AVERAGES
     counts = ["orders", "cycles", "cycles_met"]
     if isinstance(case, NetworkCase):
-        names = [position.name for position in case.places]
+        names = [position.name for position in case.sites]
         ways = (*NETWORK_AVERAGES, "sent", "received")
         averages = (*NETWORK_AVERAGES, *(f"{path}_{name}" for path in ways for name in names))
         outputs, counts = NETWORK_OUTPUTS, ["orders", *(f"orders_{name}" for name in names)]

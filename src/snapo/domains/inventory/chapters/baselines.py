@@ -7,11 +7,11 @@ import numpy as np
 
 from snapo.engine import Xla
 from snapo.problem.policy import Policy
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Text
 from snapo.report.quantity import decimals, finite, number, percent
 from snapo.report.rows import Column, WithError, table
-from snapo.solver.evaluate import path_totals, worth_of_groups
+from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.statistics import of_shares
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -50,17 +50,17 @@ def measure(run: StudyRun) -> RuleResults:
     setup = run.setup
     problem, paths = setup.problem, run.solution.paths["evaluate"]
     source, is_network = problem.sources.evaluation, isinstance(problem.simulator, NetworkSimulator)
-    trained = worth_of_groups(problem.objective, run.solution.totals, source)
+    trained = value_of_groups(problem.objective, run.solution.totals, source)
     rows = [RuleResult("trained", *of_shares(trained)[:2])]
 
     def compare(name: str, shares: np.ndarray, trained: np.ndarray, numbers: dict[str, float]):
         result, gap = of_shares(shares), of_shares(shares - trained)
-        run.tell(f"{name}: {result.value:,.6g}, {gap.value:+,.3g} to the trained rule")
+        run.progress(f"{name}: {result.value:,.6g}, {gap.value:+,.3g} to the trained rule")
         rows.append(RuleResult(name, *result[:2], *gap[:2], numbers))
 
     for name, rule, numbers in network_rules(setup) if is_network else item_rules(setup):
         totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
-        compare(name, worth_of_groups(problem.objective, totals, source), trained, numbers)
+        compare(name, value_of_groups(problem.objective, totals, source), trained, numbers)
     if not is_network and (rule := myopic_of(setup)) is not None:
         local = _first_paths(setup, run.solution.policy)
         compare("myopic", _first_paths(setup, rule), local, {})
@@ -73,10 +73,10 @@ def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
     assert policy is not None
     paths = min(SEARCH_PATHS, setup.evaluation.paths)
     totals = path_totals(problem, policy, paths, engine=Xla())
-    return worth_of_groups(problem.objective, totals, source)
+    return value_of_groups(problem.objective, totals, source)
 
 
-def show(run: Folder, result: RuleResults) -> Sequence[Block]:
+def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
     """Costs of all rules, and by how much they are above that of the trained one."""
     rows = result.rivals
     errors = [row.difference_error for row in rows if finite(row.difference_error)]
@@ -104,7 +104,7 @@ def show(run: Folder, result: RuleResults) -> Sequence[Block]:
         "Each rule has the best numbers that a search on other paths found; differences are "
         "paired, path by path, with one standard error."
     )
-    costs = table(rows, columns, "Costs of the rules", places=digits)
+    costs = table(rows, columns, "Costs of the rules", decimal_places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]
 
 

@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Section, Text
 from snapo.report.quantity import decimals
 from snapo.report.rows import Column, WithError, table
 from snapo.solver import statistics
-from snapo.solver.evaluate import worth_of_groups
+from snapo.solver.evaluate import value_of_groups
 from snapo.solver.solve import solve
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -50,7 +50,7 @@ def measure(run: StudyRun) -> OtherLeadTimes:
             change = _change(run, make_setup(case, run.setup.engines.name))
             rows.append(OtherLeadTime(position, other, change.value, change.standard_error))
             where = f" of {position}" if position else ""
-            run.tell(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
+            run.progress(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
     return OtherLeadTimes(tuple(rows))
 
 
@@ -58,16 +58,21 @@ def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
     """(place, its lead time, the other one, the case with it); the horizon stays."""
     if isinstance(setup.problem.simulator, NetworkSimulator):
         network = network_of(setup)
-        for i, position in enumerate(network.places):
-            for other in (position.lead - 1, position.lead + 1):
-                digits = list(network.places)
+        for i, position in enumerate(network.sites):
+            for other in (position.lead_time - 1, position.lead_time + 1):
+                digits = list(network.sites)
                 digits[i] = replace(position, lead=other)
-                yield position.name, position.lead, other, replace(network, places=tuple(digits))
+                yield (
+                    position.name,
+                    position.lead_time,
+                    other,
+                    replace(network, places=tuple(digits)),
+                )
     else:
         case = case_of(setup)
-        for other in (case.item.lead - 1, case.item.lead + 1):
+        for other in (case.item.lead_time - 1, case.item.lead_time + 1):
             item = replace(case.item, lead=other, coming=None)  # with its usual start
-            yield "", case.item.lead, other, replace(case, item=item)
+            yield "", case.item.lead_time, other, replace(case, item=item)
 
 
 def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
@@ -85,14 +90,14 @@ def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
         engine=other.engines,
     )
     objective, source = setup.problem.objective, setup.problem.sources.evaluation
-    values = worth_of_groups(objective, solution.totals, source)
+    values = value_of_groups(objective, solution.totals, source)
     totals = {
         name: total[: len(solution.totals[name])] for name, total in run.solution.totals.items()
     }
-    return statistics.of_shares(values - worth_of_groups(objective, totals, source))
+    return statistics.of_shares(values - value_of_groups(objective, totals, source))
 
 
-def lead_time(run: Folder) -> Section:
+def lead_time(run: RunFiles) -> Section:
     """The section; of a run that trains no other lead times, how to ask for them."""
     section = LEAD_TIME(run)
     if CaseSummary.of(run).other_leads:
@@ -101,7 +106,7 @@ def lead_time(run: Folder) -> Section:
     return replace(section, blocks=[Missing(text)])
 
 
-def show(run: Folder, result: OtherLeadTimes) -> Sequence[Block]:
+def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
     """The cost of a period more or less of lead time."""
     step, rows = CaseSummary.of(run).step, result.lead_time_change
     columns = [
@@ -113,7 +118,7 @@ def show(run: Folder, result: OtherLeadTimes) -> Sequence[Block]:
         columns.insert(0, Column("Place", "place"))
     digits = max(decimals([row.standard_error for row in rows], 2), 2)
     text = "The rule is trained anew for each, and compared on the same paths."
-    changes = table(rows, columns, "Other lead times", places=digits)
+    changes = table(rows, columns, "Other lead times", decimal_places=digits)
     return [changes, Text(text, caveat=True)]
 
 

@@ -13,7 +13,7 @@ from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw, legend_above, unit_above
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import number
 from snapo.report.theme import LIGHT
@@ -67,12 +67,12 @@ def measure(run: StudyRun) -> OrderCurves:
     setup, case = run.setup, case_of(run.setup)
     now = at(setup.problem.schedule.steps, case.warm_up)
     stock = stocks(case, float(now["level"]))
-    usual = np.asarray(now["mean"], np.float64)[1 : max(case.item.lead, 1)]
+    usual = np.asarray(now["mean"], np.float64)[1 : max(case.item.lead_time, 1)]
     curves, policy = [], run.solution.policy
     assert policy is not None
     for share in SHARES if len(usual) else (1.0,):
         coming = share * usual
-        coming = np.round(coming) if case.item.whole else coming
+        coming = np.round(coming) if case.item.integer else coming
         amounts = orders(setup, policy, stock, coming)
         levels = np.where(amounts > 0, stock + coming.sum() + amounts, np.nan)
         curves.append(OrderCurve(float(coming.sum()), amounts, levels))
@@ -83,7 +83,7 @@ def stocks(case: InventoryCase, level: float) -> np.ndarray:
     """Stocks from none, or from demand that waits, to somewhat above the level."""
     low = 0.0 if case.item.lost else -level / 2
     grid = np.linspace(low, 1.2 * level, POINTS)
-    return np.unique(np.round(grid)) if case.item.whole else grid
+    return np.unique(np.round(grid)) if case.item.integer else grid
 
 
 def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) 
     @jax.jit
     def of(stock):
         state = {"stock": stock}
-        if case.item.lead > 1:
+        if case.item.lead_time > 1:
             state["coming"] = jnp.asarray(coming, jnp.float32)
         observation = simulator.observe(schedule.constants, now, state)
         action = policy(observation, Exact())
@@ -119,7 +119,7 @@ def today(setup: Setup, policy: Policy) -> Today:
     return Today(text, facts)
 
 
-def show(run: Folder, result: OrderCurves) -> Sequence[Block]:
+def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
     """Orders by stock, a curve for every amount on its way."""
     case = CaseSummary.of(run)
     unit, curves, digits = case.item_unit, result.curves, result.places

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Text
 from snapo.report.quantity import decimals, percent
 from snapo.report.rows import Column, WithError, table
 from snapo.study.chapter import Chapter
-from snapo.study.study import Measured, Shown, StudyRun
+from snapo.study.study import LiveTable, PathTotals, StudyRun
 
-from ..network.records import NetworkCase, Place
+from ..network.records import NetworkCase, Site
 from ..setup import network_of
 from . import service
 from .about import CaseSummary
@@ -52,17 +52,17 @@ def measure(run: StudyRun) -> NetworkService:
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
-    digits = tuple(_place(case, position, paths) for position in case.places)
+    digits = tuple(_place(case, position, paths) for position in case.sites)
     return NetworkService(service.service_of(paths), service.costs_of(paths, names), digits)
 
 
-def _place(case: NetworkCase, position: Place, paths: Measured) -> PlaceService:
+def _place(case: NetworkCase, position: Site, paths: PathTotals) -> PlaceService:
     name, fixed, sells = position.name, position.fixed, position.demand is not None
     pooled, level, orders = f"sent_{name}" in paths.totals, f"level_{name}", f"orders_{name}"
     return PlaceService(
         name,
         service.ratio(paths, level, orders) if fixed else service.total(paths, level),
-        "" if position.supplier is None else case.places[position.supplier].name,
+        "" if position.supplier is None else case.sites[position.supplier].name,
         service.total(paths, f"stock_{name}"),
         service.total(paths, orders) if fixed else None,
         service.ratio(paths, f"ordered_{name}", orders) if fixed else None,
@@ -73,7 +73,7 @@ def _place(case: NetworkCase, position: Place, paths: Measured) -> PlaceService:
     )
 
 
-def show(run: Folder, result: NetworkService) -> Sequence[Block]:
+def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     """A table with a row for every place."""
     case, decimal_places = CaseSummary.of(run), result.places
     unit, digits = (
@@ -83,7 +83,7 @@ def show(run: Folder, result: NetworkService) -> Sequence[Block]:
 
     def mean(name: str, label: str, unit: str, decimals: int) -> Column:
         return Column(
-            label, lambda location: _value(getattr(location, name)), unit, places=decimals
+            label, lambda location: _value(getattr(location, name)), unit, decimal_places=decimals
         )
 
     columns = [
@@ -91,7 +91,7 @@ def show(run: Folder, result: NetworkService) -> Sequence[Block]:
         Column("Supplied by", lambda index: index.supplier or "outside"),
         mean("level", "Orders up to", unit, 2),
         Column("Stock", lambda place: WithError(place.stock.value, place.stock.standard_error),
-               unit, places=digits),
+               unit, decimal_places=digits),
         mean("demand", "Demand", unit, digits),
         Column("Fill rate", lambda place: percent(_value(place.fill_rate), 2)),
     ]  # fmt: skip
@@ -125,12 +125,12 @@ def service_and_places(run: StudyRun) -> dict[str, Any]:
     return entries | {"places": rows}
 
 
-def network_tables(paths: Measured) -> list[Shown]:
+def network_tables(paths: PathTotals) -> list[LiveTable]:
     """Service, costs and places as the live page shows them."""
     case = network_of(paths.setup)
     columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
     rows = []
-    for position in (_place(case, location, paths) for location in case.places):
+    for position in (_place(case, location, paths) for location in case.sites):
         rate = position.fill_rate.times(100) if position.fill_rate else (None, None)
         rows.append((position.name, *position.stock.times(1), *rate))
-    return [*service.live_tables(paths), Shown("Places", columns, rows)]
+    return [*service.live_tables(paths), LiveTable("Places", columns, rows)]

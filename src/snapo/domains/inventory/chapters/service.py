@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from snapo.report.evidence import notes
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Facts, Headline, Section, Table
 from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.headline import marks
-from snapo.study.study import Measured, Shown, StudyRun
+from snapo.study.study import LiveTable, PathTotals, StudyRun
 
 from ..setup import case_of
 from .about import CaseSummary
@@ -75,24 +75,24 @@ def measure(run: StudyRun) -> CostAndService:
     return CostAndService(service_of(paths) | orders, costs_of(paths, names))
 
 
-def paths_of(run: StudyRun) -> Measured:
+def paths_of(run: StudyRun) -> PathTotals:
     """The outputs of the trained rule on the paths of its value."""
     source = run.setup.problem.sources.evaluation
     groups = source.groups(np.arange(run.solution.paths["evaluate"]))
-    return Measured(run.setup, run.solution.totals, groups)
+    return PathTotals(run.setup, run.solution.totals, groups)
 
 
-def total(paths: Measured, name: str) -> PathMean:
+def total(paths: PathTotals, name: str) -> PathMean:
     """The mean of an output."""
     return PathMean(*paths.mean(paths.totals[name]))
 
 
-def ratio(paths: Measured, top: str, bottom: str) -> PathMean:
+def ratio(paths: PathTotals, top: str, bottom: str) -> PathMean:
     """One output's mean over another's."""
     return PathMean(*paths.ratio(top, bottom))
 
 
-def service_of(paths: Measured) -> dict[str, PathMean]:
+def service_of(paths: PathTotals) -> dict[str, PathMean]:
     """What items and networks have in common, and the cycle service of an item."""
     cycles = {}
     if "cycles" in paths.totals:
@@ -106,16 +106,16 @@ def service_of(paths: Measured) -> dict[str, PathMean]:
     }
 
 
-def costs_of(paths: Measured, names: Sequence[str]) -> tuple[CostPart, ...]:
+def costs_of(paths: PathTotals, names: Sequence[str]) -> tuple[CostPart, ...]:
     """These parts of the cost."""
     return tuple(CostPart(name, *paths.mean(paths.totals[name])) for name in names)
 
 
-def headline(run: Folder) -> Section:
+def headline(run: RunFiles) -> Section:
     """The cost of the trained rule, and the service."""
     title, value = "Cost and service", finite(run.result.get("value"))
     if value is None:
-        return Section("value", title, "Cost", [lacking(run, "training")])
+        return Section("value", title, "Cost", [why_missing(run, "training")])
     error = finite(run.result.get("standard_error"))
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     if run.unit:
@@ -129,7 +129,7 @@ def headline(run: Folder) -> Section:
     return Section("value", title, "Cost", blocks)
 
 
-def show(run: Folder, result: CostAndService) -> list[Block]:
+def show(run: RunFiles, result: CostAndService) -> list[Block]:
     """The service as key figures, and the table of costs."""
     case, service = CaseSummary.of(run), result.service
     facts = []
@@ -165,7 +165,7 @@ def _cost_table(costs: Sequence[CostPart], unit: str) -> Table:
 SERVICE = Chapter("service", "Cost and service", CostAndService, measure, show)
 
 
-def live_tables(paths: Measured) -> list[Shown]:
+def live_tables(paths: PathTotals) -> list[LiveTable]:
     """Service and costs as the live page shows them."""
     case = paths.setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
     units = {"stock": case.unit, "demand": f"{case.unit}/{case.period}"}
@@ -177,4 +177,4 @@ def live_tables(paths: Measured) -> list[Shown]:
     unit = case.value_unit
     parts = [(f"{x.name}, {unit}", x.value, x.standard_error) for x in costs if x.value]
     columns = (("", ""), ("mean", ""), ("± standard error", ""))
-    return [Shown("Service", columns, rows), Shown("Costs by part", columns, parts)]
+    return [LiveTable("Service", columns, rows), LiveTable("Costs by part", columns, parts)]

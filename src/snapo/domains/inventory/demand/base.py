@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, Table
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
@@ -29,7 +29,7 @@ class Demand(eqx.Module):
 
     kind: ClassVar[str]
     table: ClassVar[type[Table]]
-    whole: ClassVar[bool] = False
+    integer: ClassVar[bool] = False
 
     @classmethod
     @abc.abstractmethod
@@ -37,7 +37,7 @@ class Demand(eqx.Module):
         """From its table; `unit` of demand in a period, `most` the largest factor of a period."""
 
     @abc.abstractmethod
-    def given(self) -> tuple[Given, ...]:
+    def inputs(self) -> tuple[CaseInput, ...]:
         """Its parameters: differentiable inputs under their names."""
 
     @abc.abstractmethod
@@ -53,16 +53,16 @@ class Demand(eqx.Module):
         """The standard deviation of periods with these factors, shaped like them."""
 
     @abc.abstractmethod
-    def words(self) -> str:
+    def describe(self) -> str:
         """In a phrase: "Poisson, mean 5"."""
 
-    def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
+    def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         """Of whole demand 0, 1, …, without the last hundred-millionth."""
         raise NotImplementedError(f"demand {self.kind!r} does not come in whole units.")
 
     def integral(self) -> bool:
         """Whether every demand is a whole number."""
-        return self.whole
+        return self.integer
 
     def in_pieces(self) -> bool:
         """Whether demand, or its history, is whole: then orders are, unless a case says else."""
@@ -70,7 +70,7 @@ class Demand(eqx.Module):
 
     def values(self) -> dict[str, float]:
         """The parameters as the case gives them."""
-        return {item.name: float(item.values[0]) for item in self.given()}
+        return {item.name: float(item.values[0]) for item in self.inputs()}
 
 
 KINDS: dict[str, type[Demand]] = {}
@@ -88,13 +88,17 @@ def register(demand: type[Demand]) -> type[Demand]:
     return demand
 
 
-def mean_given(value: float, unit: str) -> Given:
+def mean_given(value: float, unit: str) -> CaseInput:
     """The mean of a period whose factor is 1."""
     text = "mean demand of a period"
-    return Given(MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", words=text)
+    return CaseInput(
+        MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", meaning=text
+    )
 
 
-def deviation_given(value: float, unit: str) -> Given:
+def deviation_given(value: float, unit: str) -> CaseInput:
     """The standard deviation of a period whose factor is 1."""
     text = "standard deviation of the demand of a period"
-    return Given(DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", words=text)
+    return CaseInput(
+        DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", meaning=text
+    )

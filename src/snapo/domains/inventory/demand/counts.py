@@ -38,8 +38,8 @@ class Counts(Demand):
     - `most`: static, the number of demands above zero that are told apart.
     """
 
-    whole = True
-    most: int
+    integer = True
+    maximum: int
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
@@ -47,7 +47,7 @@ class Counts(Demand):
 
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
         """`below` [T, K]: F(k - 1); `chance` [T, K]: p(k)."""
-        k = jnp.arange(self.most)
+        k = jnp.arange(self.maximum)
         probability = jnp.exp(self.logarithms(parameters, factors[:, None], k))
         upto = jnp.cumsum(probability, 1)
         rest = jnp.maximum(1 - upto[:, -1:], TAIL / 1000)
@@ -66,9 +66,9 @@ class Counts(Demand):
         share = jax.lax.stop_gradient(jnp.clip((uniform - start) / size, 0.0, 1.0))
         return k + share - 0.5 + _moved(start + share * probability[k], size)
 
-    def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
+    def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         with jax.enable_x64(True):
-            k, values = jnp.arange(self.most), jnp.asarray(float(factor))
+            k, values = jnp.arange(self.maximum), jnp.asarray(float(factor))
             return np.asarray(jnp.exp(self.logarithms(parameters, values, k)))
 
 

@@ -8,13 +8,13 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section, Table
 
 from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
 
-FEWEST, MOST = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
+FEWEST, MAXIMUM = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
 
 
 class EmpiricalTable(Table):
@@ -49,10 +49,10 @@ class Empirical(Demand):
 
     @classmethod
     def read(cls, section: Section, table: EmpiricalTable, unit: str, maximum: float):
-        reference = Mention(section, "history", table.history)
+        reference = FileReference(section, "history", table.history)
         rows = read_rows(reference, ["period", "demand"], ["factor"])
-        if not FEWEST <= len(rows) <= MOST:
-            message = f"there are {len(rows)} periods; allowed are {FEWEST} to {MOST}"
+        if not FEWEST <= len(rows) <= MAXIMUM:
+            message = f"there are {len(rows)} periods; allowed are {FEWEST} to {MAXIMUM}"
             raise CaseError(table.history, "", None, message)
         with_factor = "factor" in rows[0].cells
         numbers = [
@@ -64,7 +64,7 @@ class Empirical(Demand):
             raise CaseError(table.history, "", None, message)
         return cls(tuple(sorted(numbers)), unit, table.mean, table.deviation)
 
-    def given(self):
+    def inputs(self):
         mean, spread = self._moments()
         return mean_given(mean, self.unit), deviation_given(spread, self.unit)
 
@@ -92,7 +92,7 @@ class Empirical(Demand):
     def deviation(self, parameters, factors):
         return parameters[DEVIATION] * factors
 
-    def chances(self, parameters, factor=1.0):
+    def probabilities(self, parameters, factor=1.0):
         complete = np.round(self.numbers).astype(int)
         return np.bincount(complete) / len(complete)
 
@@ -102,7 +102,7 @@ class Empirical(Demand):
     def in_pieces(self) -> bool:
         return all(x == round(x) for x in self.numbers)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         mean, spread = self._moments()
         return (
             f"drawn from {len(self.numbers)} periods, mean {mean:.4g}, "

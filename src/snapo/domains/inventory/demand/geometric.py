@@ -26,7 +26,7 @@ class Geometric(Counts):
 
     kind = "geometric"
     table = GeometricTable
-    most: int
+    maximum: int
     mean: float
     unit: str
 
@@ -35,7 +35,7 @@ class Geometric(Counts):
         mean = ROOM * maximum * table.mean
         return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean, unit)
 
-    def given(self):
+    def inputs(self):
         return (mean_given(self.mean, self.unit),)
 
     def logarithms(self, parameters, factor, k):
@@ -46,5 +46,5 @@ class Geometric(Counts):
         mean = parameters[MEAN] * factors
         return (mean * (1 + mean)) ** 0.5
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"geometric, mean {self.mean:g}"

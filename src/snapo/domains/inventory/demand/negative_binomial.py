@@ -31,7 +31,7 @@ class NegativeBinomial(Counts):
 
     kind = "negative-binomial"
     table = NegativeBinomialTable
-    most: int
+    maximum: int
     mean: float
     spread: float
     unit: str
@@ -50,7 +50,7 @@ class NegativeBinomial(Counts):
         result = most_of(stats.nbinom(size, size / (size + mean)).ppf)
         return cls(result, table.mean, table.deviation, unit)
 
-    def given(self):
+    def inputs(self):
         return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
 
     def logarithms(self, parameters, factor, k):
@@ -62,7 +62,7 @@ class NegativeBinomial(Counts):
         mean = parameters[MEAN] * factors
         return (mean + mean**2 / _size(parameters)) ** 0.5
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"negative binomial, mean {self.mean:g}, standard deviation {self.spread:g}"
 
 

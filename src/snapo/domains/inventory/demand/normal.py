@@ -34,7 +34,7 @@ class Normal(Demand):
             raise section.error("deviation", table.deviation, message)
         return cls(table.mean, table.deviation, unit)
 
-    def given(self):
+    def inputs(self):
         return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
 
     def prepare(self, parameters, factors):
@@ -46,5 +46,5 @@ class Normal(Demand):
     def deviation(self, parameters, factors):
         return parameters[DEVIATION] * factors
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"normal, mean {self.mean:g}, standard deviation {self.spread:g}"

@@ -27,7 +27,7 @@ class Poisson(Counts):
 
     kind = "poisson"
     table = PoissonTable
-    most: int
+    maximum: int
     mean: float
     unit: str
 
@@ -35,7 +35,7 @@ class Poisson(Counts):
     def read(cls, section: Section, table: PoissonTable, unit: str, maximum: float):
         return cls(most_of(stats.poisson(ROOM * maximum * table.mean).ppf), table.mean, unit)
 
-    def given(self):
+    def inputs(self):
         return (mean_given(self.mean, self.unit),)
 
     def logarithms(self, parameters, factor, k):
@@ -45,5 +45,5 @@ class Poisson(Counts):
     def deviation(self, parameters, factors):
         return (parameters[MEAN] * factors) ** 0.5
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return f"Poisson, mean {self.mean:g}"

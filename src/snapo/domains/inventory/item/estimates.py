@@ -24,7 +24,7 @@ def safety_factor(case: InventoryCase) -> float:
     and Shanthikumar, Operations Research 55, 2007). It is where training starts.
     """
     item = case.item
-    holding = item.cost("holding") * (item.lead + 1 if item.lost else 1)
+    holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
     ratio = item.cost("shortage") / (item.cost("shortage") + holding)
     return float(np.clip(stats.norm.ppf(ratio), -1.0, 4.0))
 
@@ -40,7 +40,7 @@ def economic_lot(case: InventoryCase) -> float:
 def usual_cost(case: InventoryCase) -> float:
     """Of a period: that of economic lots and that of a newsvendor's safety stock, as if at right
     angles, and purchases. Of three (s, S) optima it is off by 2 to 11 %."""
-    item, periods = case.item, case.item.lead + 1
+    item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")
     lots = economic_lot(case) * holding * shortage / (holding + shortage)
     dense = float(stats.norm.pdf(stats.norm.ppf(shortage / (shortage + holding))))
@@ -54,4 +54,4 @@ def memory(case: InventoryCase) -> float:
     In one case the derivative by when to order, -.06 a deviation of a cost of 12.9, is off by .02
     with twenty, by .04 with ten.
     """
-    return 20 * (case.item.lead + 1 + economic_lot(case) / mean_demand(case))
+    return 20 * (case.item.lead_time + 1 + economic_lot(case) / mean_demand(case))

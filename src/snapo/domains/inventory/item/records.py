@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import FilePosition, Given
+from snapo.case.given import CaseInput, FilePosition
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..demand.base import Demand
@@ -24,22 +24,22 @@ class Item:
     """
 
     lost: bool
-    lead: int
-    whole: bool
-    most: float
-    holding: Given
-    shortage: Given
-    purchase: Given
-    ordering: Given
-    stock: Given | None
-    coming: Given | None
+    lead_time: int
+    integer: bool
+    maximum: float
+    holding: CaseInput
+    shortage: CaseInput
+    purchase: CaseInput
+    ordering: CaseInput
+    stock: CaseInput | None
+    coming: CaseInput | None
 
     @property
     def fixed(self) -> bool:
         """Whether an order costs something whatever its size."""
         return bool(self.ordering.values[0] > 0)
 
-    def given(self) -> tuple[Given, ...]:
+    def inputs(self) -> tuple[CaseInput, ...]:
         """Its numbers as inputs; a cost of every order only where there is one."""
         costs = (self.holding, self.shortage, self.purchase)
         starts = [item for item in (self.stock, self.coming) if item is not None]
@@ -72,7 +72,7 @@ class InventoryCase:
     warm_up: int
     discount: float
     demand: Demand
-    season: Given
+    season: CaseInput
     objective: ObjectiveTable
     training: TrainingTable
     evaluation: EvaluationTable
@@ -104,7 +104,7 @@ class InventoryCase:
     @property
     def positions(self) -> dict[str, tuple[FilePosition, ...]]:
         """{input: its position} of the numbers of the demand."""
-        keys = [x.name for x in self.demand.given()]
+        keys = [x.name for x in self.demand.inputs()]
         return {key: (("demand", key.removeprefix("demand_")),) for key in keys}
 
     @property

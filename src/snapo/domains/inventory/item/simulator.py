@@ -35,7 +35,7 @@ from .estimates import memory, safety_factor, usual_cost
 from .records import InventoryCase
 
 CORNER = 8.0  # of a corner in units of the standard deviation of demand, times the temperature
-LEAST = 1e-3  # of an arrival
+MINIMUM = 1e-3  # of an arrival
 OUTPUTS = ("result", "holding", "shortage", "purchase", "ordering")
 AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "cycles_met")
 
@@ -68,12 +68,12 @@ class InventorySimulator(Simulator):
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
         item = self.case.item
-        size = Integers(0, item.most) if item.whole else Box(0.0, item.most)
+        size = Integers(0, item.maximum) if item.integer else Box(0.0, item.maximum)
         return Product(order=Choice(2), size=size) if item.fixed else size
 
     def prepare(self, inputs: Any) -> Schedule:
         case, item = self.case, self.case.item
-        ahead = np.add.outer(np.arange(self.horizon), np.arange(item.lead + 1))
+        ahead = np.add.outer(np.arange(self.horizon), np.arange(item.lead_time + 1))
         season = jnp.asarray(inputs.get("season", np.ones(1)))[ahead % len(case.season.values)]
         mean, deviation = inputs[MEAN] * season, case.demand.deviation(inputs, season)
         usual = deviation[: len(case.season.values), 0].mean()
@@ -102,19 +102,19 @@ class InventorySimulator(Simulator):
         if "start_stock" in inputs:
             return jnp.asarray(inputs["start_stock"])[0]
         usual = jnp.maximum(level - jnp.sum(mean[1:]), 0.0)
-        return jnp.round(usual) if self.case.item.whole else usual
+        return jnp.round(usual) if self.case.item.integer else usual
 
     def _coming(self, inputs, mean):
         if "start_coming" in inputs:
             return jnp.asarray(inputs["start_coming"])
-        usual = mean[1 : max(self.case.item.lead, 1)]
-        return jnp.round(usual) if self.case.item.whole else usual
+        usual = mean[1 : max(self.case.item.lead_time, 1)]
+        return jnp.round(usual) if self.case.item.integer else usual
 
     def initial(self, constants, noise):
         state = {"stock": constants["stock"], "missed": jnp.zeros(())}
         if self.case.item.fixed:
             state["likelihood"] = jnp.ones(())
-        return state | ({"coming": constants["coming"]} if self.case.item.lead > 1 else {})
+        return state | ({"coming": constants["coming"]} if self.case.item.lead_time > 1 else {})
 
     def observe(self, constants, now, state):
         """[gap to the base-stock level, usual deviation, stock, coming …, season …]; all but the
@@ -122,7 +122,7 @@ class InventorySimulator(Simulator):
         unit = constants["usual"]
         stock, coming = state["stock"], state.get("coming", jnp.zeros(0))
         gap = (now["level"] - stock - jnp.sum(coming)) / unit
-        lead = self.case.item.lead
+        lead = self.case.item.lead_time
         observed = [
             jnp.stack([gap, unit, (stock - now["mean"][0]) / unit]),
             (coming - now["mean"][1 : max(lead, 1)]) / unit,
@@ -139,7 +139,7 @@ class InventorySimulator(Simulator):
         # lines that are straight between whole numbers alone.
         spread = not isinstance(smooth, Exact)
         demand = self.case.demand.draw(now["demand"], noise[0], spread)
-        stock = state["stock"] + (order if item.lead == 0 else 0.0)
+        stock = state["stock"] + (order if item.lead_time == 0 else 0.0)
         # Corners are differentiated upwards in stock: see `demand.counts`.
         left = smooth.positive_part(stock - demand, corner)
         short = left - (stock - demand)
@@ -152,14 +152,14 @@ class InventorySimulator(Simulator):
         }
         costs = {name: now["weight"] * part for name, part in parts.items()}
         unmet = smooth.indicator(short - (0.5 if self.case.demand.integral() else 1e-3), corner)
-        missed, cycles = _cycle(state, order, unmet, item.lead, smooth)
+        missed, cycles = _cycle(state, order, unmet, item.lead_time, smooth)
         averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order, *cycles)))
         outputs = {"result": -sum(costs.values()), **costs}
         outputs |= {name: now["counted"] * average for name, average in averages.items()}
         if item.fixed:
             outputs = _weighted(outputs, likelihood, now["weight"] * usual_cost(self.case))
         after = left if item.lost else stock - demand
-        moved = _next(state, after, order, item.lead) | {"missed": missed}
+        moved = _next(state, after, order, item.lead_time) | {"missed": missed}
         return moved | ({"likelihood": likelihood} if item.fixed else {}), outputs
 
     def _drawn(self, state, action, noise, smooth):
@@ -184,15 +184,15 @@ class InventorySimulator(Simulator):
         if not case.demand.integral():
             return ()
         season = [case.season.name] if case.seasonal else []
-        return (*(item.name for item in case.demand.given()), *season)
+        return (*(item.name for item in case.demand.inputs()), *season)
 
     def state_scale(self, constants):
         unit = constants["usual"]
         scale = {"stock": unit, "missed": jnp.ones(())}
         if self.case.item.fixed:
             scale["likelihood"] = jnp.ones(())
-        if self.case.item.lead > 1:
-            scale["coming"] = jnp.full(self.case.item.lead - 1, unit)
+        if self.case.item.lead_time > 1:
+            scale["coming"] = jnp.full(self.case.item.lead_time - 1, unit)
         return scale
 
 
@@ -214,15 +214,15 @@ def _weighted(outputs, likelihood, usual):
     return weighted | {"result": outputs["result"] + (likelihood - 1) * innovation}
 
 
-def _cycle(state, order, unmet, lead: int, smooth):
+def _cycle(state, order, unmet, lead_time: int, smooth):
     """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
     demand)): of the value alone; training has no use for them."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):
         return state["missed"], (nothing, nothing)
-    arrived = state["coming"][0] if lead > 1 else order
-    endpoints = (arrived > LEAST).astype(unmet.dtype)
-    if lead == 0:  # it ends before the demand of this period
+    arrived = state["coming"][0] if lead_time > 1 else order
+    endpoints = (arrived > MINIMUM).astype(unmet.dtype)
+    if lead_time == 0:  # it ends before the demand of this period
         return jnp.maximum((1 - endpoints) * state["missed"], unmet), (
             endpoints,
             endpoints * (1 - state["missed"]),
@@ -231,10 +231,10 @@ def _cycle(state, order, unmet, lead: int, smooth):
     return (1 - endpoints) * missed, (endpoints, endpoints * (1 - missed))
 
 
-def _next(state, after, order, lead: int):
-    if lead == 0:
+def _next(state, after, order, lead_time: int):
+    if lead_time == 0:
         return {"stock": after}
-    if lead == 1:
+    if lead_time == 1:
         return {"stock": after + order}
     coming = state["coming"]
     moved = jnp.concatenate([coming[1:], order[None]])
@@ -243,7 +243,11 @@ def _next(state, after, order, lead: int):
 
 def inputs_of(case: InventoryCase) -> dict[str, Input]:
     """Every number of the case that has a sensitivity."""
-    results = [*case.item.given(), *case.demand.given(), *([case.season] if case.seasonal else [])]
+    results = [
+        *case.item.inputs(),
+        *case.demand.inputs(),
+        *([case.season] if case.seasonal else []),
+    ]
     return {item.name: _plain(item) for item in results}
 
 

@@ -15,7 +15,7 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
     upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
     """
     averages = []
-    for i in range(len(case.places)):
+    for i in range(len(case.sites)):
         p, local = _costs_below(case, i)
         up = _above(case, i)
         holding = float(case.holding.values[i])
@@ -33,7 +33,7 @@ def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
 
 def _above(case: NetworkCase, i: int) -> float:
     """The holding cost of the supplier, 0 of what comes from outside."""
-    supplier = case.places[i].supplier
+    supplier = case.sites[i].supplier
     return float(case.holding.values[supplier]) if supplier is not None else 0.0
 
 
@@ -56,7 +56,7 @@ def economic_lots(case: NetworkCase) -> np.ndarray:
     h is the local holding cost of the places with customers, e that of the place's echelon: what
     holding a unit there costs more than at its supplier. One place alone has the lot of an item.
     """
-    lots, (mean, _) = np.zeros(len(case.places)), served(case)
+    lots, (mean, _) = np.zeros(len(case.sites)), served(case)
     for i, cost in zip(case.fixed, _ordering(case)):
         p, local = _costs_below(case, i)
         lots[i] = np.sqrt(2 * cost * mean[i] * (p + local) / (_echelon_cost(case, i) * p))
@@ -80,7 +80,7 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     holding cost of the supplier); an order is placed half a period's demand too late on average.
     """
     (mean, unit), lots = served(case), economic_lots(case)
-    batch, wait = np.zeros(len(case.places)), np.zeros(len(case.fixed))
+    batch, wait = np.zeros(len(case.sites)), np.zeros(len(case.fixed))
     safety = safety_factors(case)
     for k, i in enumerate(case.fixed):
         p = _costs_below(case, i)[0] + _above(case, i)
@@ -102,7 +102,7 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
     batch, wait = first_batches(case)
     middle = _usual_levels(case) + unit * batch / 2
     middle[list(case.fixed)] -= unit[list(case.fixed)] * wait / 2
-    lead_time = np.array([position.lead for position in case.places])
+    lead_time = np.array([position.lead_time for position in case.sites])
     selected = case.holding.values * np.maximum(
         middle - lead_time * mean - case.supplies @ middle, 0.0
     )

@@ -25,7 +25,7 @@ def choices(case: NetworkCase) -> dict[str, Actions]:
 
 
 def _name(case: NetworkCase, i: int) -> str:
-    return f"order_{case.places[i].name}"
+    return f"order_{case.sites[i].name}"
 
 
 class Placed(NamedTuple):
@@ -46,7 +46,7 @@ def placed(
 
     - `parts`: of the action; `likelihood` [m]: of the periods before; `normals` [m].
     """
-    orders, ratios = jnp.ones(len(case.places), likelihood.dtype), []
+    orders, ratios = jnp.ones(len(case.sites), likelihood.dtype), []
     for k, i in enumerate(case.fixed):
         option, name = parts[_name(case, i)], _name(case, i)
         if not isinstance(smooth, Exact):
@@ -70,19 +70,19 @@ class Weights:
         self.drawn = likelihood is not None
         if self.drawn:
             linked = jnp.asarray(case.linked[:, list(case.fixed)], likelihood.dtype)
-            self.each = 1 + linked @ (likelihood - 1)  # [n], of a number of a place
+            self.mean_weights = 1 + linked @ (likelihood - 1)  # [n], of a number of a place
             self.all = 1 + jnp.sum(likelihood - 1)
             self.usual = jnp.asarray(usual_costs(case), likelihood.dtype)
 
     def of(self, amounts):
         """[n] amounts by place."""
-        return self.each * amounts if self.drawn else amounts
+        return self.mean_weights * amounts if self.drawn else amounts
 
     def of_all(self, amount):
         """One amount of the whole network."""
         return self.all * amount if self.drawn else amount
 
-    def surprise(self, costs):
+    def innovation(self, costs):
         """0, with the derivative of `of(costs) - costs` [n] summed; costs count only as far as they
         are not the usual ones, for the less is multiplied, the less noise there is."""
-        return jnp.sum((self.each - 1) * (costs - self.usual)) if self.drawn else 0.0
+        return jnp.sum((self.mean_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

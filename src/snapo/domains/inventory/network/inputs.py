@@ -7,7 +7,7 @@ import equinox as eqx
 from snapo.problem.inputs import Input
 
 from ..demand.base import Demand
-from .records import NetworkCase, Place
+from .records import NetworkCase, Site
 
 
 def network_inputs(case: NetworkCase) -> dict[str, Input]:
@@ -15,7 +15,7 @@ def network_inputs(case: NetworkCase) -> dict[str, Input]:
     costs = [case.holding, case.shortage, case.ordering, case.transshipment]
     mades = {cost.name: cost.input() for cost in costs if cost is not None}
     for position, demand in selling(case):
-        for item in demand.given():
+        for item in demand.inputs():
             made = item.input()
             made = eqx.tree_at(lambda x: x.value, made, made.value.reshape(()))
             mades[f"{position.name}.{item.name}"] = made
@@ -24,9 +24,9 @@ def network_inputs(case: NetworkCase) -> dict[str, Input]:
     return mades
 
 
-def selling(case: NetworkCase) -> list[tuple[Place, Demand]]:
+def selling(case: NetworkCase) -> list[tuple[Site, Demand]]:
     """The places with customers, in the order of `case.sellers`, and their demand."""
-    positions = [case.places[i] for i in case.sellers]
+    positions = [case.sites[i] for i in case.sellers]
     return [(position, position.demand) for position in positions if position.demand is not None]
 
 

@@ -32,7 +32,7 @@ class Levels(NamedTuple):
 def levels(case: NetworkCase, inputs: Any, periods: int) -> Levels:
     """Those of the first `periods`; where there is no season, all are alike."""
     reach = jnp.asarray(case.serves[:, case.sellers])
-    longest = int(max(case.way(i) for i in case.sellers))
+    longest = int(max(case.lead_time_from_outside(i) for i in case.sellers))
     means, spreads, usual, typical = [], [], [], []
     for demand, local in demands(case, inputs):
         factors = season(local, periods + longest)
@@ -64,9 +64,9 @@ def start(case: NetworkCase) -> tuple[jax.Array, jax.Array]:
     """
     local = {name: network_input.value for name, network_input in network_inputs(case).items()}
     result = levels(case, local, 1)
-    level, lead_time = result.level[0], np.array([position.lead for position in case.places])
+    level, lead_time = result.level[0], np.array([position.lead_time for position in case.sites])
     slots = np.arange(max(lead_time)) < lead_time[:, None]
     coming = result.ahead[0, :, : slots.shape[1]] * slots
     stock = level - jnp.asarray(case.supplies) @ level - coming.sum(1)
     stock = jnp.maximum(stock, 0.0)
-    return (jnp.round(stock), jnp.round(coming)) if case.whole else (stock, coming)
+    return (jnp.round(stock), jnp.round(coming)) if case.integer else (stock, coming)

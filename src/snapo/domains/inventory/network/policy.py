@@ -36,7 +36,7 @@ class EchelonRule(Policy):
 
     network: Network | None
     first: Float[Array, " n"]
-    kept: Float[Array, " movers"]
+    reserve: Float[Array, " movers"]
     wait: Float[Array, " m"]
     movers: tuple[int, ...]
     shifts: int
@@ -55,12 +55,12 @@ class EchelonRule(Policy):
         hidden: tuple[int, ...] = (32, 32),
         plain: bool = False,
     ):
-        positions, before = len(case.places), case.moving(True)
+        positions, before = len(case.sites), case.moving(True)
         self.movers, self.shifts = case.moving(False) + before, len(before)
         self.fixed, self.action = case.fixed, action
         self.first = jnp.full(positions, jnp.asarray(batch), jnp.float32)
         self.wait = jnp.full(len(self.fixed), jnp.asarray(wait), jnp.float32)
-        self.kept = jnp.full(len(self.movers), 0.0 if plain else KEPT, jnp.float32)
+        self.reserve = jnp.full(len(self.movers), 0.0 if plain else KEPT, jnp.float32)
         # Of the two numbers of a choice the second is scored.
         widths = (features - positions, *hidden, action.size - len(self.fixed))
         self.network = None if plain else Network(widths, key=key)
@@ -69,7 +69,7 @@ class EchelonRule(Policy):
         observation = as_observation(observation)
         n = self.first.shape[0]
         gap, unit = observation[:n], observation[n : 2 * n]
-        raw = jnp.concatenate([gap + self.first, self.kept])
+        raw = jnp.concatenate([gap + self.first, self.reserve])
         units = unit[np.array([*range(n), *self.movers], int)]
         last = units[units.shape[0] - self.shifts :]
         above = gap[np.array(self.fixed, int)] - self.wait

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..demand.base import Demand
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Site:
     """One place.
 
     - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
@@ -25,9 +25,9 @@ class Place:
 
     name: str
     supplier: int | None
-    lead: int
+    lead_time: int
     demand: Demand | None
-    season: Given | None = None
+    season: CaseInput | None = None
     fixed: bool = False
 
 
@@ -40,19 +40,19 @@ class Pool:
       stocks; otherwise afterwards, to where a place is short.
     """
 
-    places: tuple[int, ...]
+    sites: tuple[int, ...]
     one_way: bool
     before: bool
 
     @property
     def givers(self) -> tuple[int, ...]:
         """The places that may send."""
-        return self.places[:1] if self.one_way else self.places
+        return self.sites[:1] if self.one_way else self.sites
 
     @property
     def takers(self) -> tuple[int, ...]:
         """The places that may receive."""
-        return self.places[1:] if self.one_way else self.places
+        return self.sites[1:] if self.one_way else self.sites
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,19 +73,19 @@ class NetworkCase:
     unit: str
     period: str
     lost: bool
-    whole: bool
-    places: tuple[Place, ...]
+    integer: bool
+    sites: tuple[Site, ...]
     pools: tuple[Pool, ...]
-    holding: Given
-    shortage: Given
-    transshipment: Given | None
+    holding: CaseInput
+    shortage: CaseInput
+    transshipment: CaseInput | None
     periods: int
     warm_up: int
     discount: float
     objective: ObjectiveTable
     training: TrainingTable
     evaluation: EvaluationTable
-    ordering: Given | None = None
+    ordering: CaseInput | None = None
     other_leads: bool = False
 
     @property
@@ -96,28 +96,28 @@ class NetworkCase:
     @cached_property
     def sellers(self) -> tuple[int, ...]:
         """The numbers of the places with customers."""
-        return tuple(i for i, position in enumerate(self.places) if position.demand is not None)
+        return tuple(i for i, position in enumerate(self.sites) if position.demand is not None)
 
     @cached_property
     def fixed(self) -> tuple[int, ...]:
         """The numbers of the places where an order costs something whatever its size."""
-        return tuple(i for i, position in enumerate(self.places) if position.fixed)
+        return tuple(i for i, position in enumerate(self.sites) if position.fixed)
 
     @property
     def seasonal(self) -> bool:
         """Whether periods differ, at any place."""
-        return any(position.season is not None for position in self.places)
+        return any(position.season is not None for position in self.sites)
 
     def moving(self, before: bool) -> tuple[int, ...]:
         """The numbers of the places that are in a pool before, or after demand is known."""
         return tuple(sorted({i for pool in self.pools if pool.before == before
-                             for i in pool.places}))  # fmt: skip
+                             for i in pool.sites}))  # fmt: skip
 
     @cached_property
     def serves(self) -> np.ndarray:
         """[n, n]: 1 where the place of the column is that of the row, or supplied through it."""
-        serves = np.eye(len(self.places))
-        for i in range(len(self.places)):
+        serves = np.eye(len(self.sites))
+        for i in range(len(self.sites)):
             for item in self._way(i):
                 serves[item, i] = 1.0
         return serves
@@ -125,8 +125,8 @@ class NetworkCase:
     @cached_property
     def supplies(self) -> np.ndarray:
         """[n, n]: 1 where the place of the row is the supplier of that of the column."""
-        supplies = np.zeros((len(self.places),) * 2)
-        for i, position in enumerate(self.places):
+        supplies = np.zeros((len(self.sites),) * 2)
+        for i, position in enumerate(self.sites):
             if position.supplier is not None:
                 supplies[position.supplier, i] = 1.0
         return supplies
@@ -134,30 +134,30 @@ class NetworkCase:
     @cached_property
     def linked(self) -> np.ndarray:
         """[n, n]: 1 where what one place does may have an effect on the other."""
-        supplies = self.supplies + self.supplies.T + np.eye(len(self.places))
+        supplies = self.supplies + self.supplies.T + np.eye(len(self.sites))
         for pool in self.pools:
-            supplies[np.ix_(pool.places, pool.places)] = 1.0
-        return (np.linalg.matrix_power(supplies, len(self.places)) > 0).astype(float)
+            supplies[np.ix_(pool.sites, pool.sites)] = 1.0
+        return (np.linalg.matrix_power(supplies, len(self.sites)) > 0).astype(float)
 
-    def way(self, i: int) -> int:
+    def lead_time_from_outside(self, i: int) -> int:
         """Periods that goods need from outside to the customers of a place, its own included."""
-        return sum(self.places[j].lead + 1 for j in (i, *self._way(i)))
+        return sum(self.sites[j].lead_time + 1 for j in (i, *self._way(i)))
 
     @cached_property
     def cover(self) -> np.ndarray:
         """[n] periods of demand from an order to the last customer that it can reach in time."""
-        local = np.array([position.lead + 1 for position in self.places])
-        ways = [self.way(i) for i in range(len(self.places))]
+        local = np.array([position.lead_time + 1 for position in self.sites])
+        ways = [self.lead_time_from_outside(i) for i in range(len(self.sites))]
         reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
         above = [path - step for path, step in zip(ways, local)]
         return np.array(reach) - np.array(above)
 
     def _way(self, i: int) -> list[int]:
         """The suppliers of a place, the nearest first."""
-        results, here = [], self.places[i].supplier
+        results, here = [], self.sites[i].supplier
         while here is not None:
             results.append(here)
-            here = self.places[here].supplier
+            here = self.sites[here].supplier
         return results
 
     @property

@@ -30,7 +30,7 @@ class Numbers(NamedTuple):
     """
 
     above: tuple[float, ...]
-    kept: float = 0.0
+    reserve: float = 0.0
     wait: tuple[float, ...] | None = None
 
 
@@ -46,7 +46,7 @@ def classical(setup: Setup) -> dict[str, Numbers]:
     """{name: numbers of the rule}. After demand stores hold nothing back; bands before it are one
     more number of the search."""
     case = network_of(setup)
-    first = Numbers((0.0,) * len(case.places), BAND if case.moving(True) else 0.0)
+    first = Numbers((0.0,) * len(case.sites), BAND if case.moving(True) else 0.0)
     rules = {"newsvendor levels": first._replace(kept=0.0), "best levels": best(setup, first)}
     name = "best levels"
     if case.fixed:
@@ -79,11 +79,11 @@ def best(setup: Setup, start: Numbers) -> Numbers:
     """The best numbers from these on: levels, reorder points where it has some, and the band where
     there is one to choose."""
     case, cost_of = network_of(setup), cost_on_other_paths(setup)
-    waits, banded = start.wait or (), bool(case.moving(True)) and start.kept != ENDLESS
+    waits, banded = start.wait or (), bool(case.moving(True)) and start.reserve != ENDLESS
     n = len(start.above)
 
     def numbers(point: tuple[float, ...]) -> Numbers:
-        selected = point[-1] if banded else start.kept
+        selected = point[-1] if banded else start.reserve
         wait = point[n : n + len(waits)] if start.wait is not None else None
         return Numbers(point[:n], selected, wait)
 
@@ -94,7 +94,7 @@ def best(setup: Setup, start: Numbers) -> Numbers:
 
     # A level and its reorder point: the lot, and both together.
     pairs = [(i, n + k) for k, i in enumerate(case.fixed)] if waits else []
-    first = (*start.above, *waits, *([start.kept] if banded else []))
+    first = (*start.above, *waits, *([start.reserve] if banded else []))
     return numbers(search(cost, first, 0.5, FINEST, together=pairs))
 
 
@@ -111,8 +111,8 @@ def _for_planner(setup: Setup, numbers: Numbers) -> dict[str, float]:
     case, level = network_of(setup), first_levels(setup)
     unit = np.asarray(setup.problem.schedule.constants["unit"])
     levels = level + np.array(numbers.above) * unit
-    entries = {position.name: float(x) for position, x in zip(case.places, levels)}
+    entries = {position.name: float(x) for position, x in zip(case.sites, levels)}
     for i, wait in zip(case.fixed, numbers.wait or ()):
-        entries[f"{case.places[i].name} from"] = float(level[i] - wait * unit[i])
-    banded = case.moving(True) and numbers.kept != ENDLESS
-    return entries | ({"band": numbers.kept} if banded else {})
+        entries[f"{case.sites[i].name} from"] = float(level[i] - wait * unit[i])
+    banded = case.moving(True) and numbers.reserve != ENDLESS
+    return entries | ({"band": numbers.reserve} if banded else {})

@@ -72,8 +72,8 @@ class NetworkSimulator(Simulator):
 
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
-        case, amounts = self.case, Integers if self.case.whole else Box
-        sets: dict[str, Actions] = {"order": amounts(0.0, np.inf, len(case.places))}
+        case, amounts = self.case, Integers if self.case.integer else Box
+        sets: dict[str, Actions] = {"order": amounts(0.0, np.inf, len(case.sites))}
         if held := len(case.moving(False)):
             sets["held"] = amounts(0.0, np.inf, held)
         if balanced := len(case.moving(True)):
@@ -87,7 +87,7 @@ class NetworkSimulator(Simulator):
     @property
     def longest(self) -> int:
         """The longest lead time."""
-        return max(position.lead for position in self.case.places)
+        return max(position.lead_time for position in self.case.sites)
 
     def prepare(self, inputs: Any) -> Schedule:
         """What differs by period stands in the steps where there is a season, else once in the
@@ -105,7 +105,7 @@ class NetworkSimulator(Simulator):
             ],
         }
         stock, coming = start(case)
-        nothing = jnp.zeros(len(case.places))
+        nothing = jnp.zeros(len(case.sites))
         constants = {
             "holding": inputs["holding_cost"],
             "shortage": nothing.at[jnp.asarray(case.sellers)].set(inputs["shortage_cost"]),
@@ -137,14 +137,18 @@ class NetworkSimulator(Simulator):
         but the units in units, the standard deviation of the demand that a place serves."""
         case, here = self.case, {**constants, **now}
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
-        coming = state.get("coming", jnp.zeros((len(case.places), 0)))
+        coming = state.get("coming", jnp.zeros((len(case.sites), 0)))
         gap = (here["level"] - self._echelon(state)) / unit
         observed = [gap, unit, (stock - here["stock"]) / unit]
-        for i, position in enumerate(case.places):
-            observed.append((coming[i, : position.lead] - ahead[i, : position.lead]) / unit[i])
+        for i, position in enumerate(case.sites):
+            observed.append(
+                (coming[i, : position.lead_time] - ahead[i, : position.lead_time]) / unit[i]
+            )
         for i, (position, _) in zip(case.sellers, selling(case)):
             if position.season is not None:
-                observed.append((ahead[i, : case.way(i)] - here["typical"][i]) / unit[i])
+                observed.append(
+                    (ahead[i, : case.lead_time_from_outside(i)] - here["typical"][i]) / unit[i]
+                )
         return jnp.concatenate(observed)
 
     def _echelon(self, state):
@@ -174,7 +178,7 @@ class NetworkSimulator(Simulator):
         short = left - stock
         # Goods that waited were met first.
         sold = smooth.positive_part(request - short, here["corner"])
-        everywhere = tuple(range(len(case.places)))
+        everywhere = tuple(range(len(case.sites)))
         level = self._echelon(state) + requested
         amounts: Amounts = {
             "stock": (left, everywhere),
@@ -202,7 +206,7 @@ class NetworkSimulator(Simulator):
 
     def _asked(self, here, noise, smooth, dtype):
         """[n] demand of customers."""
-        request = jnp.zeros(len(self.case.places), dtype)
+        request = jnp.zeros(len(self.case.sites), dtype)
         # In training orders are no whole numbers, so that a derivative by whole demand, which is
         # right on lines that are straight between them, would be wrong.
         spread = not isinstance(smooth, Exact)
@@ -241,7 +245,7 @@ class NetworkSimulator(Simulator):
             }
         for path, (item, positions) in amounts.items():
             mine = weights.of(item)
-            means |= {f"{path}_{case.places[i].name}": mine[i] for i in positions}
+            means |= {f"{path}_{case.sites[i].name}": mine[i] for i in positions}
             if path in TOTALS:
                 means[TOTALS[path]] = mine[jnp.asarray(positions)].sum()
         fell = smooth.indicator(jnp.max(short) - 1e-3, here["corner"][0])
@@ -257,7 +261,7 @@ class NetworkSimulator(Simulator):
         values = smooth.minimum(held, total, constants["corner"])
         some = total > 0
         share = jnp.where(some, values, 1.0) / jnp.where(some, total, 1.0)
-        outside = jnp.asarray([float(p.supplier is None) for p in self.case.places], stock.dtype)
+        outside = jnp.asarray([float(p.supplier is None) for p in self.case.sites], stock.dtype)
         sent = requested * outside
         for amounts, mine in zip(requested * share[:, None], supplies):
             sent = sent + in_pieces(self.case, mine * amounts, smooth)
@@ -267,7 +271,7 @@ class NetworkSimulator(Simulator):
         """(the goods on their way, arrivals [n])."""
         if not self.longest:
             return {}, sent
-        lead_time = np.array([position.lead for position in self.case.places])
+        lead_time = np.array([position.lead_time for position in self.case.sites])
         slots = jnp.asarray(np.arange(self.longest + 1) == lead_time[:, None], sent.dtype)
         full = jnp.concatenate([state["coming"], jnp.zeros_like(sent)[:, None]], 1)
         full = full + slots * sent[:, None]
@@ -280,7 +284,7 @@ class NetworkSimulator(Simulator):
             for position, demand in selling(self.case)
             if demand.integral()
             for item in (
-                *demand.given(),
+                *demand.inputs(),
                 *([position.season] if position.season is not None else []),
             )
         )

@@ -24,7 +24,7 @@ from snapo.problem.smooth import Exact
 from .records import NetworkCase, Pool
 
 
-class Moved(NamedTuple):
+class Transferred(NamedTuple):
     """Stocks [n] after goods moved; amounts sent and received [n]; the cost."""
 
     stock: jax.Array
@@ -33,17 +33,17 @@ class Moved(NamedTuple):
     cost: jax.Array
 
 
-def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Moved:
+def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Transferred:
     """Balances the pools that act before demand; `band`, `shift` [m] of `case.moving(True)`."""
     members = np.array(case.moving(True), int)
     band, shift = (jnp.zeros_like(stock).at[members].set(item) for item in (band, shift))
 
     def levels(pool: Pool, stock):
-        inside = _mask(pool.places, stock)
+        inside = _mask(pool.sites, stock)
         unit, mean = inside * constants["unit"], constants["mean"]
         above = jnp.sum(inside * (stock - mean))
         balance = mean + above * unit / jnp.sum(unit) + shift
-        if case.whole and isinstance(smooth, Exact):
+        if case.integer and isinstance(smooth, Exact):
             balance = _rounded(balance)
         # No more can be sent than there is.
         return smooth.positive_part(balance, constants["corner"]) + band, balance - band
@@ -51,14 +51,14 @@ def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Mov
     return _moved(case, constants, stock, levels, True, smooth)
 
 
-def move_after(case: NetworkCase, constants, stock, held, smooth) -> Moved:
+def move_after(case: NetworkCase, constants, stock, held, smooth) -> Transferred:
     """Sends goods where demand was more than stock; `held` [m] of `case.moving(False)`."""
     members = np.array(case.moving(False), int)
     held = jnp.zeros_like(stock).at[members].set(held)
     return _moved(case, constants, stock, lambda *_: (held, jnp.zeros_like(stock)), False, smooth)
 
 
-def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) -> Moved:
+def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) -> Transferred:
     sent, received = jnp.zeros_like(stock), jnp.zeros_like(stock)
     cost = jnp.zeros((), stock.dtype)
     for k in _cheapest_first(case, before):
@@ -74,7 +74,7 @@ def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) ->
         values, taken = (shared(case, moved, item, smooth) for item in (spare, lack))
         sent, received = sent + values, received + taken
         cost = cost + constants["transshipment"][k] * moved
-    return Moved(stock - sent + received, sent, received, cost)
+    return Transferred(stock - sent + received, sent, received, cost)
 
 
 def shared(case: NetworkCase, total, parts, smooth):
@@ -86,7 +86,7 @@ def shared(case: NetworkCase, total, parts, smooth):
 
 def in_pieces(case: NetworkCase, amounts, smooth):
     """[n] amounts as whole numbers of the same sum, each less than 1 away; in training as is."""
-    if not case.whole or not isinstance(smooth, Exact):
+    if not case.integer or not isinstance(smooth, Exact):
         return amounts
     upto = jnp.concatenate([jnp.zeros_like(amounts[:1]), jnp.cumsum(amounts)])
     return jnp.diff(_rounded(upto))

@@ -28,7 +28,7 @@ class Myopic(Policy):
     met: Frozen
     ratio: float
     mean: float
-    lead: int
+    lead_time: int
     action: Actions
 
     def __call__(self, observation, smooth=EXACT):
@@ -37,9 +37,9 @@ class Myopic(Policy):
         n = moves.shape[0]
         amounts = jnp.round(observation[HEAD:] * unit + self.mean)
         probabilities = (jnp.arange(n) == jnp.minimum(amounts[0], n - 1)).astype(observation.dtype)
-        for i in range(self.lead):
+        for i in range(self.lead_time):
             probabilities = probabilities @ moves.astype(observation.dtype)
-            if i + 1 < self.lead:
+            if i + 1 < self.lead_time:
                 probabilities = _moved(probabilities, amounts[1 + i])
         reached = probabilities @ met.astype(observation.dtype)
         order = jnp.sum(reached < self.ratio).astype(observation.dtype)
@@ -51,7 +51,7 @@ def myopic(
     mean: float,
     holding: float,
     shortage: float,
-    lead: int,
+    lead_time: int,
     action: Actions,
 ) -> Myopic:
     """The rule for demand with these chances of 0, 1, …"""
@@ -65,7 +65,7 @@ def myopic(
     upto = np.cumsum(padded)
     met = upto[np.minimum(np.add.outer(stocks, np.arange(len(probabilities))), n - 1)]
     tables = (Frozen(jnp.asarray(item, jnp.float32)) for item in (moves, met))
-    return Myopic(*tables, shortage / (shortage + holding), mean, lead, action)  # pyright: ignore
+    return Myopic(*tables, shortage / (shortage + holding), mean, lead_time, action)  # pyright: ignore
 
 
 def _moved(probabilities: Array, by: Array) -> Array:

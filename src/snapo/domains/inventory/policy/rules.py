@@ -95,7 +95,7 @@ def best_numbers(setup: Setup, name: str, base_stock: dict[str, float]) -> dict[
             return np.inf
         return cost_of(classical(setup, name, dict(zip(keys, point))))
 
-    width = 1.0 if case.item.whole else deviation / 64
+    width = 1.0 if case.item.integer else deviation / 64
     start = [first[key] for key in keys]
     return dict(zip(keys, search(cost, start, max(width, deviation), width)))
 
@@ -118,8 +118,8 @@ def myopic_of(setup: Setup) -> Policy | None:
         return None
     if not item.lost:
         return classical(setup, "base stock", {"above": 0.0})
-    if not (demand.integral() and item.whole):
+    if not (demand.integral() and item.integer):
         return None
-    probabilities = demand.chances(demand.values())
+    probabilities = demand.probabilities(demand.values())
     costs = item.cost("holding"), item.cost("shortage")
-    return myopic(probabilities, mean_demand(case), *costs, item.lead, setup.problem.action)
+    return myopic(probabilities, mean_demand(case), *costs, item.lead_time, setup.problem.action)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from snapo.problem.policy import Policy
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
-from snapo.solver.evaluate import path_totals, worth
+from snapo.solver.evaluate import path_totals, value_of
 from snapo.study.study import Setup
 
 SEARCH_PATHS = 4096
@@ -65,6 +65,6 @@ def cost_on_other_paths(setup: Setup) -> Callable[[Policy], float]:
 
     def cost(rule: Policy) -> float:
         totals = path_totals(problem, rule, SEARCH_PATHS, engine=setup.engines.evaluate)
-        return -worth(problem.objective, totals)
+        return -value_of(problem.objective, totals)
 
     return cost

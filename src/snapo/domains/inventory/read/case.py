@@ -35,9 +35,9 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     item = _item(
         Section(file, "item", notes),
         table,
-        demand.whole or (demand.in_pieces() and len(season.values) == 1),
+        demand.integer or (demand.in_pieces() and len(season.values) == 1),
     )
-    inputs = [*item.given(), *demand.given(), season]
+    inputs = [*item.inputs(), *demand.inputs(), season]
     notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
     return InventoryCase(
         **read_settings(top, name),
@@ -75,9 +75,9 @@ def _item(section: Section, table: ItemTable, complete: bool) -> Item:
     labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
     return Item(
         lost=table.unmet == "lost",
-        lead=table.lead_time,
-        whole=complete if table.whole is None else table.whole,
-        most=float("inf") if table.most is None else float(table.most),
+        lead_time=table.lead_time,
+        integer=complete if table.whole is None else table.whole,
+        maximum=float("inf") if table.most is None else float(table.most),
         holding=table.holding,
         shortage=shortage,
         purchase=table.purchase,
@@ -85,7 +85,7 @@ def _item(section: Section, table: ItemTable, complete: bool) -> Item:
         stock=None
         if table.stock is None
         else replace(table.stock, labels=("now",), index=np.arange(1)),
-        coming=coming.given(
+        coming=coming.input(
             "start_coming", table.coming, labels, index=np.arange(arrivals), places=rows
         )
         if table.coming
@@ -97,4 +97,4 @@ def _warm_up(table: HorizonTable, item: Item) -> int:
     """As given; else ten lead times for an average, and none where money is discounted."""
     if table.warm_up is not None:
         return table.warm_up
-    return 0 if table.discount < 1 else 10 * (item.lead + 1)
+    return 0 if table.discount < 1 else 10 * (item.lead_time + 1)

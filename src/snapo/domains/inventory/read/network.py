@@ -7,13 +7,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
 from ..demand.registry import kinds, read_demand
-from ..network.records import NetworkCase, Place, Pool
+from ..network.records import NetworkCase, Pool, Site
 from .plausible import unit_slips
 from .season import read_season
 from .settings import read_settings
@@ -28,7 +28,7 @@ from .tables import (
     NotNegative,
 )
 
-MOST = 12  # places
+MAXIMUM = 12  # places
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
 PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 40 characters"
 
@@ -67,7 +67,7 @@ class ReportTable(Table):
 class TransshipmentTable(Table):
     """One `[[transshipment]]`."""
 
-    between: Annotated[list[PlaceName], Field(min_length=2, max_length=MOST)] = Field(
+    between: Annotated[list[PlaceName], Field(min_length=2, max_length=MAXIMUM)] = Field(
         description="a list of the names of 2 or more places with customers"
     )
     cost: NotNegative = Field(description=AMOUNT)
@@ -144,8 +144,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         unit=table.unit,
         period=table.period,
         lost=table.unmet == "lost",
-        whole=complete if table.whole is None else table.whole,
-        places=positions,
+        integer=complete if table.whole is None else table.whole,
+        sites=positions,
         pools=pools,
         holding=held,
         shortage=short,
@@ -161,8 +161,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
 def _check(rows: list[PlaceTable], sections: list[Section], complete: Section, unmet: str) -> None:
     """Names, suppliers without a circle, customers at every end, shortage where there are any."""
     names = [row.name for row in rows]
-    if not 1 <= len(rows) <= MOST:
-        raise complete.error("place", len(rows), f"allowed are 1 to {MOST} tables [[place]]")
+    if not 1 <= len(rows) <= MAXIMUM:
+        raise complete.error("place", len(rows), f"allowed are 1 to {MAXIMUM} tables [[place]]")
     for i, (row, section) in enumerate(zip(rows, sections)):
         if row.name in names[:i]:
             raise section.error("name", row.name, "another place has this name")
@@ -188,7 +188,7 @@ def _check(rows: list[PlaceTable], sections: list[Section], complete: Section, u
 
 def _pools(
     file: Path, notes: list[str], tables: list[Any], rows: list[PlaceTable], money: str
-) -> tuple[tuple[Pool, ...], Given | None]:
+) -> tuple[tuple[Pool, ...], CaseInput | None]:
     """The pools of stores, and the cost of a unit moved in each; None where there are none."""
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
     pools, costs, labels = [], [], []
@@ -216,11 +216,11 @@ def _pools(
     if not pools:
         return (), None
     text = "of a unit that one store sends another"
-    return tuple(pools), Given("transshipment_cost", np.array(costs), tuple(labels), money,
-                               np.arange(len(pools)), group="costs", words=text)  # fmt: skip
+    return tuple(pools), CaseInput("transshipment_cost", np.array(costs), tuple(labels), money,
+                               np.arange(len(pools)), group="costs", meaning=text)  # fmt: skip
 
 
-def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Place:
+def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Site:
     """The place of one table; `unit` of demand in a period."""
     supplier = names.index(row.supplier) if row.supplier is not None else None
     demand, season = None, None
@@ -231,13 +231,13 @@ def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Pl
     if row.demand is not None:
         maximum = float(season.values.max()) if season is not None else 1.0
         demand = read_demand(_inner(section, "demand"), row.demand, unit, maximum)
-    return Place(row.name, supplier, row.lead_time, demand, season, row.order > 0)
+    return Site(row.name, supplier, row.lead_time, demand, season, row.order > 0)
 
 
-def _demand(site: Place) -> Iterator[CheckedNumbers]:
+def _demand(site: Site) -> Iterator[CheckedNumbers]:
     """The numbers of the demand of a site, with its name in front."""
     season = [] if site.season is None else [site.season]
-    for entry in (*([] if site.demand is None else site.demand.given()), *season):
+    for entry in (*([] if site.demand is None else site.demand.inputs()), *season):
         numbers = checked_numbers(entry)
         yield numbers._replace(name=f"{site.name}.{numbers.name}")
 
@@ -246,13 +246,15 @@ def _inner(section: Section, name: str) -> Section:
     return Section(section.file, f"{section.name}.{name}", section.notes)
 
 
-def _whole(position: Place) -> bool:
+def _whole(position: Site) -> bool:
     """Whether all that its customers ask for is whole: a history times a season is not."""
     demand = position.demand
-    return demand is None or demand.whole or (demand.in_pieces() and position.season is None)
+    return demand is None or demand.integer or (demand.in_pieces() and position.season is None)
 
 
-def _costs(name: str, rows: list[PlaceTable], values: list[float], unit: str, text: str) -> Given:
+def _costs(
+    name: str, rows: list[PlaceTable], values: list[float], unit: str, text: str
+) -> CaseInput:
     labels = tuple(row.name for row in rows)
     index = np.arange(len(rows))
-    return Given(name, np.array(values), labels, unit, index, group="costs", words=text)
+    return CaseInput(name, np.array(values), labels, unit, index, group="costs", meaning=text)

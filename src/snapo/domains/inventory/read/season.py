@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, parse
 
 from .tables import SeasonTable
@@ -16,13 +16,13 @@ SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
 WORDS = "demand of a period, relative to the mean"
 
 
-def read_season(section: Section, data: Mapping[str, Any]) -> Given:
+def read_season(section: Section, data: Mapping[str, Any]) -> CaseInput:
     """Factors of demand by place in the season, of the table `section`.
 
     **Raises:** `CaseError` for a table, a file or a number that is wrong.
     """
     table = parse(SeasonTable, data, str(section.file), section.name)
-    rows = read_rows(Mention(section, "file", table.file), ["period", "factor"], [])
+    rows = read_rows(FileReference(section, "file", table.file), ["period", "factor"], [])
     if not SHORTEST_SEASON <= len(rows) <= LONGEST_SEASON:
         message = (
             f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
@@ -32,11 +32,11 @@ def read_season(section: Section, data: Mapping[str, Any]) -> Given:
     labels = tuple(row.label("period") for row in rows)
     positions = tuple(row.position("factor") for row in rows)
     index = np.arange(len(rows))
-    return Given(
-        "season", numbers, labels, "1", index, group="demand", words=WORDS, places=positions
+    return CaseInput(
+        "season", numbers, labels, "1", index, group="demand", meaning=WORDS, positions=positions
     )
 
 
-def no_season() -> Given:
+def no_season() -> CaseInput:
     """The factor 1 in all periods."""
-    return Given("season", np.ones(1), ("all",), "1", np.zeros(1, int), words=WORDS)
+    return CaseInput("season", np.ones(1), ("all",), "1", np.zeros(1, int), meaning=WORDS)

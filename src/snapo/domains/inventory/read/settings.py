@@ -6,7 +6,7 @@ from snapo.case.error import CaseError
 from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
 
 
-class Whole(Protocol):
+class FileWithSettings(Protocol):
     """A file with these tables."""
 
     objective: dict
@@ -14,7 +14,7 @@ class Whole(Protocol):
     evaluation: dict
 
 
-def read_settings(top: Whole, file: str) -> dict[str, Any]:
+def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
     """Objective, training and evaluation, as a case holds them.
 
     **Raises:** `CaseError` for every mistake, and for an objective that costs do not have.

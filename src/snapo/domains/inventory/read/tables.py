@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity
 from snapo.case.table import TITLE, Table, Title
 
@@ -32,13 +32,15 @@ class ItemTable(Table):
     lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
         description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
     )
-    holding: Given = HOLDING("of a unit held, each period", name="holding_cost")
-    shortage: Given = HOLDING("of a unit of demand that waits, each period", name="shortage_cost")
-    purchase: Given = COST("of a unit ordered", 0.0, name="purchase_cost")
-    order: Given = COST("of an order of any size", 0.0, unit="{currency}", name="order_cost")
+    holding: CaseInput = HOLDING("of a unit held, each period", name="holding_cost")
+    shortage: CaseInput = HOLDING(
+        "of a unit of demand that waits, each period", name="shortage_cost"
+    )
+    purchase: CaseInput = COST("of a unit ordered", 0.0, name="purchase_cost")
+    order: CaseInput = COST("of an order of any size", 0.0, unit="{currency}", name="order_cost")
     whole: bool | None = Field(None, description="true or false")
     most: Annotated[int, Field(ge=1)] | None = Field(None, description="a whole number, 1 or more")
-    stock: Given | None = STOCK("at the start", None, name="start_stock")
+    stock: CaseInput | None = STOCK("at the start", None, name="start_stock")
     coming: list[NotNegative] | None = Field(
         None, description="a list of numbers of at least 0, one for each period of the lead time"
         " but the last",

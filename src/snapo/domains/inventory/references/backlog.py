@@ -17,7 +17,7 @@ class BaseStock(NamedTuple):
 
 
 def best_base_stock(
-    mean: float, deviation: float, lead: int, holding: float, shortage: float
+    mean: float, deviation: float, lead_time: int, holding: float, shortage: float
 ) -> BaseStock:
     """S = (L + 1) mean + z s with s = deviation sqrt(L + 1); cost (h + p) phi(z) s.
 
@@ -25,16 +25,16 @@ def best_base_stock(
     quantile of p / (p + h). The timing is that of `item.simulator`.
     """
     z = float(stats.norm.ppf(shortage / (shortage + holding)))
-    spread = deviation * np.sqrt(lead + 1)
+    spread = deviation * np.sqrt(lead_time + 1)
     cost = (holding + shortage) * float(stats.norm.pdf(z)) * spread
-    return BaseStock((lead + 1) * mean + z * spread, float(cost))
+    return BaseStock((lead_time + 1) * mean + z * spread, float(cost))
 
 
 def base_stock_cost(
-    level: float, mean: float, deviation: float, lead: int, holding: float, shortage: float
+    level: float, mean: float, deviation: float, lead_time: int, holding: float, shortage: float
 ) -> float:
     """The cost of a period at any level: h E(S - D)+ + p E(D - S)+, D of L + 1 periods."""
-    spread = deviation * np.sqrt(lead + 1)
-    z = (level - (lead + 1) * mean) / spread
+    spread = deviation * np.sqrt(lead_time + 1)
+    z = (level - (lead_time + 1) * mean) / spread
     left = spread * (z * stats.norm.cdf(z) + stats.norm.pdf(z))
     return float(holding * left + shortage * (left - spread * z))

@@ -42,7 +42,7 @@ def lost_sales(
     probabilities: Float[np.ndarray, " demands"],
     mean: float,
     costs: Costs,
-    lead: int,
+    lead_time: int,
     most_stock: int,
     most_order: int,
     tolerance: float = 1e-6,
@@ -61,24 +61,24 @@ def lost_sales(
         np.add.outer(np.arange(most_stock + 1), np.arange(most_order + 1)), most_stock
     )
 
-    def worth(value: np.ndarray) -> np.ndarray:
+    def future_cost(value: np.ndarray) -> np.ndarray:
         """[state …, order]: cost from here on, where `value` is that of the next period."""
-        if lead == 0:
+        if lead_time == 0:
             return (idle + moves @ value)[arrives] + paid
         after = value[arrives]
         # [stock left, the next arrival, …, the order]: a lead of 1 adds the order itself.
         flat = moves @ after.reshape(most_stock + 1, -1)
         return flat.reshape(after.shape) + idle.reshape(-1, *[1] * (after.ndim - 1)) + paid
 
-    shape = (most_stock + 1, *[most_order + 1] * max(lead - 1, 0))
-    return _iterate(worth, np.zeros(shape), tolerance)
+    shape = (most_stock + 1, *[most_order + 1] * max(lead_time - 1, 0))
+    return _iterate(future_cost, np.zeros(shape), tolerance)
 
 
 def backlogged(
     probabilities: Float[np.ndarray, " demands"],
     mean: float,
     costs: Costs,
-    lead: int,
+    lead_time: int,
     minimum: int,
     maximum: int,
     tolerance: float = 1e-6,
@@ -90,21 +90,21 @@ def backlogged(
     """
     levels = np.arange(minimum, maximum + 1)
     felt = np.array([1.0])
-    for _ in range(lead + 1):
+    for _ in range(lead_time + 1):
         felt = np.convolve(felt, probabilities)
     demands = np.arange(len(felt))
     left = np.maximum(np.subtract.outer(levels, demands), 0) @ felt
-    expected = costs.holding * left + costs.shortage * (left - levels + mean * (lead + 1))
+    expected = costs.holding * left + costs.shortage * (left - levels + mean * (lead_time + 1))
     position = np.clip(
         np.subtract.outer(levels, np.arange(len(probabilities))) - minimum, 0, len(levels) - 1
     )
     more = np.subtract.outer(-levels, -levels)  # [from, to]
     paid = np.where(more >= 0, costs.purchase * more + costs.order * (more > 0), np.inf)
 
-    def worth(value: np.ndarray) -> np.ndarray:
+    def future_cost(value: np.ndarray) -> np.ndarray:
         return (expected + value[position] @ probabilities) + paid
 
-    iterate = _iterate(worth, np.zeros(len(levels)), tolerance)
+    iterate = _iterate(future_cost, np.zeros(len(levels)), tolerance)
     return iterate._replace(orders=iterate.orders - np.arange(len(levels)), first=minimum)
 
 

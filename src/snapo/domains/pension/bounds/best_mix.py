@@ -18,8 +18,8 @@ class Limits(NamedTuple):
     group: np.ndarray
     group_low: np.ndarray
     group_high: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
+    minimum: np.ndarray
+    maximum: np.ndarray
 
 
 def limits(case: PensionCase) -> Limits:
@@ -55,7 +55,7 @@ def best_mix(
     Classes belong to one group each, so filling the best first, within the room that the class,
     its group and the whole leave, is exact: first what lower bounds demand, then the rest.
     """
-    best = jnp.sum(jnp.maximum(limits.least * swaps, limits.most * swaps))
+    best = jnp.sum(jnp.maximum(limits.minimum * swaps, limits.maximum * swaps))
     order = jnp.argsort(-value)
     member = jnp.asarray(limits.group)[:, None] == np.arange(len(limits.group_low))
     weight = jnp.asarray(limits.low)

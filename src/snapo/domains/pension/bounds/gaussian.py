@@ -60,7 +60,7 @@ class Worth(NamedTuple):
     money: Array
 
 
-def worth(case: PensionCase, returns: Returns, price: Float[Array, " Z"]) -> Worth:
+def discounted_growth(case: PensionCase, returns: Returns, price: Float[Array, " Z"]) -> Worth:
     """E[exp(-price @ noise - price^2 / 2) exp(return over cash)]."""
     exponent = _exponent(returns.mean, returns.load, price)
     bonds = jnp.expm1(_exponent(returns.bonds, returns.bond_load, price))

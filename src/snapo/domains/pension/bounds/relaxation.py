@@ -27,13 +27,13 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.smooth import Exact
 
-from ..fund.books import LEAST
+from ..fund.books import MINIMUM
 from ..fund.simulator import PensionSimulator
 from ..market.dynamics import noise_size
 from .best_mix import best_mix, limits
 from .conjugate import IN_MONEY, conjugate
 from .extremes import Extremes, extremes
-from .gaussian import ACROSS, Returns, Worth, fair, gaussian_returns, worth
+from .gaussian import ACROSS, Returns, Worth, discounted_growth, fair, gaussian_returns
 
 PATHS, STREAM = 512, 258  # on which prices are fitted
 SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
@@ -52,7 +52,7 @@ class Deflated(NamedTuple):
 
     over: Array
     after: Array
-    worth: Worth
+    growth: Worth
 
 
 class FundRelaxation:
@@ -61,7 +61,7 @@ class FundRelaxation:
     `policy` makes these paths; no decision matters there.
     """
 
-    terms, words = 1, "the surprises of the assets at fitted prices of risk"
+    terms, description = 1, "the surprises of the assets at fitted prices of risk"
 
     def __init__(self, problem: Problem, policy: Policy, paths: int = PATHS):
         simulator = problem.simulator
@@ -69,7 +69,7 @@ class FundRelaxation:
         self.simulator, self.schedule = simulator, problem.schedule
         self.in_money = IN_MONEY in problem.objective.outputs
         fund = self.schedule.constants
-        minimum = max(float(fund.liability), LEAST * float(fund.assets))
+        minimum = max(float(fund.liability), MINIMUM * float(fund.assets))
         self.conjugate = conjugate(problem.objective, float(fund.assets) / minimum)
         self.limits = limits(simulator.case)
         self.price, self.y = self._fitted(problem, policy, paths)
@@ -108,10 +108,10 @@ class FundRelaxation:
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
         """The bound on paths of these (see `_split`) where it is lowest, and the y there."""
 
-        def bound(log: float) -> float:
+        def upper_bound(log: float) -> float:
             return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
 
-        result = minimize_scalar(bound, (-3.0, 0.0))
+        result = minimize_scalar(upper_bound, (-3.0, 0.0))
         return float(result.fun), float(np.exp(result.x))
 
     def _paths(self, rollout: Rollout, draws: Draws) -> Paths:
@@ -141,7 +141,7 @@ class FundRelaxation:
         price = jnp.asarray(price)
 
         def step(returns: Returns, noise):
-            units = worth(case, returns, price)
+            units = discounted_growth(case, returns, price)
             upper = best_mix(self.limits, units.classes, units.swaps)
             log = -noise @ price - price @ price / 2
             # Minus the log return of cash.
@@ -166,7 +166,7 @@ class FundRelaxation:
         if self.simulator.case.plan.timing == "advance":
             ones = jnp.ones_like(result.after[:1])
             return jnp.concatenate([ones, result.after[:-1]])
-        return result.over * result.worth.money
+        return result.over * result.growth.money
 
     def _surprises(self, rollout: Rollout, draws: Draws) -> Array:
         """[N] sum over the steps of D A after each one, less its mean before it, of the policy;
@@ -188,6 +188,6 @@ class FundRelaxation:
         case = simulator.case
         across = jax.vmap(step, (None, 0, 0, 0, 0))
         after, mean = jax.vmap(across)(
-            self.schedule.steps, states, actions, paths.noise, result.worth
+            self.schedule.steps, states, actions, paths.noise, result.growth
         )
         return jnp.sum(result.after * after - result.over * mean, axis=0) / constants.assets

@@ -25,18 +25,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Schedule
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
-from ..fund.books import LEAST, balance
+from ..fund.books import MINIMUM, balance
 from ..fund.simulator import Happened, PensionSimulator
 from ..records.case import PensionCase
 from ..records.inputs import every_given
@@ -98,7 +98,7 @@ def measure(run: StudyRun) -> RatioParts:
     problem = replace(setup.problem, simulator=simulator).prepared(schedule)
     constants = problem.schedule.constants
     assets, liability = float(constants.assets), float(constants.liability)
-    if liability <= LEAST * assets:
+    if liability <= MINIMUM * assets:
         return RatioParts()
     paths = problem.sources.evaluation.available(min(PATHS, setup.evaluation.paths))
     totals = path_totals(problem, policy, paths, engine=setup.engines.evaluate)
@@ -172,7 +172,7 @@ class Explained(PensionSimulator):
         books, benefit = done.books, reserved * done.flows.benefit
         selected = books.liability + books.accrual
         interest = (selected - benefit if self._in_advance else selected) * jnp.expm1(
-            done.moved.cash
+            done.move.cash
         )
         unindexed = jnp.exp(-done.after.jump)
         return {
@@ -196,13 +196,13 @@ class Explained(PensionSimulator):
 
 def _assets(case: PensionCase, done: Happened) -> dict[str, Array]:
     """Parts of the change of the assets, money."""
-    cash, flows, held = done.moved.cash, done.flows, done.held
+    cash, flows, held = done.move.cash, done.flows, done.held
     working = done.invested - held.cost
-    over = working * held.weights * (done.moved.gross - jnp.exp(cash))
+    over = working * held.weights * (done.move.gross - jnp.exp(cash))
     part = np.array([class_.part for class_ in case.assets.classes])
     rates = {name: jnp.sum(over * (part == name)) for name in ("rates", "credit", "assets")}
     if held.notional is not None:
-        swaps = jnp.sum(held.notional * jnp.exp(cash) * jnp.expm1(done.moved.swaps))
+        swaps = jnp.sum(held.notional * jnp.exp(cash) * jnp.expm1(done.move.swaps))
         rates["rates"] = rates["rates"] + swaps
     return rates | {
         "accrual": flows.contribution,
@@ -215,7 +215,7 @@ def _assets(case: PensionCase, done: Happened) -> dict[str, Array]:
 def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     """The parts as bars and in a table."""
     if not result.rows:
-        return [lacking(run, ATTRIBUTION.name)]
+        return [why_missing(run, ATTRIBUTION.name)]
     present = [row for row in result.rows if row.assets or row.liability]
     swings = [Swing(row.name, 100 * row.mean, points(row.mean, 2, True)) for row in present]
     alt = "Mean effects on the funding ratio. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
@@ -260,7 +260,7 @@ class SourceVariance:
     explained: float | None = None
 
 
-def sources(case: PensionCase) -> dict[str, list[Given]]:
+def sources(case: PensionCase) -> dict[str, list[CaseInput]]:
     """The volatilities of each source of risk that a case has."""
     records = {
         "interest rates": case.rates,
@@ -288,7 +288,7 @@ def measure_variance(run: StudyRun) -> tuple[SourceVariance, ...]:
     every = {x.name: x.input() for volatilities in risks.values() for x in volatilities}
     problem = replace(setup.problem, inputs=every | setup.problem.inputs)
 
-    def final(zeros: list[Given]) -> np.ndarray:
+    def final(zeros: list[CaseInput]) -> np.ndarray:
         moved = problem.at({entry.name: 0 * entry.values for entry in zeros})
         totals = path_totals(moved, policy, paths, engine=setup.engines.evaluate)
         return totals["funding_ratio"]
@@ -307,7 +307,7 @@ def measure_variance(run: StudyRun) -> tuple[SourceVariance, ...]:
 def show_variance(run: PensionRun, result: tuple[SourceVariance, ...]) -> Sequence[Block]:
     """A row for each source."""
     if not result:
-        return [lacking(run, VARIANCE.name)]
+        return [why_missing(run, VARIANCE.name)]
     body = [
         (row.source, points(row.mean, 1), points(row.deviation, 1), points(row.explained, 0))
         for row in result

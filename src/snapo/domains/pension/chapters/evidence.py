@@ -34,7 +34,7 @@ from ..run import PensionRun, name_of
 
 PATHS = 16384
 ROUND_OFF = 1e-12  # of a value that does not vary over paths
-SURE = 0.997  # that all tests together hold, where all is consistent
+SIGNIFICANT = 0.997  # that all tests together hold, where all is consistent
 TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 
 
@@ -133,7 +133,7 @@ def _tested(test: Expected, source: Scenarios, tests: int) -> MarketTest:
     """The mean over independent groups of paths against its expectation; `tests`: their number."""
     name, values, expected = test
     mean = statistics.mean(values, source.groups(np.arange(values.size)))
-    low, high = mean.interval(SURE, tests)
+    low, high = mean.interval(SIGNIFICANT, tests)
     none = ROUND_OFF * abs(expected)
     agrees = bool(low - none <= expected <= high + none)
     return MarketTest(name, mean.value, expected, mean.standard_error, agrees)

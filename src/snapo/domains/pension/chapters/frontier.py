@@ -24,8 +24,8 @@ from snapo.report.drawing import draw, unit_above
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, plus_minus
 from snapo.report.theme import LIGHT
-from snapo.solver.evaluate import estimate, path_totals, worth
-from snapo.solver.train import begin, train
+from snapo.solver.evaluate import estimate, path_totals, value_of
+from snapo.solver.train import initial_progress, train
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
@@ -107,7 +107,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
     available = [_candidate(setup, policy)]
     upward = list(range(len(goals)))
     for goal in (*upward, *upward[-2::-1]):
-        run.tell(f"frontier: point {goal + 1} of {len(goals)}")
+        run.progress(f"frontier: point {goal + 1} of {len(goals)}")
         start = best(available, goals[goal])
         result = _trained(setup, start.policy, goals[goal], frontier)
         available.append(_candidate(setup, result))
@@ -116,7 +116,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
 
 def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
     """The candidate that is worth most; the first of equals."""
-    values = np.array([worth(goal, item.totals) for item in candidates])
+    values = np.array([value_of(goal, item.totals) for item in candidates])
     return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 
 
@@ -148,7 +148,7 @@ def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -
         validation_every=max(1, frontier.steps // CHECKS),
     )
     problem = replace(setup.problem, objective=goal)
-    return train(problem, begin(start, training), training, setup.engines.train).best
+    return train(problem, initial_progress(start, training), training, setup.engines.train).best
 
 
 def _measured(

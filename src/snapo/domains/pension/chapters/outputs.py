@@ -16,7 +16,7 @@ from snapo.problem.inputs import plain
 from snapo.problem.objective import CVaR, Mean, Objective, Probability
 from snapo.report.page import Block, Facts, Table, Text
 from snapo.report.quantity import SPACE, decimals, measured, number, plus_minus
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import estimate
 from snapo.solver.sensitivity import held_of_several
 from snapo.solver.statistics import Estimate
@@ -25,7 +25,7 @@ from snapo.study.study import StudyRun
 from snapo.study.training import TRAINING
 
 from ..people.longer_life import longer_life
-from ..results.setup import Yardstick, case_of, yardstick
+from ..results.setup import OutcomeMeasure, case_of, outcome_measure
 from ..run import PensionRun, share, with_measure
 from .objective import equivalent
 from .reconciliation import RECONCILIATION
@@ -108,7 +108,7 @@ class Derived(NamedTuple):
     scale: float = 1.0
 
 
-def asked(by: Yardstick) -> tuple[tuple[str, str, bool, Objective], ...]:
+def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...]:
     """Key, name, whether it is money, the objective; underfunding is told as 1 less its
     complement."""
     return (
@@ -133,7 +133,7 @@ def measure(run: StudyRun) -> OutputTable:
         usual = usual_move(entry)
         about, numbers = (name, usual.words, entry.group), entry.value.size
         effects = _effects(derived, name, usual.size)
-        families.append(InputOnOutputs(*about, effects, numbers, entry.words))
+        families.append(InputOnOutputs(*about, effects, numbers, entry.meaning))
         for i, label in enumerate(entry.names()):
             alone = np.where(np.arange(numbers) == i, usual.size, 0.0)
             rows.append(NumberOnOutputs(*about, _effects(derived, name, alone), label))
@@ -148,7 +148,7 @@ def measure(run: StudyRun) -> OutputTable:
 
 def _outputs(run: StudyRun) -> Iterator[Derived]:
     """The objective first, whose derivatives the training left, then those of `asked`."""
-    goals = asked(yardstick(case_of(run)))
+    goals = requested(outcome_measure(case_of(run)))
     setup, solution, problem = run.setup, run.solution, run.setup.problem
     policy, table = solution.policy, solution.sensitivities
     assert policy is not None
@@ -160,7 +160,7 @@ def _outputs(run: StudyRun) -> Iterator[Derived]:
     yield Derived(OutputValue("objective", name, False, value, error), table.held, slope)
     totals = {name: np.asarray(total) for name, total in solution.totals.items()}
     paths = min(PATHS, setup.evaluation.sensitivity_paths, setup.evaluation.paths)
-    run.tell(f"sensitivities of {len(goals)} more outputs at once")
+    run.progress(f"sensitivities of {len(goals)} more outputs at once")
     objectives = [goal for *_, goal in goals]
     table = held_of_several(problem, policy, objectives, paths=paths, engine=setup.engines.evaluate)
     for (key, name, money, goal), held in zip(goals, table):
@@ -203,7 +203,7 @@ def _write(run: StudyRun, outputs: Sequence[OutputValue], rows: Sequence[NumberO
 def show(run: PensionRun, result: OutputTable) -> Sequence[Block]:
     """The largest effects on all outputs, and every one with its error."""
     if not result.outputs or not result.families:
-        return [lacking(run, OUTPUTS.name)]
+        return [why_missing(run, OUTPUTS.name)]
     today = RECONCILIATION.of(run)
     liability = (today.liability if today else 0.0) or 1.0
     with_unit = [output for output in result.outputs if output.name != OBJECTIVE]

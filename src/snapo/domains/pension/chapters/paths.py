@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from snapo.engine import COURSE
+from snapo.engine import TRAJECTORY
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 from snapo.report.bands import Layer, heat, stack
@@ -24,7 +24,7 @@ from ..regulation.stand import RecoveryCourse, recovery, stand
 from ..results.setup import case_of
 from ..run import PensionRun, with_measure
 
-MOST = 4096  # paths that are recorded
+MAXIMUM = 4096  # paths that are recorded
 SLACK = 1e-9  # below a limit, of the assets: round-off
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)
 TAIL = 0.95  # level of the mean of the worst paths
@@ -145,12 +145,12 @@ class RecordedPaths:
         setup, policy = run.setup, run.solution.policy
         problem, bound = setup.problem, setup.engines.evaluate.bind(setup.problem)
         source, actions, outputs, last = problem.sources.evaluation, [], [], []
-        paths = source.available(min(MOST, setup.evaluation.paths))
+        paths = source.available(min(MAXIMUM, setup.evaluation.paths))
         limited = case_of(run).assets.dealing
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
             # All of the course, whose program the certificate uses too.
-            rollout = bound.values(policy, draws, Exact(), record=COURSE)
+            rollout = bound.values(policy, draws, Exact(), record=TRAJECTORY)
             action = np.asarray(rollout.record["action"])
             if limited:
                 action = _traded(case_of(run), action, rollout.record["state"].weights)

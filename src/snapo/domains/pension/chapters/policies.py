@@ -15,15 +15,15 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import number, plus_minus
 from snapo.solver import statistics
-from snapo.solver.evaluate import path_totals, worth
+from snapo.solver.evaluate import path_totals, value_of
 from snapo.solver.solution import Solution
-from snapo.solver.train import begin, train
+from snapo.solver.train import initial_progress, train
 from snapo.study.chapter import Chapter, Number
-from snapo.study.study import Setup, StudyRun, Tell
+from snapo.study.study import ProgressCallback, Setup, StudyRun
 
 from ..policies.classical import ConstantMix, OneOf, followers, present_mixes
 from ..records.case import PensionCase
-from ..results.setup import case_in, yardstick
+from ..results.setup import case_in, outcome_measure
 from ..run import PensionRun, points, with_measure
 from .objective import equivalent
 
@@ -66,10 +66,10 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     constant mix from which they start; of each the best along the way is kept. The present mix,
     rebalanced at every step and yearly, is held as it is: it may leave the bounds.
     """
-    return tuple(compare(run.setup, run.solution, run.tell))
+    return tuple(compare(run.setup, run.solution, run.progress))
 
 
-def compare(setup: Setup, solution: Solution, progress: Tell) -> list[PolicyWorth]:
+def compare(setup: Setup, solution: Solution, progress: ProgressCallback) -> list[PolicyWorth]:
     """The policies of `measure`."""
     problem, case = setup.problem, case_in(setup)
     local = {name: np.asarray(total) for name, total in solution.totals.items()}
@@ -113,19 +113,19 @@ def tuned(setup: Setup, policy: OneOf) -> OneOf:
     """The best of the rules along a run of training, as for the network."""
     rate = max(RATE, setup.training.learning_rate)
     training = replace(setup.training, learning_rate=rate)
-    result = train(setup.problem, begin(policy, training), training, setup.engines.train)
+    result = train(setup.problem, initial_progress(policy, training), training, setup.engines.train)
     return result.best  # pyright: ignore[reportReturnType]
 
 
 def _worth(problem: Problem, key: str, name: str, totals, local) -> PolicyWorth:
     objective, source = problem.objective, problem.sources.evaluation
     case = problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
-    value, mine = worth(objective, totals), worth(objective, local)
+    value, mine = value_of(objective, totals), value_of(objective, local)
     with np.errstate(invalid="ignore"):
         # Ruin in both is no difference that can be measured.
         spread = objective.influence(local) - objective.influence(totals)
         error = _error(spread, source)
-    final = np.asarray(totals[yardstick(case).output])
+    final = np.asarray(totals[outcome_measure(case).output])
     policy = PolicyWorth(
         key,
         name,

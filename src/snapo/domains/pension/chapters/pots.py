@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from snapo.engine import COURSE
+from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.report.page import Block, Facts, Table, Text
 from snapo.report.quantity import number
@@ -13,7 +13,7 @@ from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
 from ..pots.outputs import pensions
-from ..pots.schedule import known
+from ..pots.schedule import pots_of
 from ..records.case import PensionCase
 from ..results.setup import case_of
 from ..run import PensionRun, points, share, with_measure
@@ -83,7 +83,7 @@ def measure(run: StudyRun) -> PotsOutcome:
     steps = round(1 / case.step)
     years = np.concatenate([level[::steps], last[None, : level.shape[1]]])
     drawing = np.asarray(setup.problem.schedule.steps.drawing)[steps - 1 :: steps] > 0
-    rules = known(case).rules
+    rules = pots_of(case).rules
     return PotsOutcome(
         cohorts=_cohorts(case, years, last, drawing, terms),
         years=np.arange(len(reserve[::steps])) * steps * case.step,
@@ -106,7 +106,7 @@ def _recorded(run: StudyRun) -> tuple[np.ndarray, np.ndarray]:
     for block in source.blocks(paths, max(8, paths // 1024)):
         draws = source.draws(block, problem.simulator)
         # All of the course, whose program the certificate has compiled or will use again.
-        rollout = bound.values(run.solution.policy, draws, Exact(), record=COURSE)
+        rollout = bound.values(run.solution.policy, draws, Exact(), record=TRAJECTORY)
         state = rollout.record["state"]
         levels.append(np.asarray(state.level))
         shares.append(np.asarray(state.reserve) / np.asarray(state.fund.assets))

@@ -173,11 +173,11 @@ def _capitalized(text: str) -> str:
 
 
 def _row(line: Line) -> tuple[Any, ...]:
-    name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
-    if line.given is None:
+    name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.computed)
+    if line.supplied is None:
         return name, "not given", local, number(None), ""
     verdict = Mark(bool(line.ok), "holds" if line.ok else "fails")
-    return name, verdict, local, number(line.given), power(line.error)
+    return name, verdict, local, number(line.supplied), power(line.error)
 
 
 def _durations(result: KeyRateDurations) -> Table:
@@ -282,7 +282,7 @@ def _funding(run: PensionRun, result: Bases) -> list[Block]:
     facts = [("Maturity", f"{state} significant maturity", "by duration on low dependency")]
     if plan.deficit:
         when = f"a year for {number(plan.years, 1)} years, {run.large(plan.total)} in all"
-        facts.append(("Recovery plan", run.large(plan.each), when))
+        facts.append(("Recovery plan", run.large(plan.probability), when))
     rules = _rules(result.since, result.source)
     return [table, Facts(facts), Text(FUNDING, caveat=True), rules]
 

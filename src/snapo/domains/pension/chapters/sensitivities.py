@@ -11,7 +11,7 @@ from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus, rough
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
@@ -53,7 +53,9 @@ def usual_move(entry: Input) -> UsualMove:
     """The usual move of an input's numbers; rises are positive."""
     size = direction(entry).ravel()
     if entry.move is not None:
-        return UsualMove(size, f"{entry.move * entry.trade_factor:g} {entry.trade_unit}".strip())
+        return UsualMove(
+            size, f"{entry.move * entry.display_factor:g} {entry.display_unit}".strip()
+        )
     if not size.any():
         # There is no per cent of nothing.
         return UsualMove(np.ones(size.size), "1 unit")
@@ -131,7 +133,7 @@ def effects(setup: Setup, solution: Solution) -> MoveEffects:
     for name, entry in table.inputs.items():
         usual = usual_move(entry)
         effect = _along(table, name, usual.size, slope)
-        effect |= {"count": entry.value.size, "words": entry.words}
+        effect |= {"count": entry.value.size, "words": entry.meaning}
         families.append(InputEffect(name, usual.words, entry.group, **effect))
         for i, label in enumerate(entry.names()):
             alone = np.where(np.arange(entry.value.size) == i, usual.size, 0.0)
@@ -163,7 +165,7 @@ def _along(table: Sensitivities, name: str, size: np.ndarray, slope: float) -> d
 def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
     """Every input moved by its usual step: the tornado, key rates of the curves, all others."""
     if not result.families:
-        return [lacking(run, SENSITIVITIES.name)]
+        return [why_missing(run, SENSITIVITIES.name)]
     scale, unit = 1.0, "objective"
     if result.unit == "ratio":
         scale, unit = 1e4, "bp of the certainty equivalent"

@@ -11,7 +11,7 @@ from ..people.lpi import log_factor as lpi_factor
 from ..records.case import PensionCase
 from .schedule import Terms
 
-LEAST = 1e-6  # of the assets now: the liability counts as at least this much in ratios
+MINIMUM = 1e-6  # of the assets now: the liability counts as at least this much in ratios
 
 
 class State(NamedTuple):
@@ -85,5 +85,5 @@ def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State)
 
 def _ratio(terms: Terms, state: State, liability: Array) -> Array:
     """Assets over liability; a fund without liabilities has a large one."""
-    minimum = LEAST * terms.assets
+    minimum = MINIMUM * terms.assets
     return state.assets / jnp.where(liability > minimum, liability, minimum)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 RATIO = 0.2  # of ln F: a number of order one is a fifth of the funding ratio
 RATE = 0.02
-LEAST_RATIO = 1e-3  # the logarithm's argument stays above this where assets are gone
+MIN_RATIO = 1e-3  # the logarithm's argument stays above this where assets are gone
 
 
 class View(NamedTuple):
@@ -89,7 +89,7 @@ def _level(position: int) -> Callable[[View], Array]:
 
 
 def _ratio(view: View) -> Array:
-    return jnp.where(view.ratio > LEAST_RATIO, view.ratio, LEAST_RATIO)
+    return jnp.where(view.ratio > MIN_RATIO, view.ratio, MIN_RATIO)
 
 
 def _relative(view: View) -> Array:

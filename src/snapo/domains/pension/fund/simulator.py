@@ -21,7 +21,7 @@ from ..market.dynamics import move, noise_size
 from ..market.state import Move
 from ..people.lpi import limited
 from ..records.case import PensionCase
-from .books import LEAST, Balance, State, balance, opening
+from .books import MINIMUM, Balance, State, balance, opening
 from .observation import observe
 from .plan import contribution, indexation
 from .schedule import Period, Terms, make_schedule
@@ -85,7 +85,7 @@ class Happened(NamedTuple):
     flows: Flows
     invested: Array
     held: Holdings
-    moved: Move
+    move: Move
     after: State
     granted: Array
     cut: Array
@@ -165,30 +165,30 @@ class PensionSimulator(Simulator):
         benefit = alive * (people.benefit + state.fresh * people.fresh_benefit)
         return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))
 
-    def _settled(self, constants: Terms, after: State, flows, invested, held, moved) -> State:
+    def _settled(self, constants: Terms, after: State, flows, invested, held, move) -> State:
         """The state `after` with holdings and payments: assets, drifted weights, notionals."""
-        growth = jnp.sum(held.weights * moved.gross)
+        growth = jnp.sum(held.weights * move.gross)
         assets = (invested - held.cost) * growth
         overlay = None
         if held.notional is not None:
-            returned = jnp.exp(moved.cash) * jnp.expm1(moved.swaps)
+            returned = jnp.exp(move.cash) * jnp.expm1(move.swaps)
             assets = assets + jnp.sum(held.notional * returned)
         assets = assets if self._in_advance else assets + flows.net
         if held.notional is not None and constants.swaps is not None:
-            minimum = LEAST * constants.assets
+            minimum = MINIMUM * constants.assets
             # Gains are settled: what a par swap was struck on stays, a sum that grows with its bond
             # becomes that of a swap over as much.
-            grown = jnp.exp(moved.cash + moved.swaps)
+            grown = jnp.exp(move.cash + move.swaps)
             rollout = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
             overlay = rollout / jnp.where(assets > minimum, assets, constants.assets)
-        weights = drifted(self.case.assets, held.weights * moved.gross, growth)
+        weights = drifted(self.case.assets, held.weights * move.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
     def _outputs(self, constants: Terms, state: State, done: Happened, smooth):
         """The named scalars of a step, see `EACH_STEP`."""
         books, flows, held = done.books, done.flows, done.held
         before = jnp.exp(state.market.log_discount)
-        paid = before if self._in_advance else jnp.exp(done.moved.market.log_discount)
+        paid = before if self._in_advance else jnp.exp(done.move.market.log_discount)
         below = smooth.positive_part(1 - books.ratio, 0.1)
         return {
             "contribution": flows.contribution,
@@ -261,7 +261,7 @@ class PensionSimulator(Simulator):
         discount = jnp.exp(state.market.log_discount)
         surplus = state.assets - books.liability
         ratio = jnp.where(books.ratio > 1e-3, books.ratio, 1e-3)
-        start = constants.assets / jnp.maximum(constants.liability, LEAST * constants.assets)
+        start = constants.assets / jnp.maximum(constants.liability, MINIMUM * constants.assets)
         short = smooth.positive_part(-surplus, 0.1 * constants.assets)
         return {
             "funding_ratio": books.ratio,

@@ -47,7 +47,7 @@ class BondLoads(NamedTuple):
     """The loads of a kind of bond: `loads` [g] of the factors' integrals, `own` [T] of dW_I."""
 
     loads: np.ndarray
-    own: Array
+    loading: Array
 
 
 class Moments(NamedTuple):
@@ -122,12 +122,12 @@ def _grow(factors: Factors, bond: BondLoads, covariance: Array, position: Slots)
     zeta, iota, index = position.zeta, position.iota, position.index
     moved = factors.volatility
     loaded = moved * bond.loads
-    local = bond.own[:, None]
+    local = bond.loading[:, None]
     ds = moved[:, :, None] * moved[:, None, :] * covariance[zeta[:, None], zeta]
     dc = moved * (loaded @ covariance[zeta[:, None], iota].T + local * covariance[zeta, index])
     among = jnp.sum(loaded @ covariance[iota[:, None], iota] * loaded, axis=1)
     across = loaded @ covariance[iota, index]
-    dtotal = among + bond.own * (2 * across + bond.own * covariance[index, index])
+    dtotal = among + bond.loading * (2 * across + bond.loading * covariance[index, index])
     return ds, dc, dtotal
 
 

@@ -139,7 +139,7 @@ def generated_move(
         log_wage=grown.wage,
         mortality=mortality,
         spread=next_spread(terms.spreads, market.spread, shock[position.spread]),
-        shown=moved.shown,
+        reported=moved.reported,
         log_discount=market.log_discount - cash,
     )
     return Move(cash, jnp.exp(moved.log), moved.swaps, after, moved.beneath)

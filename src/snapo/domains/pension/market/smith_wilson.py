@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from ..records.market import Curve
 
-LEAST, MOST = 0.05, 1.0  # of the speed
+MINIMUM, MAXIMUM = 0.05, 1.0  # of the speed
 NEAR = 1e-4  # the distance of the forward rate at the convergence point
 # The speed is looked for in 95 parts of its range, then in 95 of the part where it lies, and so on.
 SHARES, ROUNDS = np.linspace(0.0, 1.0, 96), 5
@@ -112,11 +112,11 @@ def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
         low, width = position
         grid = low + width * SHARES
         first = jnp.argmax(jax.vmap(missed)(grid) <= 0)
-        return jnp.maximum(grid[first] - width * SHARES[1], LEAST), width * SHARES[1]
+        return jnp.maximum(grid[first] - width * SHARES[1], MINIMUM), width * SHARES[1]
 
-    start = jnp.asarray(LEAST), jnp.asarray(MOST - LEAST)
+    start = jnp.asarray(MINIMUM), jnp.asarray(MAXIMUM - MINIMUM)
     low, width = jax.lax.fori_loop(0, ROUNDS, closer, start)
     speed = low + width / 2
     # One step of Newton's method leaves no error, and its derivative is that of the root.
     moved = speed - missed(speed, local) / jax.lax.stop_gradient(jax.grad(missed)(speed))
-    return jnp.where(missed(jnp.asarray(LEAST)) > 0, moved, LEAST)
+    return jnp.where(missed(jnp.asarray(MINIMUM)) > 0, moved, MINIMUM)

@@ -19,7 +19,7 @@ class Market(NamedTuple):
     log_wage: Array
     mortality: Array
     spread: Array | None
-    shown: Array | None
+    reported: Array | None
     log_discount: Array
 
 

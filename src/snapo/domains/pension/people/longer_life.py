@@ -11,7 +11,7 @@ from .mortality import Yearly, yearly
 
 AT_AGE = 65
 CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
-LEAST, MOST = 0.01, 1.0  # scales between which one more year is looked for
+MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is looked for
 
 
 def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
@@ -41,7 +41,7 @@ def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
     """
     life = _life(case, inputs, sex, AT_AGE)
     target = _expectancy(life) + 1
-    low, high = LEAST, MOST
+    low, high = MINIMUM, MAXIMUM
     if _expectancy(life, low) < target:
         raise ValueError("mortality: no scaling raises the expectation of life at 65 by a year.")
     while high - low > CLOSE:

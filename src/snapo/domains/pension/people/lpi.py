@@ -31,7 +31,7 @@ from ..records.people import PAYMENT_YEARS
 
 DEGREE = 12  # of the polynomials in the factor
 WIDE = 5.0  # deviations of the factor in the long run, at which it counts as no larger
-LEAST = 1e-16  # variance that takes the place of none
+MINIMUM = 1e-16  # variance that takes the place of none
 
 
 class Lpi(NamedTuple):
@@ -47,7 +47,7 @@ class Lpi(NamedTuple):
     mean: Array
     load: Array
     deviation: Array
-    begun: Array
+    started: Array
     later: Array
     joint: Array
     width: Array
@@ -110,8 +110,8 @@ def lpi(case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
     return Lpi(
         mean=result.mean[:, 0],
         load=result.load[result.phase, 0],
-        deviation=jnp.sqrt(result.variance[result.phase, 0] + LEAST),
-        begun=jnp.asarray(dates > 0, float),
+        deviation=jnp.sqrt(result.variance[result.phase, 0] + MINIMUM),
+        started=jnp.asarray(dates > 0, float),
         later=after @ to_chebyshev.T,
         joint=on_nodes(joint) @ to_chebyshev.T,
         width=jnp.full(case.steps + 1, width),
@@ -133,7 +133,7 @@ def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " 
     while len(powers) <= DEGREE:
         powers.append(2 * x * powers[-1] - powers[-2])
     basis = jnp.stack(powers)
-    return now.later @ basis + now.begun * (first + slope * (now.joint @ basis))
+    return now.later @ basis + now.started * (first + slope * (now.joint @ basis))
 
 
 def _parts(case: PensionCase, inputs: dict[str, Any], result: PriceGrowth, factor: Array):
@@ -141,7 +141,7 @@ def _parts(case: PensionCase, inputs: dict[str, Any], result: PriceGrowth, facto
     and the part that goes with d_1, at values of the factor [points]."""
     rule = case.plan.indexation
     cap, floor = use(inputs, rule.cap), use(inputs, rule.floor)
-    load, deviation = result.load[result.phase], jnp.sqrt(result.variance[result.phase] + LEAST)
+    load, deviation = result.load[result.phase], jnp.sqrt(result.variance[result.phase] + MINIMUM)
     mean = result.mean[:, None, :] + load[:, None, :] * factor[:, None]
     log, slope = expected(mean, deviation[:, None, :], floor, cap)
     rest = slope.at[..., 0].set(0.0)

@@ -20,7 +20,7 @@ from ..records.case import PensionCase
 from .limits import Limits, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
-LEAST = 1e-3  # a class of less weight is tuned from this one, where it can still learn
+MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn
 NEEDED = ("time", "weights")  # of the observation, to see a year's end and what is held
 UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as large as logits
 
@@ -53,10 +53,10 @@ class GlidePath(Policy):
     limits: Limits
     logits: Array
     bounds: Array
-    place: int = eqx.field(static=True)
+    slot: int = eqx.field(static=True)
 
     def __init__(self, case: PensionCase, mix: ConstantMix, ratios: tuple[float, float]):
-        self.limits, self.place = mix.limits, _ratio_slot(case)
+        self.limits, self.slot = mix.limits, _ratio_slot(case)
         self.logits = jnp.stack([mix.logits] * 2)
         self.bounds = jnp.asarray(ratios, jnp.float32) / UNIT
 
@@ -64,7 +64,7 @@ class GlidePath(Policy):
         observation = as_observation(observation)
         low, high = UNIT * self.bounds.astype(observation.dtype)
         width = jnp.maximum(high - low, 0.01)
-        ratio = jnp.exp(RATIO * observation[self.place])
+        ratio = jnp.exp(RATIO * observation[self.slot])
         share = smooth.clip((ratio - low) / width, 0.0, 1.0, WIDTH / width)
         logits = self.logits.astype(observation.dtype)
         below, above = (self.limits(item, smooth) for item in (logits[0], logits[1]))
@@ -87,32 +87,32 @@ class LiabilityDriven(Policy):
     hedge: Array | None
     floor: Frozen
     reach: tuple[float, float] = eqx.field(static=True)
-    own: tuple[bool, ...] = eqx.field(static=True)
-    place: int = eqx.field(static=True)
+    has_shock: tuple[bool, ...] = eqx.field(static=True)
+    slot: int = eqx.field(static=True)
 
     def __init__(self, case: PensionCase, mix: ConstantMix):
         count = len(case.assets.classes)
-        self.limits, self.place = mix.limits, _ratio_slot(case)
-        self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
+        self.limits, self.slot = mix.limits, _ratio_slot(case)
+        self.has_shock = tuple(bool(i in case.assets.shocks) for i in range(count))
         held = np.asarray(_held(mix.limits, mix.logits[:count]))
-        grown = held[np.array(self.own)].sum()
+        grown = held[np.array(self.has_shock)].sum()
         floor, self.reach = np.zeros(count), (0.0, 1.0)
         if case.assets.short:
-            floor, self.reach = _floor(case, np.array(self.own), float(grown))
-        complete = _whole(np.array(self.own), float(grown))
+            floor, self.reach = _floor(case, np.array(self.has_shock), float(grown))
+        complete = _whole(np.array(self.has_shock), float(grown))
         self.floor = Frozen(floor)
         self.growth = jnp.asarray([grown / UNIT, 0.0], jnp.float32)
         self.mix = jnp.asarray(
-            np.log(np.maximum(np.abs(held - floor * complete), LEAST)), jnp.float32
+            np.log(np.maximum(np.abs(held - floor * complete), MINIMUM)), jnp.float32
         )
         self.hedge = mix.logits[count:] if case.buckets else None
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         kind = observation.dtype
-        local = np.array(self.own)
+        local = np.array(self.has_shock)
         growth = UNIT * self.growth.astype(kind)
-        ratio = jnp.exp(RATIO * observation[self.place])
+        ratio = jnp.exp(RATIO * observation[self.slot])
         share = smooth.clip(growth[0] + growth[1] * (ratio - 1), *self.reach, WIDTH)
         size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
         grown = jnp.where(local, size, 0.0)
@@ -128,7 +128,7 @@ class LiabilityDriven(Policy):
 def _whole(local: np.ndarray, grown: float) -> np.ndarray:
     """[n] what the portfolio of each class weighs together, off zero."""
     complete = np.where(local, grown, 1 - grown)
-    return np.where(np.abs(complete) < LEAST, LEAST, complete)
+    return np.where(np.abs(complete) < MINIMUM, MINIMUM, complete)
 
 
 def _floor(case: PensionCase, local: np.ndarray, grown: float):
@@ -155,19 +155,19 @@ class StockBond(Policy):
     stock: int = eqx.field(static=True)
     bond: int = eqx.field(static=True)
     cash: int = eqx.field(static=True)
-    place: int = eqx.field(static=True)
+    slot: int = eqx.field(static=True)
     years: float = eqx.field(static=True)
 
     def __init__(self, case: PensionCase, rule, stock: int, bond: int):
         self.limits, self.stock, self.bond = Limits(case), stock, bond
         self.cash = case.assets.cash
-        self.place, self.years = slots(case)["time"].start, case.steps * case.step
+        self.slot, self.years = slots(case)["time"].start, case.steps * case.step
         left = np.arange(math.ceil(self.years) + 1)
         self.weights = jnp.asarray([rule(float(item)) for item in left], jnp.float32)
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
-        left = self.years * (1 - observation[self.place]) / 2
+        left = self.years * (1 - observation[self.slot]) / 2
         table = self.weights.astype(observation.dtype)
         nodes = np.arange(table.shape[0])
         near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
@@ -264,19 +264,19 @@ class OneOf(Policy):
     """
 
     rules: tuple[Policy, ...]
-    place: Frozen
+    slot: Frozen
 
     def __init__(self, rules: Sequence[Policy], position: int):
-        self.rules, self.place = tuple(rules), Frozen(np.array(float(position)))
+        self.rules, self.slot = tuple(rules), Frozen(np.array(float(position)))
 
     @property
     def rule(self) -> Policy:
         """The one that decides."""
-        return self.rules[round(float(self.place.array))]
+        return self.rules[round(float(self.slot.array))]
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
-        position = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
+        position = jax.lax.stop_gradient(jnp.asarray(self.slot.array, observation.dtype))
         actions = [rule(observation, smooth) for rule in self.rules]
         action = actions[0]
         for i, item in enumerate(actions[1:], 1):

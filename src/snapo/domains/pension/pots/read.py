@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 
-from ..read.cells import Grid, Place, listed, rising, single
+from ..read.cells import Grid, TableContext, listed, rising, single
 from ..read.tables import PotsTable
 from ..records.people import Members
 from ..records.plan import Liability, Plan
 from ..records.pots import PotRules, Pots
-from ..records.said import Said, share
+from ..records.said import InputNumber, share
 from ..regulation.in_force import in_force
 
 OWN = {"dutch-wtp": "dutch_wtp.toml"}  # rules that come with the package
@@ -30,7 +30,11 @@ EXPOSURE = share("the weight of a cohort's pot in the excess return", "plan")
 
 
 def read_pots(
-    section: Place, table: PotsTable | None, day: datetime.date, members: Members | None, grid: Grid
+    section: TableContext,
+    table: PotsTable | None,
+    day: datetime.date,
+    members: Members | None,
+    grid: Grid,
 ) -> Pots | None:
     """The pots of a case under the rules in force on `day`; None without the table.
 
@@ -51,20 +55,20 @@ def read_pots(
         raise section.error("reserve", table.reserve, f"the reserve is at most {largest:g}")
 
     def one(key: str, value: float, name: str = ""):
-        return section.told(table, key, single(f"reserve_{name or key}", value, RESERVE))
+        return section.input(table, key, single(f"reserve_{name or key}", value, RESERVE))
 
     rows = read_rows(
-        Mention(section, "allocation", table.allocation), ("age", "protection", "exposure")
+        FileReference(section, "allocation", table.allocation), ("age", "protection", "exposure")
     )
     ages = rising(rows, "age", -1.0)
     labels = [f"from {age:g}" for age in ages]
     age = members.age + grid.step * np.arange(grid.steps)[:, None]
     position = np.maximum(np.searchsorted(ages, age + 1e-9, side="right") - 1, 0)
 
-    def by_age(column: str, metadata: Said):
+    def by_age(column: str, metadata: InputNumber):
         values = [row.number(column, 0.0, 2.0) for row in rows]
         inputs = listed(f"pot_{column}", values, labels, metadata)
-        return metadata.given(inputs.name, inputs.values, labels, position)
+        return metadata.input(inputs.name, inputs.values, labels, position)
 
     return Pots(
         rules=rules,

@@ -72,7 +72,7 @@ class PotTerms(NamedTuple):
     reserve: Reserve
     fill: Array
     pots: Array
-    kept: Array
+    survivors: Array
     level: Array
     last: Array
 
@@ -103,7 +103,7 @@ class PotPeriod(NamedTuple):
     unwound: Array
 
 
-def known(case: PensionCase) -> Pots:
+def pots_of(case: PensionCase) -> Pots:
     """The pots of a case that has them."""
     assert case.pots is not None
     return case.pots
@@ -111,11 +111,11 @@ def known(case: PensionCase) -> Pots:
 
 def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
-    fund, values = make_schedule(case, inputs), known(case)
+    fund, values = make_schedule(case, inputs), pots_of(case)
     terms, steps = fund.constants, fund.steps
     people = cohorts(case, inputs, basis_log_bond(case, inputs))
     shape = jnp.concatenate([steps.shape, terms.last_shape[None]])
-    annuity = worth(terms, people.value[0], shape[0], terms.market.start)
+    annuity = annuity_values(terms, people.value[0], shape[0], terms.market.start)
     selected = use(inputs, values.reserve) * terms.assets
     level = (terms.assets - selected) / jnp.sum(annuity)
     unwound = jnp.zeros(case.steps)
@@ -129,7 +129,7 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         ),
         fill=use(inputs, values.fill_contribution),
         pots=level * annuity,
-        kept=selected,
+        survivors=selected,
         level=level,
         last=people.value[-1],
     )
@@ -148,6 +148,8 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     return Schedule(constants, periods)
 
 
-def worth(terms: Terms, value: Float[Array, "C J"], shape: Array, market) -> Float[Array, " C"]:
+def annuity_values(
+    terms: Terms, value: Float[Array, "C J"], shape: Array, market
+) -> Float[Array, " C"]:
     """Each cohort's annuity at a market."""
     return value @ jnp.exp(log_factor(terms.market, shape, market))

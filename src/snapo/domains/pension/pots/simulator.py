@@ -21,11 +21,11 @@ from ..fund.trading import trade
 from ..market.dynamics import move
 from ..market.state import log_factor
 from .outputs import pensions
-from .schedule import PotPeriod, PotTerms, pot_schedule, worth
+from .schedule import PotPeriod, PotTerms, annuity_values, pot_schedule
 from .sharing import Shared, closed, shared
 
 RESERVE = 0.1  # of the assets: a number of order one of the reserve, as the policy sees it
-LEAST = 1e-9  # of an annuity of today, below which a cohort has no more payments
+MINIMUM = 1e-9  # of an annuity of today, below which a cohort has no more payments
 
 
 class PotState(NamedTuple):
@@ -60,9 +60,9 @@ class PotSimulator(PensionSimulator):
         return pot_schedule(self.case, inputs)
 
     def initial(self, constants: PotTerms, noise) -> PotState:  # pyright: ignore
-        fund, none = opening(constants.fund), jnp.zeros_like(constants.kept)
+        fund, none = opening(constants.fund), jnp.zeros_like(constants.survivors)
         level = constants.level + jnp.zeros_like(constants.pots)
-        return PotState(fund, constants.pots, constants.kept, level, none)
+        return PotState(fund, constants.pots, constants.survivors, level, none)
 
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
         """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""
@@ -70,7 +70,7 @@ class PotSimulator(PensionSimulator):
         books = balance(self.case, terms, now.fund.people, now.fund.shape, fund)
         observed = observe(self.case, terms, now.fund, fund, books.ratio)
         level = self._level(
-            constants, state.pots, worth(terms, now.value, now.fund.shape, fund.market)
+            constants, state.pots, annuity_values(terms, now.value, now.fund.shape, fund.market)
         )
         level = jnp.log(jnp.where(level > 1e-3, level, 1e-3) / constants.level) / RATIO
         held = state.reserve / (RESERVE * jnp.where(fund.assets > 0, fund.assets, constants.assets))
@@ -90,7 +90,7 @@ class PotSimulator(PensionSimulator):
         after = fund._replace(market=moved.market)
         after = self._settled(terms, after, paid.flows, invested, held, moved)
         earned = after.assets - fund.assets - paid.flows.net
-        annuities = annuity, worth(terms, now.value_after, now.shape_after, moved.market)
+        annuities = annuity, annuity_values(terms, now.value_after, now.shape_after, moved.market)
         cash = jnp.expm1(moved.cash)
         parts = self._shared(constants, now, state, paid, earned, cash, annuities, smooth)
         state = state._replace(fund=after, gained=state.gained + parts.excess)
@@ -136,7 +136,7 @@ class PotSimulator(PensionSimulator):
         if self._in_advance:
             holding = pots, reserve
             rest, grown = before - now.benefit, after
-        there = rest > LEAST * constants.assets
+        there = rest > MINIMUM * constants.assets
         growth = grown / jnp.where(there, rest, 1.0)
         # A cohort without payments has nothing to protect.
         returned = jnp.where(there, growth * jnp.exp(-now.unwound) - 1, cash)
@@ -177,7 +177,7 @@ class PotSimulator(PensionSimulator):
     @staticmethod
     def _level(constants: PotTerms, pots: Array, annuity: Array) -> Float[Array, " C"]:
         """Pots over annuities; that of today for a cohort without payments."""
-        there = annuity > LEAST * constants.assets
+        there = annuity > MINIMUM * constants.assets
         return jnp.where(there, pots / jnp.where(there, annuity, 1.0), constants.level)
 
     def terminal(self, constants: PotTerms, state: PotState, smooth):  # pyright: ignore

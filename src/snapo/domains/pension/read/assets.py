@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..market.assets.asset_class import SPECIAL, AssetClass, Names
@@ -18,11 +18,11 @@ from ..records.said import YEARLY, amount, rate, share, volatility
 from .cells import (
     WHOLE,
     Grid,
-    Pieces,
+    PiecewiseNumber,
     empty,
     listed,
     number,
-    pieces,
+    piecewise,
     side_by_side,
     single,
     unique,
@@ -51,7 +51,9 @@ def read_assets(
     section: Section, table: AssetsTable, amount_now: float, grid: Grid, names: Names
 ) -> Assets:
     """The table of asset classes; costs and fees of classes without one are zero."""
-    rows = read_rows(Mention(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL)
+    rows = read_rows(
+        FileReference(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL
+    )
     labels = unique(rows, "name")
     classes = tuple(_class(row, names) for row in rows)
     cash = [class_.name for class_ in classes if class_.is_cash]
@@ -133,7 +135,9 @@ def _mean(row: Row) -> float:
     return row.number("mean", -0.999, 1.0)
 
 
-def _volatilities(section: Section, rows: Sequence[Row], local: Sequence[int], grid: Grid) -> Given:
+def _volatilities(
+    section: Section, rows: Sequence[Row], local: Sequence[int], grid: Grid
+) -> CaseInput:
     """Of the classes `own` with a shock of their own, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
@@ -142,13 +146,13 @@ def _volatilities(section: Section, rows: Sequence[Row], local: Sequence[int], g
     return side_by_side("asset_volatility", parts, names, VOLATILITY)
 
 
-def _volatility(section: Section, row: Row, grid: Grid) -> Pieces:
+def _volatility(section: Section, row: Row, grid: Grid) -> PiecewiseNumber:
     """A number, or the name of a CSV with columns from_year,value."""
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
-        file = Mention(section, "file", text)
-        return pieces(text, lambda: read_rows(file, ("from_year", "value")), grid, 0.0)
-    return pieces(row.number("volatility", 0.0, 5.0), list, grid, 0.0)
+        file = FileReference(section, "file", text)
+        return piecewise(text, lambda: read_rows(file, ("from_year", "value")), grid, 0.0)
+    return piecewise(row.number("volatility", 0.0, 5.0), list, grid, 0.0)
 
 
 def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.meaning import check_meanings
 from snapo.case.parts import known_parts
 from snapo.case.settings import (
@@ -26,7 +26,7 @@ from ..pots.outputs import POT_OUTPUTS, pensions
 from ..pots.read import check_pots, read_pots
 from ..records.case import PensionCase
 from ..records.inputs import every_given
-from ..records.parts import PARTS, lacking
+from ..records.parts import PARTS, missing_parts
 from ..records.plan import Plan
 from ..records.plausible import unit_slips
 from ..regulation.bases import read_funding
@@ -34,7 +34,7 @@ from ..regulation.read import read_regulation
 from . import people, plan, tables, tables_people
 from .assets import read_assets
 from .cash_plan import Clock
-from .cells import Grid, Place, known_words
+from .cells import Grid, TableContext, known_words
 from .correlation import read_correlations
 from .curve import read_curve, read_inflation, read_rates
 from .holdings import read_credit, read_currencies, read_overlay
@@ -96,10 +96,10 @@ class _Reader:
     top: PensionTable
     read: dict[str, Table]
     notes: list[str]
-    silent: set[str]
+    defaulted: set[str]
 
-    def place(self, name: str) -> Place:
-        return Place(self.file, name, self.notes, self.silent)
+    def context(self, name: str) -> TableContext:
+        return TableContext(self.file, name, self.notes, self.defaulted)
 
     def table(self, kind: type[AnyTable], name: str) -> AnyTable:
         """The table `name`, which the case has or which has a default for every key."""
@@ -107,7 +107,7 @@ class _Reader:
         assert isinstance(result, kind)
         return result
 
-    def maybe(self, kind: type[AnyTable], name: str) -> AnyTable | None:
+    def optional_table(self, kind: type[AnyTable], name: str) -> AnyTable | None:
         """The table `name`, or None where the case has none."""
         return self.table(kind, name) if name in self.read else None
 
@@ -139,12 +139,12 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     market = _market(reader, grid, fund.assets)
     classes = [class_.name for class_ in market["assets"].classes]
     annual = reader.table(tables.CurveTable, "curve").compounding == "annual"
-    supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
+    supplied, start = reader.optional_table(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
     rules = _plan(reader, grid, start)
     lives = _people(reader, rules, grid, start)
-    members, table = lives["members"], reader.maybe(tables.PotsTable, "pots")
-    pots = read_pots(reader.place("pots"), table, start, members, grid)
+    members, table = lives["members"], reader.optional_table(tables.PotsTable, "pots")
+    pots = read_pots(reader.context("pots"), table, start, members, grid)
     more = () if pots is None else (*POT_OUTPUTS, *pensions(members))
     if pots is not None:  # rights are earned no more: contributions go into pots
         rules = replace(rules, accruing=False)
@@ -164,13 +164,15 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
         **lives,
         plan=rules,
         liability=plan.read_liability(
-            reader.place("liability"),
+            reader.context("liability"),
             reader.table(tables_people.LiabilityTable, "liability"),
             annual,
         ),
-        reconcile=plan.read_reconcile(reader.maybe(tables_people.ReconcileTable, "reconcile")),
+        reconcile=plan.read_reconcile(
+            reader.optional_table(tables_people.ReconcileTable, "reconcile")
+        ),
         scenarios=read_scenarios(
-            reader.place("scenarios"), supplied, classes, grid, start.isoformat(), annual
+            reader.context("scenarios"), supplied, classes, grid, start.isoformat(), annual
         ),
         observation=(),
         hidden=tuple(settings.hidden),
@@ -178,14 +180,18 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
         training=read_training(top.training, str(file)),
         evaluation=read_evaluation(top.evaluation, str(file)),
         regulation=read_regulation(
-            reader.place("regulation"), reader.maybe(tables.RegulationTable, "regulation"), start
+            reader.context("regulation"),
+            reader.optional_table(tables.RegulationTable, "regulation"),
+            start,
         ),
         funding=read_funding(
-            reader.place("funding"), reader.maybe(tables.FundingTable, "funding"), start
+            reader.context("funding"), reader.optional_table(tables.FundingTable, "funding"), start
         ),
         pots=pots,
         frontier=plan.read_frontier(
-            reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
+            reader.context("frontier"),
+            reader.optional_table(tables.FrontierTable, "frontier"),
+            rules,
         ),
     )
     plan.check_limited(case)
@@ -200,7 +206,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
             file,
             reader.table(tables.ReportTable, "report").parts,
             PARTS,
-            lacking(case, stress=top.stress is not None),
+            missing_parts(case, stress=top.stress is not None),
         ),
     )
     kinds = [term.objective.kind for term in case.objective]
@@ -212,7 +218,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
 
 def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
-    position, optional = reader.place, reader.maybe
+    position, optional = reader.context, reader.optional_table
     curve = reader.table(tables.CurveTable, "curve")
     rates = read_rates(position("rates"), optional(tables.RatesTable, "rates"), grid)
     inflation = reader.table(tables.InflationTable, "inflation")
@@ -248,21 +254,21 @@ def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
     timer = Clock(grid, start, table.timing == "arrears")
     names = ("plan.indexation", "plan.revaluation", "plan.contribution")
     indexation = reader.table(tables_people.IndexationTable, names[0])
-    revaluation = reader.maybe(tables_people.RevaluationTable, names[1])
+    revaluation = reader.optional_table(tables_people.RevaluationTable, names[1])
     contribution = reader.table(tables_people.ContributionTable, names[2])
     return plan.read_plan(
-        reader.place("plan"),
+        reader.context("plan"),
         table,
-        plan.read_indexation(reader.place(names[0]), indexation),
-        plan.read_revaluation(reader.place(names[1]), revaluation),
-        plan.read_contribution(reader.place(names[2]), contribution, timer),
+        plan.read_indexation(reader.context(names[0]), indexation),
+        plan.read_revaluation(reader.context(names[1]), revaluation),
+        plan.read_contribution(reader.context(names[2]), contribution, timer),
         money,
     )
 
 
 def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> dict[str, Any]:
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
-    table, section = reader.table(tables_people.MembersTable, "members"), reader.place("members")
+    table, section = reader.table(tables_people.MembersTable, "members"), reader.context("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
     lee_carters: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
@@ -275,14 +281,14 @@ def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> d
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
     mortality = read_mortality(
-        reader.place("mortality"),
+        reader.context("mortality"),
         reader.table(tables_people.MortalityTable, "mortality"),
         start,
     )
     values = (section, table, mortality, rules.retirement_age, grid)
     lee_carters["members"], lee_carters["mortality"] = people.read_members(*values), mortality
-    lee_carter = reader.maybe(tables_people.LeeCarterTable, "lee_carter")
-    lee_carters["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
+    lee_carter = reader.optional_table(tables_people.LeeCarterTable, "lee_carter")
+    lee_carters["lee_carter"] = read_lee_carter(reader.context("lee_carter"), lee_carter, mortality)
     return lee_carters
 
 
@@ -300,13 +306,13 @@ def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
         "the rules and models of this case have no such number",
     )
     known_words(str(reader.file), "sensitivity.held", request, names, missing)
-    idle = reader.silent | {entry.name for entry in _replaced(case)}
+    idle = reader.defaulted | {entry.name for entry in _replaced(case)}
     if case.risk_neutral or case.scenarios is not None:
         idle |= {value.name for value in every if value.group == "premium"}
     return tuple(each.name for each in every if each.name in request or each.name in idle)
 
 
-def _replaced(case: PensionCase) -> list[Given]:
+def _replaced(case: PensionCase) -> list[CaseInput]:
     """The numbers of all models whose place ready-made scenarios take."""
     if case.scenarios is None:
         return []

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError, Unquoted
 
 from ..records.plan import CashPlan
@@ -30,7 +30,7 @@ class Clock(NamedTuple):
     arrears: bool
 
 
-def read_cash_plan(reference: Mention, timer: Clock) -> CashPlan:
+def read_cash_plan(reference: FileReference, timer: Clock) -> CashPlan:
     """The payments within the horizon; a note tells of later ones, which are left out."""
     rows = read_rows(reference, ("amount",), ("date", "year"))
     column = _column(rows)

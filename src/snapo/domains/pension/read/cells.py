@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, Table, nearest
 
-from ..records.said import Said
+from ..records.said import InputNumber
 
 NEVER = 1e-9  # of a year: two times closer than this are one
 
@@ -29,31 +29,33 @@ class Grid(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Place(Section):
+class TableContext(Section):
     """A table of a case while it is read; `silent` collects the numbers left at a default."""
 
-    silent: set[str]
+    defaulted: set[str]
 
-    def told(self, table: Table, key: str, values: Given) -> Given:
+    def input(self, table: Table, key: str, values: CaseInput) -> CaseInput:
         """A number from `key`; where the case does not have the key, it is no input."""
         if key not in table.model_fields_set:
-            self.silent.add(values.name)
+            self.defaulted.add(values.name)
         return values
 
 
-def single(name: str, value: float, metadata: Said) -> Given:
+def single(name: str, value: float, metadata: InputNumber) -> CaseInput:
     """One plain number, used once (index [])."""
-    return metadata.given(name, [value], ("",), np.array(0))
+    return metadata.input(name, [value], ("",), np.array(0))
 
 
-def empty(name: str, shape: tuple[int, ...] = (0,)) -> Given:
+def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
     """A number that the case does not have: no value, zeros of `shape` where it is used."""
-    return Given(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
+    return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
 
 
-def listed(name: str, values: Sequence[float], labels: Sequence[str], metadata: Said) -> Given:
+def listed(
+    name: str, values: Sequence[float], labels: Sequence[str], metadata: InputNumber
+) -> CaseInput:
     """One number per label, each used once (index [n])."""
-    return metadata.given(name, values, labels, np.arange(len(values)))
+    return metadata.input(name, values, labels, np.arange(len(values)))
 
 
 def per_factor(section: Section, table: Table, key: str, count: int) -> list[Any]:
@@ -133,7 +135,7 @@ def years(value: float) -> str:
     return f"{round(months)}m" if abs(months - round(months)) < 1e-3 else f"{value:g}y"
 
 
-class Pieces(NamedTuple):
+class PiecewiseNumber(NamedTuple):
     """A number that changes in time: `values` [n] with `labels`, and which holds in each step."""
 
     values: list[float]
@@ -141,10 +143,12 @@ class Pieces(NamedTuple):
     index: np.ndarray
 
 
-def pieces(inputs: float | str, read: Callable[[], list[Row]], grid: Grid, low: float) -> Pieces:
+def piecewise(
+    inputs: float | str, read: Callable[[], list[Row]], grid: Grid, low: float
+) -> PiecewiseNumber:
     """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
     if not isinstance(inputs, str):
-        return Pieces([float(inputs)], [""], np.zeros(grid.steps, np.int64))
+        return PiecewiseNumber([float(inputs)], [""], np.zeros(grid.steps, np.int64))
     rows = read()
     begins = rising(rows, "from_year", -NEVER)
     if begins[0] > NEVER:
@@ -154,30 +158,32 @@ def pieces(inputs: float | str, read: Callable[[], list[Row]], grid: Grid, low: 
     index = np.searchsorted(begins, times + NEVER, side="right") - 1
     used = int(index[-1]) + 1
     # A value that begins after the last decision is used nowhere: it is no input.
-    return Pieces(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
+    return PiecewiseNumber(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
 
 
 def stepwise(
     section: Section, key: str, values: float | str, grid: Grid, low: float = 0.0
-) -> Pieces:
+) -> PiecewiseNumber:
     """The same for a key of the TOML file."""
-    reference = Mention(section, key, str(values))
-    return pieces(values, lambda: read_rows(reference, ("from_year", "value")), grid, low)
+    reference = FileReference(section, key, str(values))
+    return piecewise(values, lambda: read_rows(reference, ("from_year", "value")), grid, low)
 
 
-def side_by_side(name: str, parts: Sequence[Pieces], names: Sequence[str], metadata: Said) -> Given:
+def side_by_side(
+    name: str, parts: Sequence[PiecewiseNumber], names: Sequence[str], metadata: InputNumber
+) -> CaseInput:
     """Several numbers that change in time as one input, index [T, len(parts)]."""
     values, labels, columns = [], [], []
     for part, local in zip(parts, names):
         columns.append(part.index + len(values))
         values += part.values
         labels += [f"{local} {label}".strip() for label in part.labels]
-    return metadata.given(name, values, labels, np.stack(columns, 1))
+    return metadata.input(name, values, labels, np.stack(columns, 1))
 
 
-def alone(name: str, part: Pieces, metadata: Said) -> Given:
+def alone(name: str, part: PiecewiseNumber, metadata: InputNumber) -> CaseInput:
     """One number that changes in time, index [T]."""
-    return metadata.given(name, part.values, part.labels, part.index)
+    return metadata.input(name, part.values, part.labels, part.index)
 
 
 def whole_steps(row: Row, column: str, step: float) -> int:

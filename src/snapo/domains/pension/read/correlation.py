@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
 from snapo.case.table import Section
 
@@ -32,7 +32,7 @@ def read_correlations(
             raise section.error("file", available[i], message)
     if table is None:
         return Correlation((), empty("correlation"))
-    rows = read_rows(Mention(section, "file", table.file), ("name",))
+    rows = read_rows(FileReference(section, "file", table.file), ("name",))
     names = _names(rows, available, folded)
     matrix = _matrix(rows)
     smallest, change = check_correlation(matrix), 0.0

@@ -8,17 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.given import Given
+from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.given import CaseInput
 from snapo.case.table import nearest
 
 from ..market.rates.registry import MODELS
 from ..market.rates.short_rate import ShortRate
-from ..market.smith_wilson import MOST, cash_flows, distance, fit, log_bond
+from ..market.smith_wilson import MAXIMUM, cash_flows, distance, fit, log_bond
 from ..records.market import Curve, Inflation
 from ..records.people import PAYMENT_YEARS
-from ..records.said import SQUARE_ROOT, YEARLY, Said, number, quiet_volatility, rate
-from .cells import NEVER, Grid, Place, alone, empty, listed, rising, single, stepwise, years
+from ..records.said import SQUARE_ROOT, YEARLY, InputNumber, number, quiet_volatility, rate
+from .cells import NEVER, Grid, TableContext, alone, empty, listed, rising, single, stepwise, years
 from .tables import CurveTable, InflationTable, RatesTable
 
 SPEED = 0.1  # towards an ultimate rate, where the case does not say
@@ -59,11 +59,11 @@ class Quotes(NamedTuple):
 
     key: str
     file: str
-    columns: Mapping[str, tuple[str, Said]]
+    columns: Mapping[str, tuple[str, InputNumber]]
     far: str
 
 
-def read_curve(section: Place, table: CurveTable) -> Curve:
+def read_curve(section: TableContext, table: CurveTable) -> Curve:
     """The nominal curve; inputs "zero_rate", "forward_rate" or "swap_rate"."""
     annual = table.compounding == "annual"
     columns = {"zero": ("zero_rate", ZERO), "forward": ("forward_rate", FORWARD)}
@@ -72,7 +72,7 @@ def read_curve(section: Place, table: CurveTable) -> Curve:
     return _smith_wilson(section, table, curve)
 
 
-def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
+def _smith_wilson(section: TableContext, table: CurveTable, curve: Curve) -> Curve:
     """The curve with the numbers of the method; others as they are.
 
     **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
@@ -98,9 +98,9 @@ def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
     return curve
 
 
-def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
+def _possible(section: TableContext, table: CurveTable, curve: Curve) -> None:
     @jax.jit
-    def whole(rate, ultimate):
+    def price_all(rate, ultimate):
         result = fit(curve, rate, ultimate)
         dates, flows = cash_flows(curve, rate)
         local = jnp.exp(-ultimate * dates)[:, None] * flows.T
@@ -109,12 +109,12 @@ def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
 
     with jax.enable_x64(True):
         values = curve.rate.used(), curve.ultimate.used()
-        speed, missed, prices = map(np.asarray, whole(*map(jnp.asarray, values)))
+        speed, missed, prices = map(np.asarray, price_all(*map(jnp.asarray, values)))
     if not np.isfinite(prices).all():
         message = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
         raise section.error("file", table.file, message)
     if table.speed is None and missed > 1e-6:
-        message = f"no speed up to {MOST:g} brings the forward rate within a basis point by then"
+        message = f"no speed up to {MAXIMUM:g} brings the forward rate within a basis point by then"
         raise section.error("convergence", curve.convergence, message)
     if table.speed is None:
         section.notes.append(
@@ -125,10 +125,10 @@ def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
 
 
 def quotes(
-    section: Place, table: CurveTable | InflationTable, values: Quotes, annual: bool
+    section: TableContext, table: CurveTable | InflationTable, values: Quotes, annual: bool
 ) -> Curve:
     """Nodes from a CSV whose second column says which rate is quoted."""
-    rows = read_rows(Mention(section, values.key, values.file), ("tenor",))
+    rows = read_rows(FileReference(section, values.key, values.file), ("tenor",))
     column = _quoted(rows, tuple(values.columns))
     rows = _liquid(section, table, rows)
     tenor = rising(rows, "tenor")
@@ -156,7 +156,9 @@ def quotes(
     )
 
 
-def _liquid(section: Place, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
+def _liquid(
+    section: TableContext, table: CurveTable | InflationTable, rows: list[Row]
+) -> list[Row]:
     """The rows up to the last liquid tenor, where the case names one."""
     last = getattr(table, "last_liquid", None)
     if last is None:
@@ -176,7 +178,7 @@ def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:
     return present[0]
 
 
-def read_rates(section: Place, table: RatesTable | None, grid: Grid) -> ShortRate:
+def read_rates(section: TableContext, table: RatesTable | None, grid: Grid) -> ShortRate:
     """The model with its numbers; without the table, one at rest."""
     if table is None:
         return MODELS[IDLE].at_rest(grid.steps)
@@ -188,21 +190,21 @@ def read_rates(section: Place, table: RatesTable | None, grid: Grid) -> ShortRat
 
 
 def read_inflation(
-    section: Place, table: InflationTable, grid: Grid, compounding: str
+    section: TableContext, table: InflationTable, grid: Grid, compounding: str
 ) -> Inflation:
     """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
     rates of the case, where the table has none of its own."""
     annual = (table.compounding or compounding) == "annual"
 
-    def one(name: str, key: str, metadata: Said) -> Given:
+    def one(name: str, key: str, metadata: InputNumber) -> CaseInput:
         value = getattr(table, key)
         if annual and key == "real_wage_growth":
             value = float(np.log1p(value))
-        return section.told(table, key, single(name, value, metadata))
+        return section.input(table, key, single(name, value, metadata))
 
-    def moving(name: str, key: str) -> Given:
+    def moving(name: str, key: str) -> CaseInput:
         part = stepwise(section, key, getattr(table, key), grid)
-        return section.told(table, key, alone(name, part, SAID[key]))
+        return section.input(table, key, alone(name, part, SAID[key]))
 
     columns = {"rate": ("break_even", BREAK_EVEN), "forward": ("break_even", BREAK_EVEN)}
     values = Quotes("break_evens", table.break_evens, columns, "ultimate_break_even")

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.given import Given
+from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
 from ..records.regulation import MARKETS
-from ..records.said import YEARLY, Said, amount, rate, share, volatility
+from ..records.said import YEARLY, InputNumber, amount, rate, share, volatility
 from ..records.said import number as pure
 from .cells import (
     Grid,
-    Place,
+    TableContext,
     above_zero,
     empty,
     listed,
@@ -52,10 +52,10 @@ def column(
     rows: Sequence[Row],
     column: str,
     labels,
-    metadata: Said,
+    metadata: InputNumber,
     maximum: float = 1.0,
     minimum=0.0,
-) -> Given:
+) -> CaseInput:
     """The numbers of a column that may be left out: then they are zero, and no input."""
     if column not in rows[0].cells:
         return empty(name, (len(rows),))
@@ -69,14 +69,14 @@ def read_credit(section: Section, table: CreditTable | None) -> Credit:
     if table is None:
         return Credit((), **{name: empty(f"credit_{name}") for name in CREDIT})
     needed = ("spread", "mean_spread", "mean_reversion")
-    rows = read_rows(Mention(section, "file", table.file), ("rating", *needed), tuple(CREDIT))
+    rows = read_rows(FileReference(section, "file", table.file), ("rating", *needed), tuple(CREDIT))
     ratings = unique(rows, "rating")
 
-    def above(name: str) -> Given:
+    def above(name: str) -> CaseInput:
         values = [above_zero(row, name) for row in rows]
         return listed(f"credit_{name}", values, ratings, CREDIT[name])
 
-    def optional(name: str, maximum: float) -> Given:
+    def optional(name: str, maximum: float) -> CaseInput:
         return column(f"credit_{name}", rows, name, ratings, CREDIT[name], maximum)
 
     return Credit(
@@ -93,7 +93,9 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
         none: dict[str, Any] = {name: empty(f"currency_{name}") for name in CURRENCY}
         return Currencies((), **none)
     rows = read_rows(
-        Mention(section, "file", table.file), ("currency", "volatility"), (*CURRENCY, "market")
+        FileReference(section, "file", table.file),
+        ("currency", "volatility"),
+        (*CURRENCY, "market"),
     )
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
@@ -109,12 +111,14 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
 SWAPS = ("rates", "zero-coupon", "inflation")  # kinds of swaps of the overlay
 
 
-def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Overlay | None:
+def read_overlay(section: TableContext, table: OverlayTable | None, grid: Grid) -> Overlay | None:
     """Swaps by tenor bucket."""
     if table is None:
         return None
     rows = read_rows(
-        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("kind", "cost")
+        FileReference(section, "file", table.file),
+        ("tenor", "notional", "low", "high"),
+        ("kind", "cost"),
     )
     inflation = [row for row in rows if _swap_kind(row) == SWAPS[-1]]
     rates = [row for row in rows if _swap_kind(row) != SWAPS[-1]]
@@ -131,8 +135,8 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
     held = amount("the notional held today, before the first trade", "overlay", grid.currency)
     cost = rate("the share of the notional traded that trading swaps costs", "overlay", "1")
 
-    def limit(key: str, metadata: Said) -> Given:
-        return section.told(table, key, single(f"overlay_{key}", getattr(table, key), metadata))
+    def limit(key: str, metadata: InputNumber) -> CaseInput:
+        return section.input(table, key, single(f"overlay_{key}", getattr(table, key), metadata))
 
     return Overlay(
         maturity=np.array(maturity, np.int64),

@@ -4,14 +4,14 @@ import datetime
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..records.people import FEMALE, MALE, SLOPE_AGES, LeeCarter, Mortality
-from ..records.said import SQUARE_ROOT, Said, amount, rate
-from .cells import Place, empty, single, word
+from ..records.said import SQUARE_ROOT, InputNumber, amount, rate
+from .cells import TableContext, empty, single, word
 from .tables_people import LeeCarterTable, MortalityTable
 
 SEX = ("male", "female")
@@ -19,7 +19,7 @@ PROBABILITY = amount("a death probability rises by 1 % of itself", "people", "1"
 FORMULA = amount("a number of the formula of mortality rises by 1 % of itself", "people", "1")
 MULTIPLIER = amount("death probabilities at these ages rise by 1 % of themselves", "people", "1")
 IMPROVEMENT = rate("the yearly fall of death rates", "people")
-FACTOR = Said(SQUARE_ROOT, "volatility of the mortality factor", "volatility", None)
+FACTOR = InputNumber(SQUARE_ROOT, "volatility of the mortality factor", "volatility", None)
 LOADING = amount("how far the hazard of an age follows the mortality factor", "people", "1")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
@@ -28,7 +28,7 @@ HALF = 0.5  # a death probability at which nearly all are dead soon
 FEWEST = 10  # ages of a table that can be closed
 
 
-def read_mortality(section: Place, table: MortalityTable, start: datetime.date) -> Mortality:
+def read_mortality(section: TableContext, table: MortalityTable, start: datetime.date) -> Mortality:
     """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers; improvement
     counts from their year on, else from `start`, the valuation date."""
     if table.kind == "table":
@@ -58,7 +58,7 @@ def read_mortality(section: Place, table: MortalityTable, start: datetime.date) 
     )
 
 
-def _since(section: Place, table: MortalityTable, start: datetime.date) -> float:
+def _since(section: TableContext, table: MortalityTable, start: datetime.date) -> float:
     """Years of improvement up to time 0, and a remark where something about them was left out."""
     improves, day = bool(table.improvement), start + datetime.timedelta(15)
     now = day.year + (day.month - 1) / 12  # time 0 begins a month
@@ -77,7 +77,7 @@ def _since(section: Place, table: MortalityTable, start: datetime.date) -> float
     return now - table.year
 
 
-def _ages(section: Place, file: str, first: int, q: np.ndarray) -> int:
+def _ages(section: TableContext, file: str, first: int, q: np.ndarray) -> int:
     """The number of ages: those of the table, or up to `LAST_AGE` where it ends before nearly all
     are dead. Such a table is closed by the slope of its oldest ages, see `Mortality`."""
     count = q.shape[1]
@@ -106,9 +106,9 @@ def _ages(section: Place, file: str, first: int, q: np.ndarray) -> int:
     return LAST_AGE - first + 1
 
 
-def _table(section: Section, file: str) -> tuple[int, Given]:
+def _table(section: Section, file: str) -> tuple[int, CaseInput]:
     """First age and q [2, G]: both sexes, every age from the first to the last."""
-    rows = read_rows(Mention(section, "file", file), ("sex", "age", "q"))
+    rows = read_rows(FileReference(section, "file", file), ("sex", "age", "q"))
     numbers: dict[tuple[int, int], float] = {}
     for row in rows:
         key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
@@ -126,7 +126,7 @@ def _table(section: Section, file: str) -> tuple[int, Given]:
     labels = tuple(f"{SEX[sex]} {age}" for sex, age in order)
     values = [numbers[key] for key in order]
     position = _square(len(order))
-    return ages[0], PROBABILITY.given("death_probability", values, labels, position)
+    return ages[0], PROBABILITY.input("death_probability", values, labels, position)
 
 
 def _square(count: int) -> np.ndarray:
@@ -140,7 +140,7 @@ def _whole_age(row: Row) -> int:
     return int(age)
 
 
-def _gompertz(section: Section, table: MortalityTable) -> Given:
+def _gompertz(section: Section, table: MortalityTable) -> CaseInput:
     """alpha, beta and makeham by sex [2, 3]."""
     values: list[float] = []
     for key in SEX:
@@ -152,29 +152,34 @@ def _gompertz(section: Section, table: MortalityTable) -> Given:
             raise section.error(key, inputs, "beta is above 0 and makeham at least 0")
         values += [alpha, beta, makeham]
     labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]
-    return FORMULA.given("gompertz", values, labels, _square(6))
+    return FORMULA.input("gompertz", values, labels, _square(6))
 
 
 def _banded(
-    section: Place,
+    section: TableContext,
     table: MortalityTable,
     key: str,
     name: str,
     ages: range,
-    metadata: Said,
+    metadata: InputNumber,
     low: float = 0.0,
-) -> Given:
+) -> CaseInput:
     """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G]."""
     value = getattr(table, key)
     if isinstance(value, str):
-        return bands(Mention(section, key, value), "value", name, ages, metadata, low)
+        return bands(FileReference(section, key, value), "value", name, ages, metadata, low)
     position = np.zeros((2, len(ages)), np.int64)
-    return section.told(table, key, metadata.given(name, [value], ("",), position))
+    return section.input(table, key, metadata.input(name, [value], ("",), position))
 
 
 def bands(
-    reference: Mention, column: str, name: str, ages: range, metadata: Said, low: float = -np.inf
-) -> Given:
+    reference: FileReference,
+    column: str,
+    name: str,
+    ages: range,
+    metadata: InputNumber,
+    low: float = -np.inf,
+) -> CaseInput:
     """Numbers by sex that hold from an age on; a number that no age of the table meets is left
     out."""
     rows = read_rows(reference, ("sex", "age", column))
@@ -194,7 +199,7 @@ def bands(
             index[sex, position == band] = len(values)
             values.append(local[band].number(column, low))
             labels.append(f"{SEX[sex]} from {begins[band]}" if len(local) > 1 else SEX[sex])
-    return metadata.given(name, values, labels, index)
+    return metadata.input(name, values, labels, index)
 
 
 def read_lee_carter(
@@ -204,7 +209,7 @@ def read_lee_carter(
     if table is None:
         return None
     ages = range(mortality.first_age, mortality.first_age + mortality.ages)
-    reference = Mention(section, "file", table.file)
+    reference = FileReference(section, "file", table.file)
     return LeeCarter(
         volatility=single("lee_carter_volatility", table.volatility, FACTOR),
         loading=bands(reference, "loading", "lee_carter_loading", ages, LOADING),

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.given import Given
+from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, Members, Mortality
@@ -13,7 +13,7 @@ from ..records.said import amount
 from .cells import (
     WHOLE,
     Grid,
-    Place,
+    TableContext,
     empty,
     listed,
     number,
@@ -39,7 +39,7 @@ def read_members(
     """Cohorts, each within the ages of the mortality table."""
     columns = ("name", "status", "sex", "age", "number", "pension")
     more = ("salary", "service", "mortality")
-    rows = read_rows(Mention(section, "file", str(table.file)), columns, more)
+    rows = read_rows(FileReference(section, "file", str(table.file)), columns, more)
     names = unique(rows, "name")
     status = np.array([STATUS.index(word(row, "status", STATUS)) for row in rows], np.int64)
     sex = np.array([SEX.index(word(row, "sex", SEX)) for row in rows], np.int64)
@@ -70,7 +70,7 @@ def read_members(
     )
 
 
-def _factor(rows: Sequence[Row], names: Sequence[str]) -> Given | None:
+def _factor(rows: Sequence[Row], names: Sequence[str]) -> CaseInput | None:
     """Factors on death probabilities, 1 in an empty cell; None without the column."""
     if not any(row.cells.get("mortality") for row in rows):
         return None
@@ -90,7 +90,7 @@ def _each(rows: Sequence[Row], column: str) -> list[float]:
     return [row.number(column, 0.0) for row in rows]
 
 
-def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> Given:
+def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> CaseInput:
     """Salaries of those who are active; who is not has no salary that could be an input."""
     active = [i for i, item in enumerate(status) if item == ACTIVE]
     if not active:
@@ -99,13 +99,15 @@ def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> Given
     index = np.zeros(len(rows), np.int64)
     index[active] = np.arange(len(active))
     metadata = amount(SALARY, "people", f"{money}/year")
-    return metadata.given("salary", values, [names[i] for i in active], index)
+    return metadata.input("salary", values, [names[i] for i in active], index)
 
 
-def read_cash_flows(section: Place, table: MembersTable, arrears: bool, grid: Grid) -> CashFlows:
+def read_cash_flows(
+    section: TableContext, table: MembersTable, arrears: bool, grid: Grid
+) -> CashFlows:
     """The actuary's expected payments; their times in years from now are whole steps."""
     name = str(table.cash_flows)
-    rows = read_rows(Mention(section, "cash_flows", name), ("year", "amount"))
+    rows = read_rows(FileReference(section, "cash_flows", name), ("year", "amount"))
     steps = []
     for row in rows:
         due = row.number("year", 0.0, PAYMENT_YEARS) / grid.step
@@ -128,6 +130,6 @@ def read_cash_flows(section: Place, table: MembersTable, arrears: bool, grid: Gr
     return CashFlows(
         amount=listed("cash_flow", [row.number("amount") for row in rows], labels, flow),
         step=np.array(steps, np.int64),
-        normal_cost=section.told(table, "normal_cost", normal_cost),
-        salary=section.told(table, "salary", single("payroll", table.salary, pay)),
+        normal_cost=section.input(table, "normal_cost", normal_cost),
+        salary=section.input(table, "salary", single("payroll", table.salary, pay)),
     )

@@ -5,18 +5,18 @@ A number that the rule of a case does not look at is no input: its `Given` stays
 
 import numpy as np
 
-from snapo.case.csv import Mention
+from snapo.case.csv import FileReference
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
 from ..records.case import Frontier, PensionCase
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile, Revaluation
-from ..records.said import YEARLY, Said, amount, rate, share, time
+from ..records.said import YEARLY, InputNumber, amount, rate, share, time
 from .cash_plan import Clock, read_cash_plan
-from .cells import WHOLE, Place, empty, single, years
+from .cells import WHOLE, TableContext, empty, single, years
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,
@@ -50,7 +50,7 @@ def read_plan(
 ) -> Plan:
     """Terms of the scheme; numbers that nothing was said about are no inputs."""
 
-    def given(name: str, metadata: Said) -> Given:
+    def input(name: str, metadata: InputNumber) -> CaseInput:
         value = getattr(table, name)
         written = name in table.model_fields_set
         # A share of one that was left unsaid is a fact of the format, not a number of the owner.
@@ -61,14 +61,14 @@ def read_plan(
         )
 
     yearly = f"{money}/year"
-    married = given("married_share", MARRIED) if table.spouse_share else _nothing("married")
+    married = input("married_share", MARRIED) if table.spouse_share else _nothing("married")
 
     return Plan(
         timing=table.timing,
         retirement_age=table.retirement_age,
-        accrual_rate=given("accrual_rate", ACCRUAL),
-        offset=given("offset", amount(OFFSET, "plan", yearly)),
-        spouse_share=given("spouse_share", SPOUSE),
+        accrual_rate=input("accrual_rate", ACCRUAL),
+        offset=input("offset", amount(OFFSET, "plan", yearly)),
+        spouse_share=input("spouse_share", SPOUSE),
         married_share=married,
         spouse_age_gap=table.spouse_age_gap,
         age_basis=table.age_basis,
@@ -77,14 +77,14 @@ def read_plan(
         accruing=table.accruing,
         entry_age=table.entry_age,
         max_service=table.max_service,
-        expenses=given("expenses", amount(EXPENSES, "plan", yearly)),
+        expenses=input("expenses", amount(EXPENSES, "plan", yearly)),
         indexation=indexation,
         contribution=contribution,
         revaluation=revaluation,
     )
 
 
-def _nothing(name: str) -> Given:
+def _nothing(name: str) -> CaseInput:
     return empty(name, ())
 
 
@@ -101,7 +101,7 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
         message = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
         raise section.error("lower_ratio", table.lower_ratio, message)
 
-    def given(name: str) -> Given:
+    def input(name: str) -> CaseInput:
         available = name in used or name in cuts
         metadata = INDEXED if name in ("cap", "floor", "rate") else RATIO
         name, value = f"indexation_{name}", getattr(table, name)
@@ -111,25 +111,27 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
         kind=kind,
         month=table.month,
         averaging=table.averaging,
-        cap=given("cap"),
-        floor=given("floor"),
-        lower_ratio=given("lower_ratio"),
-        upper_ratio=given("upper_ratio"),
-        required_ratio=given("required_ratio"),
+        cap=input("cap"),
+        floor=input("floor"),
+        lower_ratio=input("lower_ratio"),
+        upper_ratio=input("upper_ratio"),
+        required_ratio=input("required_ratio"),
         cut_years=table.cut_years,
-        rate=given("rate") if kind == "fixed" else None,
+        rate=input("rate") if kind == "fixed" else None,
     )
 
 
-def read_revaluation(section: Place, table: RevaluationTable | None) -> Revaluation | None:
+def read_revaluation(section: TableContext, table: RevaluationTable | None) -> Revaluation | None:
     """Rates of increase before payment; None where rights grow as pensions in payment do."""
     if table is None:
         return None
 
-    def given(key: str) -> Given:
-        return section.told(table, key, single(f"revaluation_{key}", getattr(table, key), REVALUED))
+    def input(key: str) -> CaseInput:
+        return section.input(
+            table, key, single(f"revaluation_{key}", getattr(table, key), REVALUED)
+        )
 
-    return Revaluation(deferred=given("deferred"), active=given("active"))
+    return Revaluation(deferred=input("deferred"), active=input("active"))
 
 
 def read_contribution(section: Section, table: ContributionTable, timer: Clock) -> Contribution:
@@ -137,7 +139,7 @@ def read_contribution(section: Section, table: ContributionTable, timer: Clock) 
     kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], timer.grid.currency
     schedule = None
     if table.schedule is not None:
-        schedule = read_cash_plan(Mention(section, "schedule", table.schedule), timer)
+        schedule = read_cash_plan(FileReference(section, "schedule", table.schedule), timer)
     used = list(rule.takes)
     if rule.by_cost:
         used.append("rate" if table.normal_cost == "rate" else "loading")
@@ -156,12 +158,12 @@ def read_contribution(section: Section, table: ContributionTable, timer: Clock) 
             message = f"level payments end after whole steps of {years(step)}"
             raise section.error("recovery_years", table.recovery_years, message)
     metadata = {
-        "spread_factor": share(RULE.words, "plan", YEARLY),
-        "recovery_years": time(RULE.words, "plan"),
-        "sponsor_limit": amount(RULE.words, "plan", f"{money}/year"),
+        "spread_factor": share(RULE.meaning, "plan", YEARLY),
+        "recovery_years": time(RULE.meaning, "plan"),
+        "sponsor_limit": amount(RULE.meaning, "plan", f"{money}/year"),
     }
 
-    def given(name: str) -> Given:
+    def input(name: str) -> CaseInput:
         value, full = getattr(table, name), f"contribution_{name}"
         # A loading of zero that nobody wrote is no number of the owner's.
         requested = name in used and (name != "loading" or name in table.model_fields_set)
@@ -173,14 +175,14 @@ def read_contribution(section: Section, table: ContributionTable, timer: Clock) 
     return Contribution(
         kind=kind,
         normal_cost=table.normal_cost,
-        rate=given("rate"),
-        loading=given("loading"),
-        spread_factor=given("spread_factor"),
-        target_ratio=given("target_ratio"),
-        recovery_years=given("recovery_years"),
-        floor=given("floor"),
-        cap=given("cap"),
-        sponsor_limit=given("sponsor_limit"),
+        rate=input("rate"),
+        loading=input("loading"),
+        spread_factor=input("spread_factor"),
+        target_ratio=input("target_ratio"),
+        recovery_years=input("recovery_years"),
+        floor=input("floor"),
+        cap=input("cap"),
+        sponsor_limit=input("sponsor_limit"),
         has_floor="floor" in used,
         has_cap="cap" in used,
         has_sponsor_limit="sponsor_limit" in used,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError, Unquoted, show
 from snapo.case.table import Section
 
@@ -38,7 +38,7 @@ def read_scenarios(
         raise section.error("evaluation", table.evaluation, message)
     sets, available = [], None
     for key in ("training", "evaluation"):
-        reference = Mention(section, key, getattr(table, key))
+        reference = FileReference(section, key, getattr(table, key))
         rows = read_rows(reference, ("path",))
         columns = _columns(rows, classes)
         if available is not None and columns.names != available.names:
@@ -78,7 +78,7 @@ def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
 
 
 def _paths(
-    reference: Mention, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
+    reference: FileReference, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
 ) -> np.ndarray:
     """[paths, T, K] without a hole."""
     numbers: dict[str, int] = {}

@@ -30,11 +30,11 @@ Rate = Annotated[float, Field(gt=-1, lt=1)]
 
 DATE = "a date, YYYY-MM-DD"
 RATE = "a number between -1 and 1, like 0.02 for 2 %"
-LEAST = "a number of at least 0"
+MINIMUM = "a number of at least 0"
 ABOVE = "a number above 0"
 SHARE = "a number from 0 to 1"
 STEPS = "or the name of a CSV file with columns from_year,value"
-VOLATILITY = f"{LEAST}, {STEPS}"
+VOLATILITY = f"{MINIMUM}, {STEPS}"
 
 
 COHORTS = Only(
@@ -69,7 +69,7 @@ def csv(columns: str, default: Any = ...) -> Any:
     return Field(default, description=f"the name of a CSV file with columns {columns}")
 
 
-def words(*available: str, default: Any = ...) -> Any:
+def one_of(*available: str, default: Any = ...) -> Any:
     """A field that takes one of a few words."""
     displayed = [f'"{item}"' for item in available]
     text = (
@@ -83,7 +83,7 @@ class FundTable(Table):
 
     valuation_date: Day = Field(description=DATE)
     years: Annotated[int, Field(ge=1, le=60)] = Field(description="a whole number from 1 to 60")
-    step: Literal["month", "year"] = words("month", "year", default="month")
+    step: Literal["month", "year"] = one_of("month", "year", default="month")
     assets: Positive = Field(description="the market value of all assets, above 0")
     currency: Name = Field("EUR", description='a name such as "EUR"')
 
@@ -92,11 +92,11 @@ class CurveTable(Table):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
     file: Name = csv("tenor,zero (or tenor,forward or tenor,swap)")
-    measure: Literal["P", "Q"] = words("P", "Q", default="P")
-    compounding: Literal["continuous", "annual"] = words(
+    measure: Literal["P", "Q"] = one_of("P", "Q", default="P")
+    compounding: Literal["continuous", "annual"] = one_of(
         "continuous", "annual", default="continuous"
     )
-    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = words(
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = one_of(
         "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
@@ -129,7 +129,7 @@ class InflationTable(Table):
     compounding: Literal["continuous", "annual"] | None = Field(
         None, description='"continuous" or "annual", as in [curve] where left out'
     )
-    extrapolation: Literal["flat-forward", "ultimate"] = words(
+    extrapolation: Literal["flat-forward", "ultimate"] = one_of(
         "flat-forward", "ultimate", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
@@ -140,15 +140,15 @@ class InflationTable(Table):
     index_volatility: NotNegative | Name = Field(0.01, description=VOLATILITY)
     index_price_of_risk: float = Field(0.0, description="a number")
     real_wage_growth: Rate = Field(0.0, description=RATE)
-    wage_volatility: NotNegative = Field(0.0, description=LEAST)
+    wage_volatility: NotNegative = Field(0.0, description=MINIMUM)
 
 
 class AssetsTable(Table):
     """`[assets]`: the classes, and the sense of their means."""
 
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
-    return_kind: Literal["excess", "total"] = words("excess", "total")
-    mean_kind: Literal["geometric", "arithmetic", "log"] = words("geometric", "arithmetic", "log")
+    return_kind: Literal["excess", "total"] = one_of("excess", "total")
+    mean_kind: Literal["geometric", "arithmetic", "log"] = one_of("geometric", "arithmetic", "log")
     turnover: Positive | None = Field(
         None, description=f"the largest share of the assets traded per year, {ABOVE}"
     )
@@ -177,8 +177,8 @@ class OverlayTable(Table):
     """`[overlay]`: receiver swaps by tenor, at par unless their kind says otherwise."""
 
     file: Name = csv("tenor,kind,notional,low,high,cost")
-    unit: Literal["assets", "liability"] = words("assets", "liability", default="assets")
-    leverage: NotNegative = Field(1.0, description=LEAST)
+    unit: Literal["assets", "liability"] = one_of("assets", "liability", default="assets")
+    leverage: NotNegative = Field(1.0, description=MINIMUM)
     collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")
 
 

@@ -13,7 +13,7 @@ from ..fund.increases import INCREASES
 from .tables import (
     ABOVE,
     COHORTS,
-    LEAST,
+    MINIMUM,
     PROMISED,
     RATE,
     SHARE,
@@ -23,7 +23,7 @@ from .tables import (
     Rate,
     Share,
     csv,
-    words,
+    one_of,
 )
 
 BY_SALARY = ("rate", "floor", "cap")  # numbers of a contribution that are shares of salaries
@@ -157,7 +157,7 @@ class MembersTable(Table):
 class MortalityTable(Table):
     """`[mortality]`: death probabilities or a formula, with improvement and multipliers."""
 
-    kind: Literal["table", "gompertz-makeham"] = words("table", "gompertz-makeham")
+    kind: Literal["table", "gompertz-makeham"] = one_of("table", "gompertz-makeham")
     file: Annotated[Name | None, _of_mortality("table")] = csv("sex,age,q", None)
     male: Annotated[Formula | None, _of_mortality("gompertz-makeham")] = Field(
         None, description="[alpha, beta] or [alpha, beta, makeham]"
@@ -179,18 +179,18 @@ class MortalityTable(Table):
 class LeeCarterTable(Table):
     """`[lee_carter]`: the stochastic factor of mortality."""
 
-    volatility: NotNegative = Field(description=LEAST)
+    volatility: NotNegative = Field(description=MINIMUM)
     file: Name = csv("sex,age,loading")
 
 
 class PlanTable(Table):
     """`[plan]`: benefits, and the two tables below it."""
 
-    timing: Literal["advance", "arrears"] = words("advance", "arrears", default="arrears")
-    age_basis: Annotated[Literal["nearest", "last", "exact"], COHORTS] = words(
+    timing: Literal["advance", "arrears"] = one_of("advance", "arrears", default="arrears")
+    age_basis: Annotated[Literal["nearest", "last", "exact"], COHORTS] = one_of(
         "nearest", "last", "exact", default="nearest"
     )
-    fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = words(
+    fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = one_of(
         "constant-force", "uniform", default="constant-force"
     )
     retirement_age: Annotated[float, Field(ge=40, le=90), COHORTS] = Field(
@@ -225,7 +225,7 @@ class IndexationTable(Table):
     """`[plan.indexation]`: increases of pensions in payment, and of other rights alike where there
     is no `[plan.revaluation]`."""
 
-    kind: Literal["none", "fixed", "full", "capped", "conditional"] = words(
+    kind: Literal["none", "fixed", "full", "capped", "conditional"] = one_of(
         "none", "fixed", "full", "capped", "conditional", default="none"
     )
     rate: Annotated[Rate | None, _increase("rate")] = Field(None, description=RATE)
@@ -235,9 +235,9 @@ class IndexationTable(Table):
     )
     cap: Annotated[Rate, _increase("cap")] = Field(0.5, description=RATE)
     floor: Annotated[Rate, _increase("floor")] = Field(-0.5, description=RATE)
-    lower_ratio: Annotated[NotNegative, _increase("lower_ratio")] = Field(1.1, description=LEAST)
-    upper_ratio: Annotated[NotNegative, _increase("upper_ratio")] = Field(1.3, description=LEAST)
-    required_ratio: Annotated[NotNegative, CUTS] = Field(1.0, description=LEAST)
+    lower_ratio: Annotated[NotNegative, _increase("lower_ratio")] = Field(1.1, description=MINIMUM)
+    upper_ratio: Annotated[NotNegative, _increase("upper_ratio")] = Field(1.3, description=MINIMUM)
+    required_ratio: Annotated[NotNegative, CUTS] = Field(1.0, description=MINIMUM)
     cut_years: Annotated[int, Field(ge=0, le=50), PROMISED] = Field(
         0, description="a whole number from 0 to 50"
     )
@@ -253,23 +253,23 @@ class RevaluationTable(Table):
 class ContributionTable(Table):
     """`[plan.contribution]`"""
 
-    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = words(
+    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = one_of(
         "none", "fixed", "normal-cost", "spread", "target", default="none"
     )
-    normal_cost: Annotated[Literal["valuation", "rate"], BY_COST] = words(
+    normal_cost: Annotated[Literal["valuation", "rate"], BY_COST] = one_of(
         "valuation", "rate", default="valuation"
     )
     rate: Annotated[NotNegative | None, RATED] = Field(
-        None, description=f"a share of salaries, {LEAST}"
+        None, description=f"a share of salaries, {MINIMUM}"
     )
     loading: Annotated[float, Field(ge=-1), BY_COST, VALUED] = Field(
         0.0, description="a number of at least -1"
     )
     spread_factor: Annotated[NotNegative | None, _contribution("spread_factor")] = Field(
-        None, description=f"per year, {LEAST}"
+        None, description=f"per year, {MINIMUM}"
     )
     target_ratio: Annotated[Positive, _contribution("target_ratio")] = Field(1.0, description=ABOVE)
-    recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = words(
+    recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = one_of(
         "rolling", "level", default="rolling"
     )
     recovery_years: Annotated[Positive, _contribution("recovery_years")] = Field(
@@ -286,14 +286,14 @@ class ContributionTable(Table):
 class LiabilityTable(Table):
     """`[liability]`"""
 
-    basis: Literal["risk-free", "spread", "fixed"] = words(
+    basis: Literal["risk-free", "spread", "fixed"] = one_of(
         "risk-free", "spread", "fixed", default="risk-free"
     )
     rate: Annotated[Rate | None, ADDED] = Field(None, description=RATE)
     expense_loading: Annotated[Share, PROMISED] = Field(
         0.0, description=f"a share of the value of the payments, {SHARE}"
     )
-    future_indexation: Literal["none", "full", "capped"] = words(
+    future_indexation: Literal["none", "full", "capped"] = one_of(
         "none", "full", "capped", default="none"
     )
 

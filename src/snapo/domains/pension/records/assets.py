@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 if TYPE_CHECKING:
     from ..market.assets.asset_class import AssetClass
@@ -46,17 +46,17 @@ class Assets:
     classes: "tuple[AssetClass, ...]"
     return_kind: Literal["excess", "total"]
     mean_kind: Literal["geometric", "arithmetic", "log"]
-    mean: Given
-    volatility: Given
-    smoothing: Given
+    mean: CaseInput
+    volatility: CaseInput
+    smoothing: CaseInput
     smoothed: np.ndarray
-    cost: Given
-    fee: Given
-    weight: Given
+    cost: CaseInput
+    fee: CaseInput
+    weight: CaseInput
     low: np.ndarray
     high: np.ndarray
     groups: tuple[Group, ...]
-    amount: Given
+    amount: CaseInput
     max_sale: np.ndarray | None = None
     band: np.ndarray | None = None
     turnover: float | None = None
@@ -100,13 +100,13 @@ class Overlay:
     """
 
     maturity: np.ndarray
-    notional: Given
+    notional: CaseInput
     low: np.ndarray
     high: np.ndarray
     unit: Literal["assets", "liability"]
-    leverage: Given
-    cost: Given
-    collateral_stress: Given
+    leverage: CaseInput
+    cost: CaseInput
+    collateral_stress: CaseInput
     inflation: int = 0
     zero_coupon: tuple[int, ...] = ()
 

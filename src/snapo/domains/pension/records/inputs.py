@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.problem.inputs import Input
 
 from .case import PensionCase
@@ -24,18 +24,18 @@ def pension_inputs(case: PensionCase) -> dict[str, Input]:
     return inputs
 
 
-def every_given(record: Any) -> Iterator[Given]:
+def every_given(record: Any) -> Iterator[CaseInput]:
     """All numbers given in a record and the records within it; empty ones are left out."""
     for field in fields(record):
         value = getattr(record, field.name)
-        if isinstance(value, Given):
+        if isinstance(value, CaseInput):
             if value.values.size:
                 yield value
         elif is_dataclass(value):
             yield from every_given(value)
 
 
-def use(inputs: dict[str, Any], values: Given) -> Array:
+def use(inputs: dict[str, Any], values: CaseInput) -> Array:
     """The numbers where they are used: input or number held fixed, at `given.index`."""
     if not values.values.size:
         return jnp.zeros(values.index.shape)

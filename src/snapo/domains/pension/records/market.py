@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Curve:
     """
 
     tenor: np.ndarray
-    rate: Given
+    rate: CaseInput
     quote: Literal["zero", "forward", "swap"]
     extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"]
-    ultimate: Given
+    ultimate: CaseInput
     speed: float | None = 0.1
     convergence: float = 60.0
 
@@ -46,13 +46,13 @@ class Inflation:
     """
 
     break_even: Curve
-    mean_reversion: Given
-    volatility: Given
-    price_of_risk: Given
-    index_volatility: Given
-    index_price_of_risk: Given
-    real_wage_growth: Given
-    wage_volatility: Given
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    price_of_risk: CaseInput
+    index_volatility: CaseInput
+    index_price_of_risk: CaseInput
+    real_wage_growth: CaseInput
+    wage_volatility: CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +65,11 @@ class Credit:
     """
 
     names: tuple[str, ...]
-    spread: Given
-    mean_spread: Given
-    mean_reversion: Given
-    volatility: Given
-    default_loss: Given
+    spread: CaseInput
+    mean_spread: CaseInput
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    default_loss: CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +82,10 @@ class Currencies:
     """
 
     names: tuple[str, ...]
-    volatility: Given
-    premium: Given
-    hedge_ratio: Given
-    hedge_cost: Given
+    volatility: CaseInput
+    premium: CaseInput
+    hedge_ratio: CaseInput
+    hedge_cost: CaseInput
     emerging: tuple[bool, ...] = ()
 
 
@@ -101,7 +101,7 @@ class Correlation:
     """
 
     names: tuple[str, ...]
-    lower: Given
+    lower: CaseInput
     repaired: float = 0.0
 
 

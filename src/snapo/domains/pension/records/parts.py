@@ -13,7 +13,7 @@ OF_RIGHTS = ("attribution", "variance by source", "market consistency", "frontie
 OF_MODELS = ("variance by source", "market consistency")
 
 
-def lacking(case: PensionCase, stress: bool) -> dict[str, str]:
+def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
     """{part: why a run of the case has it not, or has nothing in it}; `stress`: whether the case
     names a file of shocks."""
     result = {} if stress else {"stress": "the case has no [stress]"}

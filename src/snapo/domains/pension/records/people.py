@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 MALE, FEMALE = 0, 1
 ACTIVE, DEFERRED, PENSIONER, SPOUSE = 0, 1, 2, 3
@@ -38,10 +38,10 @@ class Mortality:
     kind: Literal["table", "gompertz-makeham"]
     first_age: int
     ages: int
-    table: Given
-    gompertz: Given
-    multiplier: Given
-    improvement: Given
+    table: CaseInput
+    gompertz: CaseInput
+    multiplier: CaseInput
+    improvement: CaseInput
     since: float = 0.0
 
 
@@ -54,8 +54,8 @@ class LeeCarter:
     - `volatility`: of k, 1/sqrt(year), index []. `loading`: b, index [2, G].
     """
 
-    volatility: Given
-    loading: Given
+    volatility: CaseInput
+    loading: CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +74,11 @@ class Members:
     status: np.ndarray
     sex: np.ndarray
     age: np.ndarray
-    number: Given
-    pension: Given
-    salary: Given
+    number: CaseInput
+    pension: CaseInput
+    salary: CaseInput
     service: np.ndarray
-    mortality: Given | None = None
+    mortality: CaseInput | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class CashFlows:
     - `normal_cost`: money per step at time 0, grows with wages, index []; `salary`: per year.
     """
 
-    amount: Given
+    amount: CaseInput
     step: np.ndarray
-    normal_cost: Given
-    salary: Given
+    normal_cost: CaseInput
+    salary: CaseInput

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,13 @@ class Indexation:
     kind: Literal["none", "fixed", "full", "capped", "conditional"]
     month: int
     averaging: int
-    cap: Given
-    floor: Given
-    lower_ratio: Given
-    upper_ratio: Given
-    required_ratio: Given
+    cap: CaseInput
+    floor: CaseInput
+    lower_ratio: CaseInput
+    upper_ratio: CaseInput
+    required_ratio: CaseInput
     cut_years: int
-    rate: Given | None = None
+    rate: CaseInput | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Revaluation:
     """Increases of rights before payment, by fixed rates on the dates of `Indexation`: `deferred`
     of deferred members until their pension begins, `active` of actives in service. Index []."""
 
-    deferred: Given
-    active: Given
+    deferred: CaseInput
+    active: CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class CashPlan:
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
     """
 
-    amount: Given
+    amount: CaseInput
     step: np.ndarray
 
 
@@ -72,14 +72,14 @@ class Contribution:
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"]
     normal_cost: Literal["valuation", "rate"]
-    rate: Given
-    loading: Given
-    spread_factor: Given
-    target_ratio: Given
-    recovery_years: Given
-    floor: Given
-    cap: Given
-    sponsor_limit: Given
+    rate: CaseInput
+    loading: CaseInput
+    spread_factor: CaseInput
+    target_ratio: CaseInput
+    recovery_years: CaseInput
+    floor: CaseInput
+    cap: CaseInput
+    sponsor_limit: CaseInput
     has_floor: bool
     has_cap: bool
     has_sponsor_limit: bool
@@ -110,10 +110,10 @@ class Plan:
 
     timing: Literal["advance", "arrears"]
     retirement_age: float
-    accrual_rate: Given
-    offset: Given
-    spouse_share: Given
-    married_share: Given
+    accrual_rate: CaseInput
+    offset: CaseInput
+    spouse_share: CaseInput
+    married_share: CaseInput
     spouse_age_gap: int
     age_basis: Literal["nearest", "last", "exact"]
     fractional_ages: Literal["constant-force", "uniform"]
@@ -121,7 +121,7 @@ class Plan:
     accruing: bool
     entry_age: float
     max_service: float
-    expenses: Given
+    expenses: CaseInput
     indexation: Indexation
     contribution: Contribution
     revaluation: Revaluation | None = None
@@ -141,10 +141,10 @@ class Liability:
     """
 
     basis: Literal["risk-free", "spread", "fixed"]
-    rate: Given
+    rate: CaseInput
     future_indexation: Literal["none", "full", "capped"]
     annual: bool = False
-    loading: Given | None = None
+    loading: CaseInput | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,10 @@ class Pots:
     """
 
     rules: PotRules
-    reserve: Given
-    fill_contribution: Given
-    fill_return: Given
-    release: Given
-    largest: Given
-    protection: Given
-    exposure: Given
+    reserve: CaseInput
+    fill_contribution: CaseInput
+    fill_return: CaseInput
+    release: CaseInput
+    largest: CaseInput
+    protection: CaseInput
+    exposure: CaseInput

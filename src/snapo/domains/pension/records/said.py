@@ -12,68 +12,68 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 SQUARE_ROOT, YEARLY = "1/sqrt(year)", "1/year"
 
 
 @dataclass(frozen=True)
-class Said:
+class InputNumber:
     """Of a number: its unit, and the fields of `Given` of the same names."""
 
     unit: str
-    words: str
+    meaning: str
     group: str
     move: float | None
-    trade_unit: str = ""
-    trade_factor: float = 1.0
+    display_unit: str = ""
+    display_factor: float = 1.0
 
-    def given(self, name: str, values: Any, labels: Sequence[str], index: np.ndarray) -> Given:
+    def input(self, name: str, values: Any, labels: Sequence[str], index: np.ndarray) -> CaseInput:
         """Numbers with all that is said about them."""
-        return Given(
+        return CaseInput(
             name,
             np.asarray(values, np.float64),
             tuple(labels),
             self.unit,
             index,
             move=self.move,
-            trade_unit=self.trade_unit,
-            trade_factor=self.trade_factor,
+            display_unit=self.display_unit,
+            display_factor=self.display_factor,
             group=self.group,
-            words=self.words,
+            meaning=self.meaning,
         )
 
 
-def rate(text: str, group: str, unit: str = YEARLY) -> Said:
+def rate(text: str, group: str, unit: str = YEARLY) -> InputNumber:
     """Moves by a basis point."""
-    return Said(unit, text, group, 1e-4, "bp", 1e4)
+    return InputNumber(unit, text, group, 1e-4, "bp", 1e4)
 
 
-def share(text: str, group: str, unit: str = "1") -> Said:
+def share(text: str, group: str, unit: str = "1") -> InputNumber:
     """Moves by a percentage point."""
-    return Said(unit, text, group, 0.01, "percentage point", 100.0)
+    return InputNumber(unit, text, group, 0.01, "percentage point", 100.0)
 
 
-def volatility(text: str) -> Said:
+def volatility(text: str) -> InputNumber:
     """Of prices: moves by a percentage point."""
     return share(text, "volatility", SQUARE_ROOT)
 
 
-def quiet_volatility(text: str) -> Said:
+def quiet_volatility(text: str) -> InputNumber:
     """Of rates and growth: a percentage point would double it, so that it moves by ten bp."""
-    return Said(SQUARE_ROOT, text, "volatility", 1e-3, "bp", 1e4)
+    return InputNumber(SQUARE_ROOT, text, "volatility", 1e-3, "bp", 1e4)
 
 
-def number(words: str, group: str, unit: str = "1") -> Said:
+def number(meaning: str, group: str, unit: str = "1") -> InputNumber:
     """A pure number, or one without a unit of the trade: moves by 0.01."""
-    return Said(unit, words, group, 0.01)
+    return InputNumber(unit, meaning, group, 0.01)
 
 
-def amount(text: str, group: str, unit: str) -> Said:
+def amount(text: str, group: str, unit: str) -> InputNumber:
     """Moves by one per cent of itself."""
-    return Said(unit, text, group, None)
+    return InputNumber(unit, text, group, None)
 
 
-def time(text: str, group: str) -> Said:
+def time(text: str, group: str) -> InputNumber:
     """Moves by a year."""
-    return Said("year", text, group, 1.0, "year")
+    return InputNumber("year", text, group, 1.0, "year")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..read.cells import Place
+from ..read.cells import TableContext
 from ..read.tables import FundingTable
 from ..records.case import PensionCase
 from ..records.funding import Funding
@@ -41,7 +41,7 @@ class Recovery:
 
     deficit: float
     years: float
-    each: float
+    probability: float
     total: float
 
 
@@ -57,7 +57,9 @@ class Bases:
     source: str
 
 
-def read_funding(section: Place, table: FundingTable | None, day: datetime.date) -> Funding | None:
+def read_funding(
+    section: TableContext, table: FundingTable | None, day: datetime.date
+) -> Funding | None:
     """The bases of a case under the rules in force on `day`; None without the table."""
     if table is None:
         return None

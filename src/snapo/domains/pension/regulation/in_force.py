@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any, TypeVar
 
-from ..read.cells import Place
+from ..read.cells import TableContext
 
 Found = TypeVar("Found")
 
 
 def in_force(
-    section: Place,
+    section: TableContext,
     name: str,
     local: Mapping[str, str],
     day: datetime.date,

@@ -61,7 +61,7 @@ def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[boo
     return correlated(sides, rules.correlations["currencies"])
 
 
-def moved_discount(
+def shifted_discount(
     rules: Rules, factors: str, years: np.ndarray, discount: np.ndarray
 ) -> np.ndarray:
     """Discount factors after all annual zero rates were multiplied by the factors of a name."""

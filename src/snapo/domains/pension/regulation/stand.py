@@ -14,7 +14,7 @@ from ..market.bonds.payments import curve_prices
 from ..records.case import PensionCase
 from ..records.regulation import Regulation
 from .due import Due, due
-from .required import Losses, currency_loss, equity_loss, moved_discount, total
+from .required import Losses, currency_loss, equity_loss, shifted_discount, total
 
 ROUNDS = 200  # of the standard model on the assets that its last result asks for
 CLOSE = 1e-12  # of the liability
@@ -59,7 +59,7 @@ class Shocked(NamedTuple):
 def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
     """The standard model with the present mix on invested assets of liability plus required funds,
     until both agree (annex 3, article 2); swaps keep their share of the assets."""
-    regulation, case = known(case), replace(case, scenarios=None)
+    regulation, case = regulation_of(case), replace(case, scenarios=None)
     paid = due(case, inputs)
     moves = [shocked(case, inputs, paid, name) for name in ("rise", "fall")]
     liability, assets = float(paid.flow @ paid.discount), float(case.assets.amount.used())
@@ -84,7 +84,7 @@ def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
     )
 
 
-def known(case: PensionCase) -> Regulation:
+def regulation_of(case: PensionCase) -> Regulation:
     """The regulation of a case that has one."""
     assert case.regulation is not None
     return case.regulation
@@ -92,7 +92,7 @@ def known(case: PensionCase) -> Regulation:
 
 def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability: float) -> Losses:
     """Losses by risk with all `assets`, money, in the present mix."""
-    regulation = known(case)
+    regulation = regulation_of(case)
     rules, held = regulation.rules, assets * case.assets.weight.used()
     notional = np.zeros(0)
     if case.overlay is not None:
@@ -117,21 +117,23 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
 
 def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> Shocked:
     """Everything revalued at once, each payment at the factor of its own term."""
-    rules, after = known(case).rules, paid.discount
+    rules, after = regulation_of(case).rules, paid.discount
     if case.liability.basis != "fixed":
-        after = moved_discount(rules, name, paid.years, paid.discount)
+        after = shifted_discount(rules, name, paid.years, paid.discount)
 
     before = curve_prices(case, inputs)
 
-    def moved(steps: np.ndarray, linked: bool) -> np.ndarray:
+    def shifted(steps: np.ndarray, linked: bool) -> np.ndarray:
         factors = f"real_{name}" if linked else name
-        return moved_discount(rules, factors, steps * case.step, np.asarray(before(steps, linked)))
+        return shifted_discount(
+            rules, factors, steps * case.step, np.asarray(before(steps, linked))
+        )
 
     with jax.enable_x64(True):
-        classes = np.asarray(ratios(case, before, moved)) - 1
+        classes = np.asarray(ratios(case, before, shifted)) - 1
         swaps = np.zeros(0)
         if case.overlay is not None:
-            swaps = np.asarray(swap_gains(case, before, moved))
+            swaps = np.asarray(swap_gains(case, before, shifted))
     return Shocked(float(paid.flow @ (after - paid.discount)), classes, swaps)
 
 
@@ -148,7 +150,7 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
     """S5: bonds with a rating lose the rise of its spread until their payments."""
-    rules, lost, before = known(case).rules, 0.0, curve_prices(case, {})
+    rules, lost, before = regulation_of(case).rules, 0.0, curve_prices(case, {})
     for kind, positions in by_kind(case):
         for position, rating in zip(positions, kind.ratings(case, positions)):
             if rating >= 0:
@@ -170,7 +172,7 @@ def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> R
 
     - `funding`: [T + 1, N] funding ratios; months before time 0 are the regulation's `ratios`.
     """
-    regulation, item = known(case), round(1 / case.step)
+    regulation, item = regulation_of(case), round(1 / case.step)
     months = max(1, round(regulation.rules.averaging_months * item / 12))
     before = np.array(regulation.ratios[-months:] or (funding[0, 0],))
     last = min(round(regulation.rules.recovery_years), (len(funding) - 1) // item)

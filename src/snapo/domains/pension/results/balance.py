@@ -103,11 +103,11 @@ def held_now(case: PensionCase) -> np.ndarray:
 def slopes(curve: Curve, inputs: dict[str, Any], value: Callable[[dict], Array]) -> np.ndarray:
     """[k, nodes]: d `worth` [k] / d quote at a node of `curve`."""
 
-    def moved(quotes):
+    def shifted(quotes):
         return value(inputs | {curve.rate.name: quotes})
 
     with jax.enable_x64(True):
-        return np.asarray(jax.jacrev(moved)(np.asarray(curve.rate.values)))
+        return np.asarray(jax.jacrev(shifted)(np.asarray(curve.rate.values)))
 
 
 def ladder(

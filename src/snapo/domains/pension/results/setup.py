@@ -22,7 +22,7 @@ from ..records.inputs import pension_inputs
 from ..records.market import SuppliedScenarios
 
 
-class Yardstick(NamedTuple):
+class OutcomeMeasure(NamedTuple):
     """The output that tells how a fund came out, a ratio of which 1 is the mark; words for it."""
 
     output: str
@@ -31,13 +31,13 @@ class Yardstick(NamedTuple):
     below: str
 
 
-FUNDING = Yardstick(
+FUNDING = OutcomeMeasure(
     "funding_ratio",
     "Mean funding ratio",
     "Funding ratio, mean of the worst 5 %",
     "Probability of F < 1",
 )
-PENSION = Yardstick(
+PENSION = OutcomeMeasure(
     "pension",
     "Mean pension over today's",
     "Pension over today's, mean of the worst 5 %",
@@ -45,14 +45,14 @@ PENSION = Yardstick(
 )
 
 
-def yardstick(case: PensionCase) -> Yardstick:
+def outcome_measure(case: PensionCase) -> OutcomeMeasure:
     """The funding ratio; the mean pension over that of today where nothing is promised."""
     return FUNDING if case.pots is None else PENSION
 
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     """All that training takes; the seed is that of the case."""
-    training = TrainingPlan.given(case.training.model_dump())
+    training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     if case.scenarios is not None:
@@ -70,7 +70,7 @@ def simulator_of(case: PensionCase) -> PensionSimulator:
     return kind(case)  # pyright: ignore[reportCallIssue]
 
 
-def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
+def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
 
     Nothing is compiled where the fund takes these numbers from its inputs only.

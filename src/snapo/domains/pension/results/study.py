@@ -27,7 +27,7 @@ from ..chapters.today import TODAY
 from ..records.case import PensionCase
 from ..records.parts import OF_RIGHTS
 from .figures.lines import examine
-from .setup import make_setup, moved_setup, objective_of
+from .setup import make_setup, objective_of, setup_at
 
 PARTS = (
     RECONCILIATION.part,
@@ -58,18 +58,18 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     def setup() -> Setup:
         return make_setup(case, engine)
 
-    def moved(before: Setup, other: PensionCase) -> Setup:
-        return moved_setup(before, other, engine)
+    def at_case(before: Setup, other: PensionCase) -> Setup:
+        return setup_at(before, other, engine)
 
     def relaxation() -> FundRelaxation:
         return FundRelaxation(setup().problem, setup().policy)
 
-    every, selected = parts(case), wanted(case)
-    available = about(case) | {"notes": list(notes)} | choice.told(every, selected)
+    every, selected = parts(case), requested(case)
+    available = about(case) | {"notes": list(notes)} | choice.summary(every, selected)
     if TRAINING not in selected:  # which says them
         available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    return Study("pension", available, selected, result, setup, bounded, moved, checks)
+    return Study("pension", available, selected, result, setup, bounded, at_case, checks)
 
 
 def parts(case: PensionCase) -> tuple[Part, ...]:
@@ -79,13 +79,13 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
     return (*(part for part in PARTS if part.name not in OF_RIGHTS), POTS.part)
 
 
-def wanted(case: PensionCase) -> list[Part]:
+def requested(case: PensionCase) -> list[Part]:
     """The parts that the case asks for and those that they need; with a policy also the words for
     its value, which every report begins with."""
     every = parts(case)
-    selected = choice.chosen(every, case.parts)
+    selected = choice.with_needs(every, case.parts)
     if case.parts and TRAINING in selected:
-        selected = choice.chosen(every, (*case.parts, OBJECTIVE.name))
+        selected = choice.with_needs(every, (*case.parts, OBJECTIVE.name))
     return selected
 
 
@@ -100,7 +100,7 @@ def about(case: PensionCase) -> dict[str, Any]:
         "step": case.step,
         "steps": case.steps,
         "model": _model(case),
-        "kinds": {class_.kind: class_.words for class_ in case.assets.classes},
+        "kinds": {class_.kind: class_.description for class_ in case.assets.classes},
         "held": list(case.held),
         "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
@@ -133,5 +133,5 @@ def _model(case: PensionCase) -> str:
     if case.scenarios is not None:
         return "Supplied scenarios: returns, inflation, wages and zero rates from a file."
     mean = f"means {case.assets.mean_kind}, of {case.assets.return_kind} returns"
-    text = f"{case.rates.words}, fitted to the curve; {MEASURES[case.measure]} scenarios"
+    text = f"{case.rates.description}, fitted to the curve; {MEASURES[case.measure]} scenarios"
     return f"{text}; {mean}." if case.measure == "P" else f"{text}; every class earns cash."

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Missing, Table
 from snapo.report.quantity import number, with_unit
 from snapo.study.chapter import Chapter, Floats, Number
@@ -42,7 +42,7 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
     share = np.linspace(0.0, 1.0, count)
     values = np.interp(share, profile.share, profile.value.used())
     labels = tuple(f"{entry:.4g}" for entry in share)
-    inputs = Given(profile.value.name, values, labels, profile.value.unit, np.arange(count))
+    inputs = CaseInput(profile.value.name, values, labels, profile.value.unit, np.arange(count))
     finer = replace(unit, **{field: replace(profile, share=share, value=inputs)})
     return replace(
         case,
@@ -99,7 +99,7 @@ def measure(run: StudyRun) -> Attributions:
     )
 
 
-def show(run: Folder, result: Attributions) -> list[Block]:
+def show(run: RunFiles, result: Attributions) -> list[Block]:
     """Which unit moves what, and every path."""
     if not result.paths:
         return [Missing("There is no attribution.")]
@@ -109,7 +109,7 @@ def show(run: Folder, result: Attributions) -> list[Block]:
     return [_by_unit(run, result), paths]
 
 
-def _by_unit(run: Folder, result: Attributions) -> Table:
+def _by_unit(run: RunFiles, result: Attributions) -> Table:
     units = list(dict.fromkeys(effect.unit for effect in result.by_unit))
     values = {(x.unit, x.attribute): x.value for x in result.by_unit}
     rows = [
@@ -173,7 +173,7 @@ def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
     return tuple(rows)
 
 
-def _profiles(run: Folder, result: tuple[ProfileSlopes, ...]) -> list[Block]:
+def _profiles(run: RunFiles, result: tuple[ProfileSlopes, ...]) -> list[Block]:
     """Temperature over time, and the effect of one kelvin for ten minutes on each attribute."""
     if not result:
         text = "No unit has a temperature profile of several nodes, or it was not differentiated."
@@ -181,7 +181,7 @@ def _profiles(run: Folder, result: tuple[ProfileSlopes, ...]) -> list[Block]:
     return [_profile(run, slopes) for slopes in result]
 
 
-def _profile(run: Folder, result: ProfileSlopes) -> Chart:
+def _profile(run: RunFiles, result: ProfileSlopes) -> Chart:
     minutes = result.time / 60
     units = {x.name: x.shown_unit for x in stated(run).attributes}
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Missing, Table
 from snapo.report.quantity import finite, number, power, unit_words
 from snapo.study.chapter import Chapter, Floats, Number
@@ -18,7 +18,7 @@ from ..quality.limits import Limits
 from ..setpoints import HEADER, setpoints
 from ..shared import BATCH, open_loop
 from . import pictures
-from .model import UnitStatement, place, stated
+from .model import UnitStatement, location, stated
 
 SHOWN = 240  # points of a trajectory that a report shows
 LARGE = 1e7
@@ -122,7 +122,7 @@ def _profile_rows(case: PharmaCase, result: BatchResult) -> Iterable[tuple]:
                 yield unit.name, float(time), state, float(value), state_unit
 
 
-def units(run: Folder, result: BatchResult) -> list[Block]:
+def units(run: RunFiles, result: BatchResult) -> list[Block]:
     """All measures of one batch, and the trajectories of the units that no other section draws."""
     case = stated(run)
     rows = [
@@ -147,7 +147,7 @@ def units(run: Folder, result: BatchResult) -> list[Block]:
 def _value(value: float | None, unit: str) -> str:
     """Four digits, of a large number too, "2.097 × 10⁸"; five of a temperature."""
     if unit == "K":
-        return place(value)
+        return location(value)
     return power(value, 3) if abs(finite(value) or 0.0) >= LARGE else number(value)
 
 
@@ -180,10 +180,10 @@ ONE_BATCH = Chapter(
 Charts = Callable[[str, Course, Course | None], list[Chart]]
 
 
-def _over_time(charts: Charts, unit: str) -> Callable[[Folder, BatchResult], list[Block]]:
+def _over_time(charts: Charts, unit: str) -> Callable[[RunFiles, BatchResult], list[Block]]:
     """Charts of every unit: of its name, trajectory and solubility."""
 
-    def show(run: Folder, result: BatchResult) -> list[Block]:
+    def show(run: RunFiles, result: BatchResult) -> list[Block]:
         blocks: list[Block] = []
         for name, trajectory in result.trajectories.items():
             blocks += charts(name, trajectory, result.solubility.get(name))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
 from snapo.report.quantity import finite, number, percent, with_unit
 from snapo.study.chapter import Chapter, Number
@@ -57,7 +57,7 @@ def measure_spread(run: StudyRun) -> Spread:
     return spread(open_loop(run).case, available.varied)
 
 
-def show(run: Folder, result: Capability) -> list[Block]:
+def show(run: RunFiles, result: Capability) -> list[Block]:
     """Spread, Cpk and out-of-specification rates, and which source causes how much of them."""
     sources, attributes = SPREAD.of(run), stated(run).attributes
     linear = [None] * len(attributes) if sources is None else sources.total
@@ -97,7 +97,7 @@ def _cpk(*endpoints: float | None) -> str:
     return " – ".join(number(x, digits) for x in endpoints)
 
 
-def _sources(run: Folder, result: Spread) -> Table:
+def _sources(run: RunFiles, result: Spread) -> Table:
     parts = result.part
     share = np.divide(parts**2, (parts**2).sum(1, keepdims=True), out=np.zeros_like(parts),
                       where=parts.any(1, keepdims=True))  # fmt: skip

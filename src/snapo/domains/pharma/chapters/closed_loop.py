@@ -10,7 +10,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.smooth import Exact
 from snapo.report.drawing import draw
 from snapo.report.evidence import history
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Mark, Table, Text
 from snapo.report.quantity import number, percent, with_unit
 from snapo.report.theme import LIGHT
@@ -31,7 +31,7 @@ from .recipes import RULES, TunedRule, recipe
 LOW, HIGH = 0.1, 0.9  # quantiles over batches, of a band
 FILE = "setpoints_closed_loop.csv"
 SHOWN = 256  # batches from which the policy's trajectory is drawn
-SURE = 2.0  # standard errors from which one rival counts as better
+SIGNIFICANT = 2.0  # standard errors from which one rival counts as better
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def _mean(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
 
 def better(gain: float, error: float) -> str:
     """Which of both keeps all limits more often on the same batches: "policy", "recipe", ""."""
-    if abs(gain) <= SURE * error:
+    if abs(gain) <= SIGNIFICANT * error:
         return ""
     return "policy" if gain > 0 else "recipe"
 
@@ -190,7 +190,7 @@ def _courses_of(loop: ClosedLoop, best: Feedback, run: StudyRun) -> tuple[Contro
     actions = [np.asarray(rollout.record["action"], float)]
     actions += [policy.actions()[:, None] for policy in (best, loop.loop.baseline)]
     inputs, stages = loop.loop.inputs, loop.loop.stages
-    three = (courses(loop.case, stages, inputs, x) for x in actions)
+    three = (trajectories(loop.case, stages, inputs, x) for x in actions)
     return tuple(
         ControlCourse(
             input=name, unit=inputs[name].unit, time=time, policy=np.median(policy, 1),
@@ -201,7 +201,7 @@ def _courses_of(loop: ClosedLoop, best: Feedback, run: StudyRun) -> tuple[Contro
     )  # fmt: skip
 
 
-def courses(
+def trajectories(
     case: PharmaCase, stages: Sequence[Stage], inputs: Mapping[str, Input], actions: np.ndarray
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """(name, time, values) of each control, from actions [T, N, size]: values [T, N] after each
@@ -241,7 +241,7 @@ def decided(rows: Sequence[ControlCourse]) -> list[tuple]:
     ]  # fmt: skip
 
 
-def show(run: Folder, result: ClosedLoopResult) -> list[Block]:
+def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     """The policy against the best fixed recipe, on the same fresh batches."""
     certain = result.gain > 3 * result.gain_error
     rows = [

@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw, legend_above, unit_above
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity, with_unit
 from snapo.report.theme import LIGHT
@@ -18,11 +18,11 @@ from snapo.study.study import StudyRun
 from ..flowsheet.process import Process
 from ..quality import design_space, ranges
 from ..quality.boundary import Boundary
-from ..quality.design_space import Box, owners
+from ..quality.design_space import Box, in_case_unit
 from ..quality.interval import draws_for
 from ..shared import MESH, open_loop, sampled
 from . import pictures
-from .model import place, stated
+from .model import location, stated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,13 +81,13 @@ def space_map(process: Process, seed: int) -> SpaceMap:
     space = case.design_space
     assert space is not None
     axes = [design_space.parameter(case, name) for name in space.axes]
-    here = [float(owners(p, ranges.set_point(process, p))) for p in axes]
+    here = [float(in_case_unit(p, ranges.set_point(process, p))) for p in axes]
     return SpaceMap(
         axes=tuple(result.axes), units=tuple(p.unit for p in axes), grid=tuple(result.grid),
         **result.at._asdict(), samples=result.samples, levels=tuple(space.levels),
         required=space.required, nominal=tuple(here),
-        normal=tuple((owners(p, p.normal_low), owners(p, p.normal_high)) for p in axes),
-        box=design_space.largest_box(result, here, space.required), ends=tuple(result.ends),
+        normal=tuple((in_case_unit(p, p.normal_low), in_case_unit(p, p.normal_high)) for p in axes),
+        box=design_space.largest_box(result, here, space.required), ends=tuple(result.boundaries),
     )  # fmt: skip
 
 
@@ -115,15 +115,15 @@ def boundary_rows(
     """Header and rows of `design_space_boundary.csv`: one row for every end of the space."""
     names, rows = result.headers, []
     for end in result.ends or ():
-        at = [grid[i] if i >= 0 else end.place for grid, i in zip(result.grid, end.at)]
+        at = [grid[i] if i >= 0 else end.position for grid, i in zip(result.grid, end.at)]
         side = "above" if end.side > 0 else "below"
-        numbers = _rounded((*at, end.place, end.inner, end.outer)).tolist()
+        numbers = _rounded((*at, end.position, end.inner, end.outer)).tolist()
         at, numbers = numbers[: len(at)], numbers[len(at) :]
         rows.append((*at, names[end.axis], side, *numbers, attributes[end.binding]))
     return (*names, "along", "ends", "boundary", "inner", "outer", "binding"), rows
 
 
-def show(run: Folder, result: SpaceMap) -> list[Block]:
+def show(run: RunFiles, result: SpaceMap) -> list[Block]:
     """The probability that all limits hold over the axes, and the attribute that breaks them."""
     names = stated(run).attribute_names
     blocks: list[Block] = [_in_words(result)]
@@ -161,7 +161,7 @@ def _in_words(result: SpaceMap) -> Text:
     if result.box is None:
         return Text(text + " No box around the set point keeps the required probability.")
     sides = [
-        f"{name} {place(low)} to {place(high, unit)}"
+        f"{name} {location(low)} to {location(high, unit)}"
         for name, unit, low, high in zip(result.axes, result.units, result.box.low, result.box.high)
     ]
     return Text(f"{text} The largest box inside: {', '.join(sides)}.")
@@ -221,7 +221,7 @@ def _end(result: SpaceMap, end: Boundary, near: list[int], names: list[str]) -> 
     """One row: an end of the space along a line through the grid point `near` the set point."""
     axis, span = end.axis, [finite(end.inner), finite(end.outer)]
     others = [
-        f"{name} {place(grid[k], unit)}"
+        f"{name} {location(grid[k], unit)}"
         for j, (name, unit, grid, k) in enumerate(zip(result.axes, result.units, result.grid, near))
         if j != axis
     ]
@@ -229,8 +229,8 @@ def _end(result: SpaceMap, end: Boundary, near: list[int], names: list[str]) -> 
         span.reverse()
     return (
         with_unit(result.axes[axis], result.units[axis]), ", ".join(others),
-        "above" if end.side > 0 else "below", names[end.binding], place(end.place),
-        " – ".join("beyond" if x is None else place(x) for x in span),
+        "above" if end.side > 0 else "below", names[end.binding], location(end.position),
+        " – ".join("beyond" if x is None else location(x) for x in span),
     )  # fmt: skip
 
 

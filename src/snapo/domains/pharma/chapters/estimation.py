@@ -10,10 +10,10 @@ from scipy.stats import t as student
 
 from snapo.case.quantity import numbers_in
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, power, with_unit
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
@@ -142,7 +142,7 @@ def estimates(process: Process) -> Estimates:
     return Estimates(
         **{x.name: getattr(result, x.name) for x in fields(result)},
         measured_own=(np.asarray(result.measured) - offset) / scale,
-        fitted_own=(np.asarray(result.fitted) - offset) / scale,
+        fitted_own=(np.asarray(result.fitted_values) - offset) / scale,
         start=np.array([process.inputs[x][i] for x, i in zip(request.inputs, request.entries)]),
         level=request.level, validation=validate(process, request, result), errors=request.errors,
         units=tuple(request.units), scales=tuple((float(a), float(b)) for a, b in request.scales),
@@ -193,7 +193,7 @@ def fitted_rows(case: PharmaCase, result: Fit) -> list[tuple]:
     return rows
 
 
-def show(run: Folder, result: Estimates) -> list[Block]:
+def show(run: RunFiles, result: Estimates) -> list[Block]:
     """Fitted numbers with intervals, their correlation, and agreement with the data."""
     rows, level, names = [], percent(result.level, 0), result.names
     for i, (name, unit, (scale, offset)) in enumerate(zip(names, result.units, result.scales)):
@@ -275,12 +275,12 @@ ESTIMATION = Chapter(
 )  # fmt: skip
 
 
-def validation(run: Folder) -> Section:
+def validation(run: RunFiles) -> Section:
     """Coverage of the prediction intervals, batch by batch, and every point."""
     title, short = "Model validation", "Validation"
     result = ESTIMATION.of(run)
     if result is None:
-        reason = lacking(run, ESTIMATION.name, ESTIMATION.table)
+        reason = why_missing(run, ESTIMATION.name, ESTIMATION.table)
         return Section("validation", title, short, [reason])
     if result.validation is None:
         text = (

@@ -7,10 +7,10 @@ from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 
 from snapo.report.evidence import spent
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity, seconds
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.solver.provenance.versions import versions
 from snapo.study.chapter import Chapter
 from snapo.study.domain import GOOD
@@ -36,7 +36,7 @@ AGREED = 1e-10  # relative gap of paths against the matrix
 LOST = 1e-3  # share of batches without a finite result from which a run is not in order
 
 
-def checks(run: StudyRun | Folder) -> list[tuple[str, bool, str]]:
+def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
     """(name of the check, whether it held, where it is off most in brackets)."""
     rows = []
     if balances := BALANCES.of(run):
@@ -69,7 +69,7 @@ def _where(*names: Iterable[str]) -> str:
     return f" ({text})" if text else ""
 
 
-def status(run: StudyRun | Folder) -> str:
+def status(run: StudyRun | RunFiles) -> str:
     """The first thing that is not in order, in a sentence, or "ok"."""
     batch, fit, recipe = ONE_BATCH.of(run), ESTIMATION.of(run), OPTIMUM.of(run)
     if batch is not None and batch.status != "ok":
@@ -77,7 +77,7 @@ def status(run: StudyRun | Folder) -> str:
     missing = [name for name, x in batch.attributes.items() if math.isnan(x)] if batch else []
     if missing:
         return f"{missing[0]} is not a number"
-    if fit is not None and (ambiguity := doubts(fit)):
+    if fit is not None and (ambiguity := reservations(fit)):
         return ambiguity
     if recipe is not None and not recipe.converged:
         return f"the best recipe did not converge: {recipe.message}"
@@ -89,7 +89,7 @@ def status(run: StudyRun | Folder) -> str:
     return f"{100 * lost:.2g} % of the batches gave no finite result" if lost > LOST else "ok"
 
 
-def doubts(fit: Fit) -> str:
+def reservations(fit: Fit) -> str:
     """Why a fit is in doubt, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
@@ -101,7 +101,7 @@ def doubts(fit: Fit) -> str:
     )
 
 
-def headline(run: Folder) -> Section:
+def headline(run: RunFiles) -> Section:
     """Probability of all limits, and the table of attributes at the set point."""
     title = "Quality at the set point"
     value, error = finite(run.result.get("value")), finite(run.result.get("standard_error"))
@@ -122,12 +122,12 @@ def headline(run: Folder) -> Section:
     batch = ONE_BATCH.of(run)
     available = batch is not None and batch.attributes
     blocks.append(
-        _table(stated(run), batch) if batch and available else lacking(run, ONE_BATCH.name)
+        _table(stated(run), batch) if batch and available else why_missing(run, ONE_BATCH.name)
     )
     return Section("headline", title, "", blocks)
 
 
-def _note(run: Folder) -> str:
+def _note(run: RunFiles) -> str:
     if run.result.get("verdict"):
         return f"{run.result['verdict']} ± one standard error of the sample, in percentage points."
     who = "of the trained policy" if CLOSED_LOOP.of(run) else "of the recipe as given"
@@ -137,7 +137,7 @@ def _note(run: Folder) -> str:
     )
 
 
-def marks(run: Folder) -> list[Mark]:
+def marks(run: RunFiles) -> list[Mark]:
     """Verdicts on the numbers, then on the process; nothing good stands above a bad status."""
     rows, state = checks(run), str(run.result.get("status") or "ok")
     failed = [name for name, valid, _ in rows if not valid]
@@ -153,7 +153,7 @@ def marks(run: Folder) -> list[Mark]:
     return [*verdicts, *(Mark(False, text) for text in _against(run))]
 
 
-def _against(run: Folder) -> list[str]:
+def _against(run: RunFiles) -> list[str]:
     """All that speaks against the process, however good the numbers are."""
     rows, batch, recipe = RANGES.of(run) or (), ONE_BATCH.of(run), OPTIMUM.of(run)
     contains = batch.holds if batch else ()
@@ -178,7 +178,7 @@ def _against(run: Folder) -> list[str]:
     return verdicts
 
 
-def _facts(run: Folder) -> list[tuple[str, str, str]]:
+def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
     facts, matrix, space = [], MATRIX.of(run), SPACE.of(run)
     batches, loop = CAPABILITY.of(run), CLOSED_LOOP.of(run)
     if matrix and matrix.ranking and matrix.ranking[0].attribute:
@@ -250,7 +250,7 @@ def _version(library: str) -> str:
         return "not installed"
 
 
-def show(run: Folder, result: Making) -> list[Block]:
+def show(run: RunFiles, result: Making) -> list[Block]:
     """Assumptions of the model, remarks, and the versions behind the numbers."""
     case = stated(run)
     blocks: list[Block] = [Text(text) for text in case.assumptions]
@@ -266,7 +266,7 @@ def show(run: Folder, result: Making) -> list[Block]:
     return [*blocks, _made_with(run, case, result)]
 
 
-def _remarks(run: Folder, case: Statement) -> list[str]:
+def _remarks(run: RunFiles, case: Statement) -> list[str]:
     """Remarks that the run itself makes: parts that failed, and a coarser mesh."""
     texts = [f"{name} failed: {x['note']}" for name, x in run.parts.items() if x.get("note")]
     mesh, steps = STATISTICS_MESH.of(run), _steps(run, case)
@@ -278,7 +278,7 @@ def _remarks(run: Folder, case: Statement) -> list[str]:
     return texts
 
 
-def _steps(run: Folder, case: Statement) -> int | None:
+def _steps(run: RunFiles, case: Statement) -> int | None:
     """Of a batch, else those of the case."""
     batch = ONE_BATCH.of(run)
     if batch is not None:
@@ -286,7 +286,7 @@ def _steps(run: Folder, case: Statement) -> int | None:
     return case.numerics.steps if case.numerics else None
 
 
-def _made_with(run: Folder, case: Statement, made: Making) -> Table | Missing:
+def _made_with(run: RunFiles, case: Statement, made: Making) -> Table | Missing:
     rows = [] if made.seed is None else [("Seed", number(made.seed, 0))]
     batch, numerics = ONE_BATCH.of(run), case.numerics
     if numerics is not None:

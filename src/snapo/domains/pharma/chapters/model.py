@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from snapo.case.quantity import numbers_in
 from snapo.problem.inputs import Input
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
 from snapo.report.quantity import finite, quantity, raised, unit_words
 from snapo.report.rows import Column, table
@@ -19,7 +19,7 @@ from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.network import Network
 from ..given import Entry
-from ..quality.design_space import owners
+from ..quality.design_space import in_case_unit
 from ..quality.draws import entries, nominal
 from ..quality.records import Distribution
 from ..shared import open_loop
@@ -208,9 +208,9 @@ def _parameters(case: PharmaCase) -> tuple[ParameterStatement, ...]:
     return tuple(
         ParameterStatement(
             name=p.name, of=entry_name(case, p.input, p.entry), unit=p.unit,
-            nominal=float(owners(p, nominal(case, [(p.input, p.entry)])[0])),
-            range=(owners(p, p.low), owners(p, p.high)),
-            normal=(owners(p, p.normal_low), owners(p, p.normal_high)),
+            nominal=float(in_case_unit(p, nominal(case, [(p.input, p.entry)])[0])),
+            range=(in_case_unit(p, p.low), in_case_unit(p, p.high)),
+            normal=(in_case_unit(p, p.normal_low), in_case_unit(p, p.normal_high)),
             distribution=_in_words(p.distribution, p.scale, p.unit), control=p.control,
             source=p.source,
         )
@@ -272,7 +272,7 @@ def _reaction(network: Network, i: int) -> ReactionStatement:
     )  # fmt: skip
 
 
-def show(run: Folder, result: Statement) -> list[Block]:
+def show(run: RunFiles, result: Statement) -> list[Block]:
     """Purpose, flowsheet, equations, parameters with their sources, and uncertain numbers."""
     blocks: list[Block] = [Text(result.purpose)] if result.purpose else []
     if result.scope:
@@ -294,7 +294,7 @@ def show(run: Folder, result: Statement) -> list[Block]:
     return [*blocks, *_tables(result)]
 
 
-def given(value: float, unit: str = "") -> str:
+def number_text(value: float, unit: str = "") -> str:
     """A number that the case gives, with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
     if value == 0 or 1e-3 <= abs(value) < 1e7:
         text = f"{value:,.10f}".rstrip("0").rstrip(".").replace("-", "−")
@@ -307,10 +307,10 @@ def given(value: float, unit: str = "") -> str:
     return f"{text}\u00a0{unit_words(unit)}" if unit and unit != "1" else text
 
 
-def place(value: float | None, unit: str = "") -> str:
+def location(value: float | None, unit: str = "") -> str:
     """A place on a parameter's axis: five digits, with which 313.15 K stays what it is."""
     available = finite(value)
-    return "–" if available is None else given(float(f"{available:.5g}"), unit)
+    return "–" if available is None else number_text(float(f"{available:.5g}"), unit)
 
 
 def _reactions(result: Statement) -> Table | Text:
@@ -318,14 +318,14 @@ def _reactions(result: Statement) -> Table | Text:
         return Text("Nothing reacts.")
     rows = [
         (
-            x.name, x.equation, x.rate, given(x.prefactor, x.prefactor_unit),
-            given(x.activation / 1000, "kJ/mol"), given(x.heat / 1000, "kJ/mol"),
+            x.name, x.equation, x.rate, number_text(x.prefactor, x.prefactor_unit),
+            number_text(x.activation / 1000, "kJ/mol"), number_text(x.heat / 1000, "kJ/mol"),
         )
         for x in result.reactions
     ]  # fmt: skip
     names = ("Reaction", "Equation", "Rate", "Prefactor", "Activation", "Heat of reaction")
     reference = result.reactions[0].reference
-    power = "E/(R T)" if reference is None else f"E/R (1/T − 1/{given(reference, 'K')})"
+    power = "E/(R T)" if reference is None else f"E/R (1/T − 1/{number_text(reference, 'K')})"
     caption = f"Mass-action reactions; k = prefactor exp(−{power})"
     return Table([(name, "") for name in names], rows, caption, 3)
 
@@ -334,17 +334,17 @@ def _tables(result: Statement) -> list[Block]:
     """Parameters, uncertain numbers, and every number."""
     parameters = [
         (
-            x.name, x.of, x.source, given(x.nominal, x.shown_unit),
-            *(" – ".join(map(given, endpoints)) for endpoints in (x.normal, x.range)),
+            x.name, x.of, x.source, number_text(x.nominal, x.shown_unit),
+            *(" – ".join(map(number_text, endpoints)) for endpoints in (x.normal, x.range)),
             x.distribution,
         )
         for x in result.parameters
     ]  # fmt: skip
     uncertain = [
-        (x.of, x.distribution, x.when, given(x.nominal, x.unit)) for x in result.uncertainty
+        (x.of, x.distribution, x.when, number_text(x.nominal, x.unit)) for x in result.uncertainty
     ]
     numbers = [
-        (x.input, label, x.parameter, given(x.value, unit))
+        (x.input, label, x.parameter, number_text(x.value, unit))
         for x in result.numbers
         for label, unit in [_of_power(x.label, x.unit)]
     ]
@@ -380,6 +380,6 @@ MODEL = Chapter(
 )  # fmt: skip
 
 
-def stated(run: Folder) -> Statement:
+def stated(run: RunFiles) -> Statement:
     """The statement of the case in the files of a run."""
     return MODEL.of(run) or Statement()

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Facts, Mark, Missing, Table, Text
 from snapo.report.quantity import (
     decimals,
@@ -162,7 +162,7 @@ def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecip
         value=recipe.value,
         decisions=tuple(
             DecisionResult(
-                d.name, d.unit, *map(d.owners, (d.start, float(x), d.low, d.high)),
+                d.name, d.unit, *map(d.in_case_unit, (d.start, float(x), d.low, d.high)),
                 *(float(slope) * d.scale for slope in slopes),
             )
             for d, x, *slopes in zip(
@@ -180,7 +180,7 @@ def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecip
         message=recipe.message,
         iterations=recipe.iterations,
         evaluations=recipe.evaluations,
-        ends=tuple(optimum.ends),
+        ends=tuple(optimum.endpoints),
         mode=optimum.mode,
         compiling=optimum.compiling,
         solving=optimum.solving,
@@ -193,7 +193,7 @@ def _at(run: StudyRun, request: Optimise, x: np.ndarray) -> tuple[np.ndarray, Ke
     changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(request.decisions, x)}
     rows = batches.drawn(process, changes, BATCHES, seed)
     nominal = np.repeat(batches.nominally(process, changes), batches.CHUNK, 0)
-    inputs, entries = batches.moved(process, changes), batches.varied(process.case)
+    inputs, entries = batches.inputs_with(process, changes), batches.varied(process.case)
     both = np.concatenate([nominal, rows])
     values = process.batch(entries, both, chunk=batches.CHUNK, inputs=inputs).values
     selected = Limits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
@@ -222,7 +222,7 @@ def _ramp_rows(optimum: Optimum) -> tuple[RampResult, ...]:
         both = slice(len(optimum.bounds) + 2 * i, len(optimum.bounds) + 2 * i + 2)
         used = float(1 - recipe.constraints[both].min())
         value = float(recipe.conditions.above[both].max())
-        rows.append(RampResult(ramp.name, 60 * ramp.most, f"{ramp.unit}/min", used, value))
+        rows.append(RampResult(ramp.name, 60 * ramp.steepest, f"{ramp.unit}/min", used, value))
     return tuple(rows)
 
 
@@ -239,7 +239,7 @@ def _unit(request: Optimise) -> str:
     return f"{above or '1'}/{below}" if below else above
 
 
-def show(run: Folder, result: BestRecipe) -> list[Block]:
+def show(run: RunFiles, result: BestRecipe) -> list[Block]:
     """The goal, the numbers chosen, the limits that hold them, and the conditions."""
     blocks: list[Block] = [Text(_goal(result)), _facts(result), _decisions(result), _limits(result)]
     if result.ramps:

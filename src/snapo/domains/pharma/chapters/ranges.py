@@ -1,6 +1,6 @@
 """Proven ranges: of one parameter at a time, and of two at once."""
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Mark, Missing, Table
 from snapo.report.quantity import SPACE, finite, number, percent, quantity, with_unit
 from snapo.study.chapter import Chapter
@@ -11,7 +11,7 @@ from ..quality.pairs import Pair, Together
 from ..quality.ranges import AcceptableRange, ProvenRange
 from ..quality.records import Parameter
 from ..shared import MESH, open_loop, sampled
-from .model import Statement, place, stated
+from .model import Statement, location, stated
 
 SAMPLES = 128
 SHOWN = 15  # pairs in the report, those with the least room first
@@ -45,7 +45,7 @@ def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] 
     return scale * proven.low + offset, scale * proven.high + offset
 
 
-def show(run: Folder, result: tuple[ProvenRange, ...]) -> list[Block]:
+def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
     """Proven acceptable ranges one at a time, and whether normal operation stays inside."""
     normal = {x.name: x.normal for x in stated(run).parameters}
     if not result:
@@ -54,7 +54,7 @@ def show(run: Folder, result: tuple[ProvenRange, ...]) -> list[Block]:
         (
             with_unit(x.parameter, x.unit), _edges(x.nominal), _edges(x.probable),
             _verdict(x.probable), _span(normal.get(x.parameter, ())), _range(x.nominal),
-            _range(x.probable), _span(x.probable.sure), _span(x.probable.possible),
+            _range(x.probable), _span(x.probable.certain), _span(x.probable.possible),
         )
         for x in result
     ]  # fmt: skip
@@ -79,13 +79,13 @@ def _verdict(proven: AcceptableRange) -> Mark:
 
 
 def _span(endpoints: tuple[float, ...] | None) -> str:
-    return "–" if endpoints is None else " – ".join(map(place, endpoints))
+    return "–" if endpoints is None else " – ".join(map(location, endpoints))
 
 
 def _range(proven: AcceptableRange) -> str:
     if proven.low is None:
         return "set point fails"
-    return f"{place(proven.low)} – {place(proven.high)}"
+    return f"{location(proven.low)} – {location(proven.high)}"
 
 
 def _edges(proven: AcceptableRange) -> str:
@@ -95,7 +95,7 @@ def _edges(proven: AcceptableRange) -> str:
     return low if low == high else f"{low} | {high}"
 
 
-def show_pairs(run: Folder, result: tuple[Pair, ...]) -> list[Block]:
+def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
     """Proven ranges of two parameters at once."""
     if not result:
         return [Missing("There is one parameter alone, so that there are no pairs.")]
@@ -136,7 +136,7 @@ def _share(together: Together | None) -> str:
 def _sure(together: Together | None) -> str:
     if together is None:
         return "–"
-    return f"{percent(together.sure, 0)} – {percent(together.possible, 0)}"
+    return f"{percent(together.certain, 0)} – {percent(together.possible, 0)}"
 
 
 def _corner(pair: Pair, names: list[str]) -> str:
@@ -151,9 +151,9 @@ def _corner(pair: Pair, names: list[str]) -> str:
 
 
 def _interaction(case: Statement, pair: Pair) -> str:
-    if pair.most < 0:
+    if pair.maximum < 0:
         return "–"
-    attribute, effect = case.attributes[pair.most], pair.interaction[pair.most]
+    attribute, effect = case.attributes[pair.maximum], pair.interaction[pair.maximum]
     if not effect:
         return "none"
     size = quantity(effect, attribute.shown_unit)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.solver.train import begin
+from snapo.solver.train import initial_progress
 from snapo.solver.train import train as climb
 from snapo.study.chapter import Chapter, Floats
 from snapo.study.study import Part, StudyRun
@@ -14,7 +14,7 @@ from snapo.study.training import TRAINING, train
 from ..control.closed_loop import ClosedLoop, best_recipe
 from ..control.policy import Feedback
 from ..control.rivals import first_settings, in_units
-from ..control.rules import Loops, Wire
+from ..control.rules import LoopConnection, Loops
 from ..shared import closed_loop
 
 
@@ -33,7 +33,9 @@ class RecipeLogits:
 def tune(run: StudyRun) -> RecipeLogits:
     """Recipes from several starts."""
     loop = closed_loop(run)
-    recipes = best_recipe(loop.problem, loop.loop.baseline, loop.training, loop.engines, run.tell)
+    recipes = best_recipe(
+        loop.problem, loop.loop.baseline, loop.training, loop.engines, run.progress
+    )
     return RecipeLogits(*(np.asarray(recipe.table) for recipe in recipes))
 
 
@@ -71,7 +73,7 @@ class TunedRule:
     gains: Floats
     gains_own: Floats
     times: Floats
-    wires: tuple[Wire, ...]
+    wires: tuple[LoopConnection, ...]
     sensors: tuple[str, ...]
     of: tuple[str, ...]
 
@@ -91,7 +93,9 @@ def tune_rules(run: StudyRun) -> tuple[TunedRule, ...]:
     actions = np.asarray(recipe(run, "first").actions(), float)
     for rule in control.rules:
         tuned = first_settings(loop.case, loop.loop.stages, loop.problem, rule, actions)
-        best = climb(loop.problem, begin(tuned.policy, plan), plan, loop.engines.train).best
+        best = climb(
+            loop.problem, initial_progress(tuned.policy, plan), plan, loop.engines.train
+        ).best
         assert isinstance(best, Loops)
         for name, policy in ((f"{rule.name}, first settings", tuned.policy), (rule.name, best)):
             rows.append(
@@ -99,12 +103,12 @@ def tune_rules(run: StudyRun) -> tuple[TunedRule, ...]:
                     name=name, table=np.asarray(policy.table),
                     setpoints=np.asarray(policy.setpoints.array), gains=policy.gains(),
                     gains_own=in_units(control, policy), times=policy.times(),
-                    wires=tuple(policy.wires),
+                    wires=tuple(policy.connections),
                     sensors=tuple(control.measurements[x.sensor].state for x in tuned.loops),
                     of=tuple(control.manipulated[x.of].input for x in rule.loops),
                 )
             )  # fmt: skip
-        run.tell(f"{rule.name}: gains {in_units(control, best)}, times {best.times()} s")
+        run.progress(f"{rule.name}: gains {in_units(control, best)}, times {best.times()} s")
     return tuple(rows)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from snapo.report.drawing import draw
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, percent, with_unit
-from snapo.report.sections.lacking import lacking
+from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats
 from snapo.study.study import Part, StudyRun
 
@@ -136,13 +136,15 @@ CRITICALITY = Chapter(
 )  # fmt: skip
 
 
-def show(run: Folder, result: SensitivityMatrix) -> list[Block]:
+def show(run: RunFiles, result: SensitivityMatrix) -> list[Block]:
     """The matrix over half the normal range as heat map, all forms as tables, and the ranking."""
     case, criticality = stated(run), CRITICALITY.of(run)
     return [
         Text(f"Computed in {result.mode} mode: {result.reason}."), _heat(case, result),
         _forms(case, result), _ranking(result.ranking),
-        lacking(run, CRITICALITY.name) if criticality is None else _criticality(case, criticality),
+        why_missing(run, CRITICALITY.name)
+        if criticality is None
+        else _criticality(case, criticality),
         _tornados(case, result.scaled),
     ]  # fmt: skip
 

@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from snapo.report.folder import Folder
+from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, power
 from snapo.study.chapter import Chapter, Number
@@ -20,7 +20,7 @@ from ..flowsheet.flow import leaving, sources
 from ..flowsheet.ledger import Ledger
 from ..flowsheet.process import Process
 from ..flowsheet.stream import Stream
-from ..quality.design_space import owners
+from ..quality.design_space import in_case_unit
 from ..shared import SOUND, open_loop, process
 from .attribution import ATTRIBUTION
 from .batch import ONE_BATCH
@@ -57,14 +57,14 @@ def balances(process: Process, inputs=None) -> list[Balance]:
 
     def make(local: bool):
         def everything(values):
-            flow = process.flow(values, own=local)
+            flow = process.flow(values, nominal_steps=local)
             ledgers = {name: outcome.finish.ledger for name, outcome in flow.outcomes.items()}
             return flow.streams, ledgers, flow.measures
 
         return everything
 
     streams, ledgers, _ = process.either(
-        "balances", make, process.given(inputs), of=lambda result: result[2]
+        "balances", make, process.nominal_inputs(inputs), of=lambda result: result[2]
     )
     fed, results = sources(case), []
     for unit in case.units:
@@ -165,7 +165,7 @@ def check_points(run: StudyRun) -> tuple[CheckedPoint, ...]:
         rows.append(
             CheckedPoint(
                 point="set point" if i == 0 else f"random point {i}",
-                at=tuple(float(owners(p, x)) for p, x in zip(parameters, checked.point)),
+                at=tuple(float(in_case_unit(p, x)) for p, x in zip(parameters, checked.point)),
                 worst=float(checked.error.max()), attribute=names[int(worst[0])],
                 parameter=parameters[int(worst[1])].name, kinks=int(checked.kink.sum()),
                 passed=checked.passed,
@@ -174,7 +174,7 @@ def check_points(run: StudyRun) -> tuple[CheckedPoint, ...]:
     return tuple(rows)
 
 
-def _balances(run: Folder, result: tuple[Balance, ...]) -> list[Block]:
+def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
     rows = [
         (
             x.unit, x.quantity, Mark(closed(x), "closes" if closed(x) else "open"),
@@ -197,7 +197,7 @@ def _made(balance: Balance) -> float:
     return balance.made if abs(balance.made) > 1e-12 * through else 0.0
 
 
-def _convergence(run: Folder, result: Convergence) -> list[Block]:
+def _convergence(run: RunFiles, result: Convergence) -> list[Block]:
     rows, numerics = result.rows, stated(run).numerics
     if not rows:
         return [Missing("Convergence in time was not examined in this run.")]
@@ -241,7 +241,7 @@ def _cells(cells: tuple[Cells, ...]) -> list[Block]:
     return [Table([(name, "") for name in names], rows, caption, 2)]
 
 
-def _certificate(run: Folder, result: tuple[CheckedPoint, ...]) -> list[Block]:
+def _certificate(run: RunFiles, result: tuple[CheckedPoint, ...]) -> list[Block]:
     rows = [
         (
             x.point, Mark(x.passed, "agrees" if x.passed else "differs"),
@@ -271,7 +271,7 @@ DIFFERENCES = Chapter(
 )  # fmt: skip
 
 
-def verification(run: Folder) -> Section:
+def verification(run: RunFiles) -> Section:
     """Every check that this very run was put to."""
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [

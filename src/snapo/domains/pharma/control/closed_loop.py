@@ -9,7 +9,7 @@ from snapo.problem.objective import CVaR, Mean, Objective
 from snapo.problem.problem import Problem
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import begin
+from snapo.solver.train import initial_progress
 from snapo.solver.train import train as climb
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
@@ -60,12 +60,12 @@ def best_recipe(
     """
 
     def tuned(recipe: Feedback, plan: TrainingPlan, subject: str) -> tuple[float, Feedback]:
-        result = climb(problem, begin(recipe, plan), plan, engines.train)
+        result = climb(problem, initial_progress(recipe, plan), plan, engines.train)
         progress(f"{subject}: exact value {result.best_value:,.7g}")
         assert isinstance(result.best, Feedback)
         return result.best_value, result.best
 
-    starts = [feedback, *(feedback.moved(SPREAD, training.seed + k) for k in range(1, STARTS))]
+    starts = [feedback, *(feedback.perturbed(SPREAD, training.seed + k) for k in range(1, STARTS))]
     results = [
         tuned(start, training, f"recipe from start {i + 1}") for i, start in enumerate(starts)
     ]
@@ -82,7 +82,7 @@ class ClosedLoop:
 
     def __init__(self, case: PharmaCase, engine: str):
         self.case, self.engine = case, engine
-        self.training = TrainingPlan.given(case.training.model_dump())
+        self.training = TrainingPlan.from_settings(case.training.model_dump())
         self.evaluation = Evaluation(**case.evaluation.model_dump())
         self.first: Feedback | None = None
 
@@ -118,7 +118,7 @@ class ClosedLoop:
             )
         return self._setups[available]
 
-    def moved(self, before: Setup, other: PharmaCase) -> Setup:
+    def setup_at(self, before: Setup, other: PharmaCase) -> Setup:
         """The setup of a case that differs in the numbers of its inputs alone."""
         loop = closed_loop(other, seed=self.training.seed)
         values = {name: item.value for name, item in loop.inputs.items()}

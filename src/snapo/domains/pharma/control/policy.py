@@ -54,7 +54,7 @@ class Feedback(Policy):
         """[T, size] its decisions without feedback."""
         return np.asarray(jax.nn.sigmoid(self.table))
 
-    def moved(self, spread: float, seed: int) -> "Feedback":
+    def perturbed(self, spread: float, seed: int) -> "Feedback":
         """Another recipe to start from: logits moved by normal numbers of this deviation."""
         noise = np.random.default_rng(seed).normal(size=self.table.shape).astype(np.float32)
         return self.on(np.asarray(self.table) + spread * noise)

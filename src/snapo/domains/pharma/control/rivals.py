@@ -12,7 +12,7 @@ from snapo.problem.smooth import Exact
 
 from ..flowsheet.case import PharmaCase
 from .records import PI, Control, Rule
-from .rules import Loops, Wire
+from .rules import LoopConnection, Loops
 from .stages import Stage
 
 LAGS, DEADS = 60, 41  # time constants and dead times tried
@@ -99,7 +99,8 @@ def connected(case: PharmaCase, stages: tuple[Stage, ...], rule: Rule) -> tuple[
             low, high = (_reading(control, both[1], x) if outer else i
                          for i, x in enumerate((item.low, item.high)))  # fmt: skip
             connections.append(
-                Wire(stage.before, stage.horizon, seconds, 2 + loop.sensor, applied, position,
+                LoopConnection(stage.before, stage.horizon, seconds, 2 + loop.sensor, applied,
+                position,
                      len(connections) + 1 if outer else -1, low, high)
             )  # fmt: skip
             loops.append(loop)
@@ -131,7 +132,7 @@ def first_settings(
             row = np.interp(share, np.linspace(0, 1, len(nodes)), nodes)
             requested[i, connection.first : connection.first + connection.count] = row
     policy, processes = (
-        policy.following(requested),
+        policy.with_setpoints(requested),
         list[FirstOrder | None]([None] * len(connections)),
     )
     # An inner loop is closed before the outer one is tuned.
@@ -153,7 +154,9 @@ def first_settings(
     return Tuned(policy, tuple(processes), tuple(loops))
 
 
-def _scale(control: Control, connection: Wire, connections: list[Wire]) -> float:
+def _scale(
+    control: Control, connection: LoopConnection, connections: list[LoopConnection]
+) -> float:
     """What a gain in the domain's units is multiplied by, for shares of the range per reading."""
     sensor = control.measurements[connection.sensor - 2]
     if connection.inner < 0:
@@ -164,26 +167,28 @@ def _scale(control: Control, connection: Wire, connections: list[Wire]) -> float
 
 def in_units(control: Control, policy: Loops) -> np.ndarray:
     """[L] gains in the domain's units: of what is moved per what is measured."""
-    connections = list(policy.wires)
+    connections = list(policy.connections)
     return policy.gains() / [_scale(control, connection, connections) for connection in connections]
 
 
 def respond(problem: Problem, policy: Loops, recipe: np.ndarray, number: int) -> FirstOrder:
     """What loop `number` sees of a step in what it moves, from the start of its unit."""
-    connection = policy.wires[number]
+    connection = policy.connections[number]
     rows = slice(connection.first, connection.first + connection.count)
     if connection.inner < 0:
-        size = STEP if recipe[rows, connection.place].mean() < 0.5 else -STEP
+        size = STEP if recipe[rows, connection.position].mean() < 0.5 else -STEP
         moved = recipe.copy()
-        moved[rows, connection.place] += size
+        moved[rows, connection.position] += size
         # At a limit not all of the step is made.
-        size = float((np.clip(moved, 0, 1) - np.clip(recipe, 0, 1))[rows, connection.place].mean())
+        size = float(
+            (np.clip(moved, 0, 1) - np.clip(recipe, 0, 1))[rows, connection.position].mean()
+        )
         other = policy.on(moved)
     else:
         size = STEP * (connection.high - connection.low)
         setpoints = np.array(policy.setpoints.array)
         setpoints[connection.inner, rows] += size
-        other = policy.following(setpoints)
+        other = policy.with_setpoints(setpoints)
     apart = readings(problem, other) - readings(problem, policy)
     response = apart[rows, connection.sensor]
     times = np.arange(connection.count) * connection.seconds

@@ -23,7 +23,7 @@ from snapo.problem.policies.memory import Memory
 from .policy import EDGE
 
 
-class Wire(NamedTuple):
+class LoopConnection(NamedTuple):
     """How one PI controller is connected. An outer one stands before its inner one.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: numbers of the
@@ -37,7 +37,7 @@ class Wire(NamedTuple):
     seconds: float
     sensor: int
     control: int
-    place: int
+    position: int
     inner: int
     low: float
     high: float
@@ -57,20 +57,22 @@ class Loops(Memory):
     log_time: Float[Array, " L"]
     signs: Frozen
     setpoints: Frozen
-    wires: tuple[Wire, ...] = eqx.field(static=True)
+    connections: tuple[LoopConnection, ...] = eqx.field(static=True)
 
-    def __init__(self, table: np.ndarray, connections: tuple[Wire, ...], setpoints: np.ndarray):
+    def __init__(
+        self, table: np.ndarray, connections: tuple[LoopConnection, ...], setpoints: np.ndarray
+    ):
         """All loops are open at first."""
         self.table = jnp.asarray(table, jnp.float32)
         self.log_gain = jnp.full(len(connections), -jnp.inf, jnp.float32)
         self.log_time = jnp.zeros(len(connections), jnp.float32)
         self.signs = Frozen(np.ones(len(connections), np.float32))
         self.setpoints = Frozen(np.asarray(setpoints, np.float32))
-        self.wires = connections
+        self.connections = connections
 
     @property
     def memory(self) -> int:
-        return len(self.wires)
+        return len(self.connections)
 
     def decide(self, observation, memory, smooth):
         kind = observation.dtype
@@ -82,7 +84,7 @@ class Loops(Memory):
         gains = jnp.asarray(self.signs).astype(kind) * jnp.exp(self.log_gain.astype(kind))
         times = jnp.exp(self.log_time.astype(kind))
         correction, selected = jnp.zeros(size, kind), []
-        for i, connection in enumerate(self.wires):
+        for i, connection in enumerate(self.connections):
             now = (timer > connection.first - 0.5) & (
                 timer < connection.first + connection.count - 0.5
             )
@@ -93,11 +95,11 @@ class Loops(Memory):
             applied = pace * observation[connection.control] if direct else 0.0
             integral = jnp.where(later, memory[i] + applied, 0.0)
             error = gains[i] * (requested[i] - observation[connection.sensor])
-            base = planned[connection.place] if direct else requested[connection.inner]
+            base = planned[connection.position] if direct else requested[connection.inner]
             moved = base + error + integral
             if direct:
                 after = pace * (error - moved)
-                correction = correction.at[connection.place].add(
+                correction = correction.at[connection.position].add(
                     jnp.where(now, error + integral, 0.0)
                 )
             else:
@@ -131,7 +133,7 @@ class Loops(Memory):
             ),
         )
 
-    def following(self, setpoints: np.ndarray) -> "Loops":
+    def with_setpoints(self, setpoints: np.ndarray) -> "Loops":
         """The same with other setpoints, [L, T]."""
         frozen = Frozen(np.asarray(setpoints, np.float32))
         return eqx.tree_at(lambda policy: policy.setpoints, self, frozen)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from .records import Measurement
 
 
-def kept(sensors: Sequence[Measurement], interval: float) -> int:
+def history_length(sensors: Sequence[Measurement], interval: float) -> int:
     """How many true readings must be known, `interval` s apart; 0 without any dead time.
 
     One more than the dead time needs, as a unit's duration may vary from batch to batch.
@@ -24,12 +24,12 @@ def kept(sensors: Sequence[Measurement], interval: float) -> int:
     return math.ceil(longest / interval * (1 + 1e-9)) + 2 if longest else 0
 
 
-def begun(values, sensors: Sequence[Measurement], interval: float) -> Float[Array, "M L"]:
+def initial_history(values, sensors: Sequence[Measurement], interval: float) -> Float[Array, "M L"]:
     """The past at a unit's start: its first readings [M]."""
-    return jnp.tile(jnp.asarray(values)[:, None], (1, kept(sensors, interval)))
+    return jnp.tile(jnp.asarray(values)[:, None], (1, history_length(sensors, interval)))
 
 
-def moved(values, past) -> Float[Array, "M L"]:
+def shifted(values, past) -> Float[Array, "M L"]:
     """The past, once the readings `values` [M] are the latest."""
     if not past.shape[1]:
         return past

@@ -20,10 +20,10 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import feed
-from ..flowsheet.flow import asked, crystal_sizes, sources, through, yields
+from ..flowsheet.flow import crystal_sizes, requested_measures, sources, through, yields
 from ..flowsheet.ledger import Finish
 from ..flowsheet.order import groups
-from ..flowsheet.possible import least
+from ..flowsheet.possible import smallest
 from ..flowsheet.stream import Stream, blank, flat, unflat
 from ..given import fixed
 from ..time.dynamics import Dynamics
@@ -31,7 +31,7 @@ from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
 from .records import Manipulated
-from .sensors import begun, moved, reading
+from .sensors import initial_history, reading, shifted
 from .varied import Varied, drawn, varied
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
@@ -53,13 +53,13 @@ def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
     """Numbers of the `Manipulated` that belong to a stage's unit, or (None) to all the others."""
     names = {entry.name for entry in staged(case)}
 
-    def owner(item: Manipulated) -> str | None:
+    def unit_of(item: Manipulated) -> str | None:
         name = item.input.partition(".")[0]
         return name if name in names else None
 
     assert case.control is not None
     requested = None if unit is None else unit.name
-    return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == requested)
+    return tuple(i for i, m in enumerate(case.control.manipulated) if unit_of(m) == requested)
 
 
 class Stage(Simulator):
@@ -158,7 +158,7 @@ class Stage(Simulator):
             for profile, value in problem.controls
         ]
         values = self.sensed(problem, y, controls)
-        past = begun(values, self.control.measurements, self._interval())
+        past = initial_history(values, self.control.measurements, self._interval())
         observed = self.read(problem, values, past, state)
         return state | {"y": y, "seen": observed, "past": past}
 
@@ -175,7 +175,7 @@ class Stage(Simulator):
 
     def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
         """The state with the delivery of a timed unit."""
-        requested = asked(self.case)
+        requested = requested_measures(self.case)
         streams = {
             f"{unit.name}.{port}": flat(stream)
             for port, stream in zip(unit.outlets, finish.outlets)
@@ -269,7 +269,7 @@ class Stage(Simulator):
         draws = jnp.where(repeated, self.draw(constants, noise), state["draws"])
         return state | {"draws": draws}
 
-    def wanted(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
+    def target(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
         """The controls after this decision, in their units and within their ramps."""
         control = state["control"]
         for position, i in enumerate(self.decided):
@@ -287,10 +287,10 @@ class Stage(Simulator):
         state = self.renewed(constants, state, noise)
         inputs = self.inputs_of(constants, state["draws"])
         if self.unit is None:
-            return state | {"control": self.wanted(state, action, smooth, None)}, {}
+            return state | {"control": self.target(state, action, smooth, None)}, {}
         problem = self.problem(inputs, state["streams"])
         seconds = problem.duration / self.horizon
-        control = self.wanted(state, action, smooth, seconds)
+        control = self.target(state, action, smooth, seconds)
         count = self.control.substeps
         start = np.arange(count) / count
         part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
@@ -317,7 +317,7 @@ class Stage(Simulator):
         y, worst = self._advance(problem, state, trajectories, seconds / count, smooth)
         after = state | {"y": y, "control": control, "worst": worst}
         values = self.sensed(problem, y, endpoints)
-        past = moved(values, state["past"])
+        past = shifted(values, state["past"])
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _dosed(self, problem: Dynamics, state: State, flow, seconds) -> Float[Array, ""]:
@@ -369,7 +369,7 @@ class Stage(Simulator):
             outputs[f"attribute.{attribute.name}"] = value
             # What cannot be is no success; it has no slope, as no good batch comes near it.
             success = success * jnp.where(
-                value >= attribute.scale * least(attribute.measure), 1.0, 0.0
+                value >= attribute.scale * smallest(attribute.measure), 1.0, 0.0
             )
             if attribute.low is not None:
                 gaps.append((value - attribute.low, attribute.margin))

@@ -64,7 +64,7 @@ def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> n
 
 def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.ndarray) -> Checked:
     entries = [(parameter.input, parameter.entry) for parameter in process.case.parameters]
-    inputs = batches.moved(process, dict(zip(entries, point)))
+    inputs = batches.inputs_with(process, dict(zip(entries, point)))
     # By all numbers, which costs the adjoint nothing: the same function gives the run's table.
     every = every_entry(process.inputs)
     adjoint = matrix(process, inputs, entries=every, mode="adjoint").jacobian

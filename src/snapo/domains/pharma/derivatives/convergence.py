@@ -55,12 +55,14 @@ def _own(process: Process, inputs) -> Matrix:
 def _differences(process: Process, inputs) -> Matrix:
     """By the parameters, as central differences of fourth order of single runs."""
     parameters = process.case.parameters
-    here, values = process.at(process.entries, inputs), process.given(inputs)
+    here, values = process.at(process.entries, inputs), process.nominal_inputs(inputs)
     columns = []
     for i, parameter in enumerate(parameters):
         step = STEP * (parameter.normal_high - parameter.normal_low) / 2
         far_low, low, high, far_high = (
-            process.values(batches.moved(process, {process.entries[i]: here[i] + k * step}, values))
+            process.values(
+                batches.inputs_with(process, {process.entries[i]: here[i] + k * step}, values)
+            )
             for k in (-2, -1, 1, 2)
         )
         columns.append((8 * (high - low) - (far_high - far_low)) / (12 * step))

@@ -43,15 +43,18 @@ def matrix(
 
     def make(local: bool):
         def of_entries(numbers, inputs):
-            attribute = process.attributes(process.shifted(numbers, entries, inputs), own=local)[
-                rows
-            ]
+            attribute = process.attributes(
+                process.shifted(numbers, entries, inputs), nominal_steps=local
+            )[rows]
             return attribute, attribute
 
         return derivative(of_entries, has_aux=True)
 
     jacobian, values = process.either(
-        ("matrix", entries, names, mode), make, process.at(entries, inputs), process.given(inputs)
+        ("matrix", entries, names, mode),
+        make,
+        process.at(entries, inputs),
+        process.nominal_inputs(inputs),
     )
     passes = len(rows) if mode == "adjoint" else len(entries)
     return Matrix(values, jacobian, mode, reason, passes)
@@ -78,9 +81,11 @@ def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndar
     row = process.names.index(attribute)
 
     def make(local: bool):
-        return DERIVATIVES["adjoint"](lambda values: process.attributes(values, own=local)[row])
+        return DERIVATIVES["adjoint"](
+            lambda values: process.attributes(values, nominal_steps=local)[row]
+        )
 
-    return process.either(("gradient", row), make, process.given(inputs))
+    return process.either(("gradient", row), make, process.nominal_inputs(inputs))
 
 
 def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None) -> np.ndarray:
@@ -91,11 +96,13 @@ def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None
 
     def make(local: bool):
         def of_entries(numbers, inputs):
-            return process.attributes(process.shifted(numbers, entries, inputs), own=local)
+            return process.attributes(
+                process.shifted(numbers, entries, inputs), nominal_steps=local
+            )
 
         return DERIVATIVES["forward"](DERIVATIVES["adjoint"](of_entries))
 
     hessian = process.either(
-        ("second", entries), make, process.at(entries, inputs), process.given(inputs)
+        ("second", entries), make, process.at(entries, inputs), process.nominal_inputs(inputs)
     )
     return np.stack([hessian[:, entries.index(a), entries.index(b)] for a, b in pairs])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 from ..given import use
 from .stream import Stream, clear
@@ -19,10 +19,10 @@ class Feed:
     """
 
     name: str
-    volume: Given
-    temperature: Given
-    concentration: Given
-    solvent: Given
+    volume: CaseInput
+    temperature: CaseInput
+    concentration: CaseInput
+    solvent: CaseInput
     duration: float | None
 
 

@@ -58,11 +58,11 @@ def flow(
     case: PharmaCase,
     inputs: dict[str, Any],
     record: bool = False,
-    ends: Mapping[str, Array] | None = None,
+    endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
     """Runs every unit; with `record` tracks are kept. `ends`: {unit: its final y} of units that
     were integrated elsewhere."""
-    result = _through(case, case.units, inputs, record, ends or {})
+    result = _through(case, case.units, inputs, record, endpoints or {})
     return result._replace(measures=result.measures | yields(case, result.streams))
 
 
@@ -153,7 +153,7 @@ def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:
     "process.product.PRODUCT": kg of them}, those asked for."""
     table, out = {}, leaving(case)
     species = case.network.species
-    for name in asked(case):
+    for name in requested_measures(case):
         kind, _, names = name.removeprefix("process.").partition(".")
         if not name.startswith("process.") or kind not in ("yield", "product"):
             continue
@@ -170,7 +170,7 @@ def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:
     return table
 
 
-def asked(case: PharmaCase) -> tuple[str, ...]:
+def requested_measures(case: PharmaCase) -> tuple[str, ...]:
     """The measures that attributes, and an optimisation, name."""
     terms = () if case.optimise is None else case.optimise.terms + case.optimise.per
     by_name = [attribute.measure for attribute in case.attributes]

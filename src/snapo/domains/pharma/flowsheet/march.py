@@ -85,7 +85,7 @@ class Batches(Protocol):
     @property
     def case(self) -> PharmaCase: ...
 
-    def given(self) -> dict[str, Any]: ...
+    def nominal_inputs(self) -> dict[str, Any]: ...
 
     def shifted(self, changes: Any, entries: Sequence[Entry], inputs: Any) -> dict: ...
 
@@ -137,7 +137,7 @@ class Marches:
 
     def _leave(self, draw, endpoints, d_ends, inputs):
         def attributes(numbers, bounds):
-            result = flow(self.process.case, self._given(numbers, draw, inputs), ends=bounds)
+            result = flow(self.process.case, self._given(numbers, draw, inputs), endpoints=bounds)
             return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
@@ -171,7 +171,7 @@ class Marches:
     def _reached(self, start: Callable):
         """The outputs of `start`, and for each [P + 1] whether it depends on each of `by`, and
         whether on the draw."""
-        count, inputs = len(self.by), self.process.given()
+        count, inputs = len(self.by), self.process.nominal_inputs()
         numbers, draw = [np.float64(0)] * count, np.zeros(len(self.entries))
         endpoints = {name: np.zeros(leg.size) for name, leg in self.legs.items()}
         closed, shapes = jax.make_jaxpr(start, return_shape=True)(numbers, draw, endpoints, inputs)

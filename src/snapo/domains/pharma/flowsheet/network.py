@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 from ..given import use
 
@@ -42,9 +42,9 @@ class Network:
     reactions: tuple[str, ...]
     stoichiometry: np.ndarray
     order: np.ndarray
-    prefactor: Given
-    activation: Given
-    heat: Given
+    prefactor: CaseInput
+    activation: CaseInput
+    heat: CaseInput
     reference: float | None
 
     @property

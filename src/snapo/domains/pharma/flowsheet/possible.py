@@ -8,7 +8,7 @@ AT_LARGEST = 0.01  # of the crystals' volume in the largest cell, out of which n
 ROUND_OFF = 1e-9  # in the domain's unit: what round-off may take from a number that is zero
 
 
-def least(measure: str) -> float:
+def smallest(measure: str) -> float:
     """The least value of a measure that is possible, in the domain's unit.
 
     Amounts, times, sizes and shares are not below 0; a supersaturation (c - c*)/c* not below -1.
@@ -30,7 +30,7 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
     for name, value in measures.items():
         if not math.isfinite(value):
             return f"{name} is not a number"
-        if value < least(name):
+        if value < smallest(name):
             local = units.get(name, "1")
             metadata = f"{value:.6g}" + ("" if local == "1" else f" {local}")
             hint = HINTS.get(name.partition(".")[2], "")

@@ -80,11 +80,13 @@ class Process:
         self._natives: dict[_Key, Callable] = {}
 
     def attributes(
-        self, inputs: dict[str, Array], along: bool = False, own: bool = True
+        self, inputs: dict[str, Array], along: bool = False, nominal_steps: bool = True
     ) -> Float[Array, " Q"]:
         """The quality attributes in their owner's units; plain JAX, to be traced. `along` and `own`
         as in `Numerics`."""
-        return self.of_measures(self.flow(inputs, along=along, own=own).measures)
+        return self.of_measures(
+            self.flow(inputs, along=along, nominal_steps=nominal_steps).measures
+        )
 
     def of_measures(self, measures: dict[str, Array]) -> Float[Array, " Q"]:
         """The attributes from the measures of all units."""
@@ -97,19 +99,19 @@ class Process:
         inputs: dict[str, Array],
         record: bool = False,
         along: bool = False,
-        own: bool = True,
+        nominal_steps: bool = True,
     ) -> Flow:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
-        numerics = replace(self.case.numerics, along=along, own=own)
+        numerics = replace(self.case.numerics, along=along, own=nominal_steps)
         return flow(replace(self.case, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
-        make = lambda local: partial(self.attributes, own=local)  # noqa: E731
-        return self.either("values", make, self.given(inputs))
+        make = lambda local: partial(self.attributes, nominal_steps=local)  # noqa: E731
+        return self.either("values", make, self.nominal_inputs(inputs))
 
-    def given(self, inputs=None) -> dict[str, np.ndarray]:
+    def nominal_inputs(self, inputs=None) -> dict[str, np.ndarray]:
         """The nominal inputs with those of `inputs` in their place, float64."""
         result = self.inputs | (inputs or {})
         return {name: np.asarray(item, np.float64) for name, item in result.items()}
@@ -139,8 +141,8 @@ class Process:
 
     def run(self, inputs=None) -> Run:
         """One batch with all streams, measures and trajectories."""
-        make = lambda local: partial(self._everything, own=local)  # noqa: E731
-        values = self.given(inputs)
+        make = lambda local: partial(self._everything, nominal_steps=local)  # noqa: E731
+        values = self.nominal_inputs(inputs)
         either = self.either("run", make, values, of=lambda result: result[2])
         streams, measures, attributes, trajectories, times, loops = either
         measured = {name: float(measure) for name, measure in measures.items()}
@@ -172,7 +174,7 @@ class Process:
     def _open(self, loops: dict[str, Closed]) -> str:
         """The first loop without a steady state, in words; "" where all have one."""
         for name, loop in loops.items():
-            if not loop.good:
+            if not loop.converged:
                 text = entry_words(self.case, name)[int(loop.worst)]
                 size = f"by {loop.change:.2g} of itself"
                 size = size if np.isfinite(loop.change) else "without end"
@@ -182,8 +184,8 @@ class Process:
                 )
         return ""
 
-    def _everything(self, inputs, own: bool):
-        result = self.flow(inputs, record=True, own=own)
+    def _everything(self, inputs, nominal_steps: bool):
+        result = self.flow(inputs, record=True, nominal_steps=nominal_steps)
         trajectories, times = {}, {}
         for name, outcome in result.outcomes.items():
             rough = outcome.duration if outcome.rough is None else outcome.rough
@@ -204,7 +206,7 @@ class Process:
 
     def at(self, entries: Sequence[Entry], inputs=None) -> np.ndarray:
         """[E] the numbers at `entries`."""
-        result = self.given(inputs)
+        result = self.nominal_inputs(inputs)
         return np.array([result[name][position] for name, position in entries])
 
     def batch(
@@ -222,7 +224,7 @@ class Process:
         first row. They run on all cores. "auto" takes the native engine where it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)
-        nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
+        nominal, draws = self.nominal_inputs(inputs), np.asarray(draws, np.float64)
         call = self._xla(key)
 
         def run(start: int) -> list[np.ndarray]:
@@ -279,13 +281,13 @@ class Process:
             if not by:
                 return self.attributes(drawn, not alone, alone), jnp.zeros((len(self.names), 0))
 
-            def moved(numbers):
+            def value(numbers):
                 attributes = self.attributes(self.shifted(numbers, by, drawn), not alone, alone)
                 return attributes, attributes
 
             numbers = jnp.stack([drawn[name][position] for name, position in by])
             derivative = of_method(self.case.numerics.method)
-            jacobian, result = derivative(moved, has_aux=True)(numbers)
+            jacobian, result = derivative(value, has_aux=True)(numbers)
             return result, jacobian
 
         return one

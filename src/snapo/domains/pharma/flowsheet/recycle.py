@@ -40,7 +40,7 @@ class Closed(NamedTuple):
     change: Float[Array, ""]
     rounds: Float[Array, ""]
     worst: Float[Array, ""]
-    good: Float[Array, ""]
+    converged: Float[Array, ""]
 
 
 def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[str, ...]):

@@ -30,7 +30,7 @@ from .inputs import pharma_inputs
 STABLE = 2.0  # explicit steps times the fastest rate: 2.78, and room for batches that differ
 # Relative, on twice the steps: derivatives move some 15 times as much, and may move by 1e-5.
 STILL = 2e-7
-MOST = 16  # times as many steps as a case begins with
+MAXIMUM = 16  # times as many steps as a case begins with
 # Steps times the fastest rate of a reactor, where classical Runge-Kutta is off by about 1e-7; and
 # seconds of a step in which crystals and granules, without such a bound, change next to nothing.
 PRECISE, SHORT = 0.1, 20.0
@@ -48,7 +48,7 @@ def with_steps(case: PharmaCase) -> PharmaCase:
         return settled
     steps, here = numerics.steps, _attributes(settled, numerics.steps)
     floor = np.array([attribute.margin for attribute in case.attributes])
-    while steps < MOST * numerics.steps:
+    while steps < MAXIMUM * numerics.steps:
         finer = _attributes(settled, 2 * steps)
         if (np.abs(finer - here) <= STILL * np.maximum(np.abs(finer), floor)).all():
             return replace(settled, numerics=replace(settled.numerics, steps=steps))
@@ -76,7 +76,7 @@ def with_stiff_steps(case: PharmaCase) -> PharmaCase:
 def _controlled(case: PharmaCase, unit: Timed) -> bool:
     """Whether steps by error control are held, stiff or not."""
     sudden = unit.reacts and bool(case.network.runs_out.any())
-    return unit.holds and (unit.error_controlled or sudden)
+    return unit.steps_transfer and (unit.error_controlled or sudden)
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:

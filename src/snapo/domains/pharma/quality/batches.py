@@ -22,7 +22,7 @@ def varied(case: PharmaCase) -> tuple[Entry, ...]:
     return available + tuple(entry for entry in every if entry not in available)
 
 
-def moved(
+def inputs_with(
     process: "Process",
     changes: Mapping[Entry, float],
     about: Mapping[str, np.ndarray] | None = None,
@@ -39,7 +39,7 @@ def drawn(
     process: "Process", changes: Mapping[Entry, float], samples: int, seed: int
 ) -> np.ndarray:
     """[samples, V] draws of `varied` about the set point moved by `changes`; the same each time."""
-    about = moved(process, changes)
+    about = inputs_with(process, changes)
     batch = all_draws(process.case, samples, seed, about)
     fixed = [about[name][entry] for name, entry in varied(process.case)[batch.shape[1] :]]
     return np.hstack([batch, np.broadcast_to(fixed, (samples, len(fixed)))])
@@ -47,7 +47,7 @@ def drawn(
 
 def nominally(process: "Process", changes: Mapping[Entry, float]) -> np.ndarray:
     """[1, V] the nominal model at the set point moved by `changes`."""
-    about = moved(process, changes)
+    about = inputs_with(process, changes)
     return np.array([[about[name][entry] for name, entry in varied(process.case)]])
 
 

@@ -38,7 +38,7 @@ class Boundary:
     axis: int
     at: tuple[int, ...]
     side: int
-    place: Number
+    position: Number
     inner: Number
     outer: Number
     binding: int
@@ -47,7 +47,7 @@ class Boundary:
 def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.ndarray, "*n Q"]:
     """Of every value to the nearest of its limits, in margins; below 0 beyond it."""
     limits, margins = Limits.of(case), np.array([attribute.margin for attribute in case.attributes])
-    room = np.minimum(limits.distance(values), values - limits.least) / margins
+    room = np.minimum(limits.distance(values), values - limits.lower) / margins
     return np.clip(np.nan_to_num(room, nan=-FAR), -FAR, FAR)
 
 

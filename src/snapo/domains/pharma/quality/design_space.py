@@ -33,7 +33,7 @@ class Point(NamedTuple):
 
     probability: np.ndarray
     error: np.ndarray
-    each: np.ndarray
+    by_attribute: np.ndarray
     mean: np.ndarray
     binding: np.ndarray
     failed: np.ndarray
@@ -49,7 +49,7 @@ class Map(NamedTuple):
     grid: tuple[np.ndarray, ...]
     at: Point
     samples: int
-    ends: tuple[Boundary, ...] = ()
+    boundaries: tuple[Boundary, ...] = ()
 
 
 def probability_map(process: "Process", seed: int) -> Map:
@@ -65,8 +65,8 @@ def probability_map(process: "Process", seed: int) -> Map:
     changes = [dict(zip(entries, point)) for point in points]
     values = drawn_values(process, changes, space.samples, seed)
     shape = tuple(space.points)
-    result = Point(*(x.reshape(shape + x.shape[1:]) for x in judge(case, values)))
-    local = tuple(owners(value, x) for value, x in zip(selected, grid))
+    result = Point(*(x.reshape(shape + x.shape[1:]) for x in graded(case, values)))
+    local = tuple(in_case_unit(value, x) for value, x in zip(selected, grid))
     rooms = distances(case, values).reshape(shape + values.shape[1:])
     endpoints = boundaries(rooms, local, space.required)
     return Map(space.axes, local, result, space.samples, tuple(endpoints))
@@ -76,7 +76,7 @@ def at_points(
     process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> Point:
     """[n] probabilities at set points, each moved by its `changes` in the domain's unit."""
-    return judge(process.case, drawn_values(process, changes, samples, seed))
+    return graded(process.case, drawn_values(process, changes, samples, seed))
 
 
 def drawn_values(
@@ -87,7 +87,7 @@ def drawn_values(
     return batches.attributes(process, rows).reshape(len(changes), samples, -1)
 
 
-def judge(case: PharmaCase, values: np.ndarray) -> Point:
+def graded(case: PharmaCase, values: np.ndarray) -> Point:
     """Counts over the draws of `values` [n, samples, Q]."""
     samples = values.shape[1]
     selected = Limits.of(case).hold(values)
@@ -101,7 +101,7 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
     return Point(
         probability=all_kept,
         error=proportion(samples * all_kept, samples)[1],
-        each=selected.mean(1),
+        by_attribute=selected.mean(1),
         mean=mean,
         binding=np.where(broken.max(-1) > 0, broken.argmax(-1), -1),
         failed=1 - finite.mean(1),
@@ -115,7 +115,7 @@ def parameter(case: PharmaCase, name: str) -> Parameter:
     return next(item for item in case.parameters if item.name == name)
 
 
-def owners(item: Parameter, value):
+def in_case_unit(item: Parameter, value):
     """A number of the domain in the owner's unit."""
     return (value - item.offset) / item.scale
 

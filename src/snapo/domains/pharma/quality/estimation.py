@@ -64,7 +64,7 @@ class Fit:
     scale: Number
     residuals: Floats
     measured: Floats
-    fitted: Floats
+    fitted_values: Floats
     chi2: Number
     freedom: int
     tail: Number
@@ -250,7 +250,7 @@ def _judged(result, others, measured, resolved, low, high, names, estimation) ->
         scale=scale,
         residuals=result.fun,
         measured=measured,
-        fitted=resolved,
+        fitted_values=resolved,
         chi2=chi2,
         freedom=freedom,
         tail=float(tail),

@@ -22,7 +22,7 @@ class Found(NamedTuple):
 
     fine: np.ndarray
     fails: np.ndarray
-    sure: np.ndarray
+    certain: np.ndarray
     possible: np.ndarray
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.possible import least
+from ..flowsheet.possible import smallest
 
 
 class Limits(NamedTuple):
@@ -14,20 +14,20 @@ class Limits(NamedTuple):
 
     low: np.ndarray
     high: np.ndarray
-    least: np.ndarray
+    lower: np.ndarray
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Limits":
         low = [-np.inf if attribute.low is None else attribute.low for attribute in case.attributes]
         high = [np.inf if item.high is None else item.high for item in case.attributes]
-        possible = [entry.scale * least(entry.measure) for entry in case.attributes]
+        possible = [entry.scale * smallest(entry.measure) for entry in case.attributes]
         return cls(np.array(low), np.array(high), np.array(possible))
 
     def hold(self, values: np.ndarray) -> np.ndarray:
         """[…, Q] whether each limit holds; a value that is not finite breaks a limit."""
         selected = (values >= self.low) & (values <= self.high)
         selected = selected | ~self.any() & np.isfinite(values)
-        return np.asarray(selected & (values >= self.least))
+        return np.asarray(selected & (values >= self.lower))
 
     def any(self) -> np.ndarray:
         """[Q] whether an attribute has a limit."""

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 NOMINAL = (16, 7, 2)  # shares looked at, then within the bracket of an end, so many times
 PROBABLE = (8, 3, 1)  # every point of these is many batches
-MOST = 10  # pairs of which the probable ranges are searched, those with the least room at a corner
+MAXIMUM = (
+    10  # pairs of which the probable ranges are searched, those with the least room at a corner
+)
 
 Ends = tuple[float, float]  # of a range, in the domain's unit
 
@@ -46,7 +48,7 @@ class Together:
     share: Number
     corner: tuple[int, int]
     fails: int
-    sure: Number
+    certain: Number
     possible: Number
 
 
@@ -66,7 +68,7 @@ class Pair:
     probable: Together | None
     interaction: Floats
     used: Number
-    most: int
+    maximum: int
     holds_normal: bool
 
 
@@ -85,7 +87,7 @@ def pairs(
     both = list(combinations(process.case.parameters, 2))
     fixed, drawn = goods(process, required, samples, seed)
     plain = _together(process, both, nominal, fixed, NOMINAL)
-    order = sorted(range(len(both)), key=lambda i: _room(plain[i]))[:MOST]
+    order = sorted(range(len(both)), key=lambda i: _room(plain[i]))[:MAXIMUM]
     selected = _together(process, [both[i] for i in order], probable, drawn, PROBABLE)
     drawn_of = dict(zip(order, selected))
     effects = _interactions(process, both)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..flowsheet.case import PharmaCase
-from .design_space import owners
+from .design_space import in_case_unit
 from .grades import Changes, Found, Good, goods
 from .records import Parameter
 
@@ -36,7 +36,7 @@ class AcceptableRange:
     low_edge: str
     high_edge: str
     holds_normal: bool
-    sure: tuple[float, float] | None = None
+    certain: tuple[float, float] | None = None
     possible: tuple[float, float] | None = None
     sure_normal: bool = False
 
@@ -89,7 +89,7 @@ def set_point(process: "Process", parameter: Parameter) -> float:
 class _Edge(NamedTuple):
     """An edge lies after `inner` and not after `outer`, where attribute `fails` breaks a limit."""
 
-    chosen: Parameter
+    parameter: Parameter
     inner: float
     outer: float
     fails: int
@@ -131,7 +131,7 @@ class _Seen:
         self.points: dict[str, list[tuple[float, bool, bool]]] = {}
 
     def add(self, points: Points, result: Found) -> None:
-        for (selected, x), certain, possible in zip(points, result.sure, result.possible):
+        for (selected, x), certain, possible in zip(points, result.certain, result.possible):
             self.points.setdefault(selected.name, []).append(
                 (float(x), bool(certain), bool(possible))
             )
@@ -149,7 +149,7 @@ def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[Ends, E
     values = [x for x, *_ in points]
     at = values.index(here)
 
-    def ends(grade: int, outside: int) -> Ends:
+    def endpoints(grade: int, outside: int) -> Ends:
         valid = [point[grade] for point in points]
         if not valid[at]:
             return None
@@ -160,7 +160,7 @@ def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[Ends, E
             high += 1
         return values[max(0, low - outside)], values[min(len(values) - 1, high + outside)]
 
-    return ends(1, 0), ends(2, 1)
+    return endpoints(1, 0), endpoints(2, 1)
 
 
 def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
@@ -181,7 +181,7 @@ def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[
     if not open_ones:
         return edges
     inside = [np.linspace(edges[i].inner, edges[i].outer, count + 2)[1:-1] for i in open_ones]
-    requested = [(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs]
+    requested = [(edges[i].parameter, x) for i, xs in zip(open_ones, inside) for x in xs]
     looked = valid(changes(requested))
     fine, fails = looked.fine, looked.fails
     observed.add(requested, looked)
@@ -192,7 +192,7 @@ def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[
         first = int(broken[0]) if len(broken) else count
         complete = [edges[i].inner, *points.tolist(), edges[i].outer]
         fault = int(fails[part][first]) if first < count else edges[i].fails
-        zoom[i] = _Edge(edges[i].chosen, complete[first], complete[first + 1], fault)
+        zoom[i] = _Edge(edges[i].parameter, complete[first], complete[first + 1], fault)
     return zoom
 
 
@@ -203,11 +203,14 @@ def _range(
     if low.inner != low.inner:
         return AcceptableRange(None, None, below, above, False)
     inside = low.inner <= parameter.normal_low and high.inner >= parameter.normal_high
-    start, end = (float(owners(parameter, edge.inner)) for edge in (low, high))
+    start, end = (float(in_case_unit(parameter, edge.inner)) for edge in (low, high))
     certain, possible = (
         None
         if endpoints is None
-        else (float(owners(parameter, endpoints[0])), float(owners(parameter, endpoints[1])))
+        else (
+            float(in_case_unit(parameter, endpoints[0])),
+            float(in_case_unit(parameter, endpoints[1])),
+        )
         for endpoints in reach
     )
     first = reach[0]

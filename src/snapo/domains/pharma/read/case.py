@@ -194,7 +194,7 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
     control of every batch; on it, units that are measured to be stiff take steps of their own, and
     all others as many as the nominal batch needs, unless the case says how many."""
     table = parse(NumericsTable, raw, str(file), "numerics")
-    controlled = any(unit.error_controlled and not unit.holds for unit in timed(units))
+    controlled = any(unit.error_controlled and not unit.steps_transfer for unit in timed(units))
     adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)
     numerics = Numerics(
         "adaptive" if adaptive else "mesh",

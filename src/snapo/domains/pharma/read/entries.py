@@ -4,11 +4,11 @@ import math
 import re
 from typing import Any, NamedTuple
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 from ..flowsheet.network import Network
 from ..given import Entry
-from .numbers import Place, suggest
+from .numbers import Location, suggest
 from .quantities import prefactor_unit
 
 TINY = 1e-300  # the smallest number above 0
@@ -18,7 +18,7 @@ ENTRY = re.compile(r"([^\[\]]+)(?:\[([^\[\]]+)\])?")
 class Numbers(NamedTuple):
     """Every number of the case by its name, with the unit of each entry."""
 
-    givens: dict[str, Given]
+    givens: dict[str, CaseInput]
     network: Network
 
     def unit(self, name: str, entry: int) -> str:
@@ -30,7 +30,7 @@ class Numbers(NamedTuple):
             return unit.split(", ")[entry]
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
-    def all(self, section: Place, key: str, text: str) -> list[Entry]:
+    def all(self, section: Location, key: str, text: str) -> list[Entry]:
         """The entries that "name", "name[1]" or "name[label]" stands for."""
         result = ENTRY.fullmatch(text)
         name = result[1] if result else text
@@ -48,7 +48,7 @@ class Numbers(NamedTuple):
         available += f" or {', '.join(labels)}" if any(labels) else ""
         raise section.error(key, text, f"its entries are {available}")
 
-    def one(self, section: Place, key: str, text: str) -> Entry:
+    def one(self, section: Location, key: str, text: str) -> Entry:
         """The one entry that a text stands for."""
         result = self.all(section, key, text)
         if len(result) > 1:
@@ -56,13 +56,13 @@ class Numbers(NamedTuple):
             raise section.error(key, text, message)
         return result[0]
 
-    def check(self, section: Place, key: str, raw: Any, entry: Entry, value: float) -> None:
+    def check(self, section: Location, key: str, raw: Any, entry: Entry, value: float) -> None:
         """Refuses a `value` that the number may not have."""
         values = self.givens[entry[0]]
         if not values.low <= value <= values.high:
-            raise section.error(key, raw, f"{self.said(entry)} is {limits(values)}")
+            raise section.error(key, raw, f"{self.name_of(entry)} is {limits(values)}")
 
-    def said(self, entry: Entry) -> str:
+    def name_of(self, entry: Entry) -> str:
         """An entry as a case names it."""
         name, position = entry
         label = self.givens[name].labels[position]
@@ -72,7 +72,7 @@ class Numbers(NamedTuple):
         return float(self.givens[entry[0]].values[entry[1]])
 
 
-def limits(values: Given) -> str:
+def limits(values: CaseInput) -> str:
     """What a number may be, in words: "above 0", "from 100 to 1000 K"."""
     unit = "" if values.unit == "1" or "order" in values.unit else f" {values.unit}"
     if values.high < math.inf:

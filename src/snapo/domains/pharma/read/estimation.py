@@ -5,17 +5,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section, parse
 
-from ..flowsheet.possible import least
+from ..flowsheet.possible import smallest
 from ..flowsheet.process import ROUND_OFF
 from ..given import Entry
 from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
 from .entries import Numbers
-from .numbers import ANY, NOT_NEGATIVE, POSITIVE, Bounds, quantity, suggest, unit_of
+from .numbers import ANY, NOT_NEGATIVE, POSITIVE, ValueRange, quantity, suggest, unit_of
 from .quantities import conversion, own_basis
 from .tables import EstimationTable, ExperimentTable, FitTable
 
@@ -98,7 +98,7 @@ def _experiment(
         value = quantity(section, key, inputs, unit, basis=own_basis(entry[0]))
         numbers.check(section, f"settings.{text}", inputs, entry, value)
         settings.append((*entry, value))
-    rows = read_rows(Mention(section, "data", table.data), COLUMNS)
+    rows = read_rows(FileReference(section, "data", table.data), COLUMNS)
     times = np.array([_cell(row, "time", "s") for row in rows])
     names = []
     for row in rows:
@@ -122,7 +122,7 @@ def _experiment(
         [_cell(row, "error", available[row.cells["state"]], POSITIVE) for row in rows]
     )
     for row, value, error in zip(rows, values, errors):
-        lowest = least(row.cells["state"])
+        lowest = smallest(row.cells["state"])
         if value < lowest - NOISE * error:
             message = (
                 f"{(lowest - value) / error:.3g} of its standard deviations below the least value "
@@ -144,7 +144,7 @@ def _scale(local: str, unit: str) -> tuple[float, float]:
     return change.scale, change.offset
 
 
-def _cell(row: Row, column: str, unit: str, bounds: Bounds = NOT_NEGATIVE) -> float:
+def _cell(row: Row, column: str, unit: str, bounds: ValueRange = NOT_NEGATIVE) -> float:
     """A quantity in a cell, "600 s"; mistakes name the line."""
     cell, error, local = _Cell(row, column), column == "error", own_basis(row.cells["state"])
     return quantity(cell, column, row.cells[column], unit, bounds, error, local)

@@ -15,21 +15,21 @@ Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[list[Text], Field(min_length=1)]
 
 
-def quantity(subject: str, default: Any = ..., words: str | None = None) -> Any:
+def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> Any:
     """A field for a number with a unit, required without a default. `words`: its meaning."""
     text = f"a quantity in quotation marks, such as {subject}"
-    return Field(default, description=text, title=words)
+    return Field(default, description=text, title=meaning)
 
 
-def number(subject: str = NUMBER, default: Any = ..., words: str | None = None) -> Any:
+def number(subject: str = NUMBER, default: Any = ..., meaning: str | None = None) -> Any:
     """A field for a pure number."""
-    return Field(default, description=subject, title=words)
+    return Field(default, description=subject, title=meaning)
 
 
-def profile(default: Any = ..., words: str | None = None) -> Any:
+def profile(default: Any = ..., meaning: str | None = None) -> Any:
     """A field for a temperature, or any control, over time."""
     message = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
-    return Field(default, description=message, title=words)
+    return Field(default, description=message, title=meaning)
 
 
 def word(*text: str, default: Any = ...) -> Any:

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section
 
@@ -35,7 +35,7 @@ def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> F
     if name is None:
         return Fitted(entries, distributions, np.zeros((0, 0)))
     section = Section(file, "case", notes)
-    rows = read_rows(Mention(section, "fitted", name), COLUMNS)
+    rows = read_rows(FileReference(section, "fitted", name), COLUMNS)
     for row in rows:
         line = _Line(row)
         entry = numbers.one(line, "of", row.cells["of"])

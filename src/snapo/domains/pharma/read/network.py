@@ -6,13 +6,23 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, parse
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import Network
 from .names import check_name
-from .numbers import ANY, LIQUID, NOT_NEGATIVE, POSITIVE, Bounds, absent, given, quantity, suggest
+from .numbers import (
+    ANY,
+    LIQUID,
+    NOT_NEGATIVE,
+    POSITIVE,
+    ValueRange,
+    absent,
+    case_input,
+    quantity,
+    suggest,
+)
 from .quantities import prefactor_unit
 from .reader import Reader
 from .tables import FeedTable, ReactionTable, SpeciesTable
@@ -50,12 +60,12 @@ def read_network(
     units = {entry["unit"] for entry in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
 
-    def of_all(key: str, measured: str, bounds: Bounds = ANY) -> Given:
+    def of_all(key: str, measured: str, bounds: ValueRange = ANY) -> CaseInput:
         if not count:
             return absent(f"kinetics.{key}", measured)
         values = np.array([value[key] for value in read])
         text = ReactionTable.model_fields[key].title or ""
-        return given(f"kinetics.{key}", values, labels, measured, words=text, bounds=bounds)
+        return case_input(f"kinetics.{key}", values, labels, measured, meaning=text, bounds=bounds)
 
     return Network(
         species=names,
@@ -157,12 +167,12 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                 name=name,
                 volume=read.number("volume", "m3", POSITIVE),
                 temperature=read.number("temperature", "K", POSITIVE),
-                concentration=given(
+                concentration=case_input(
                     f"{name}.concentration",
                     amounts,
                     species,
                     "kmol/m3",
-                    words=text,
+                    meaning=text,
                     bounds=NOT_NEGATIVE,
                 ),
                 solvent=read.number("solvent", "kg/m3", LIQUID),

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import LARGEST, TOO_LARGE, Section, nearest, parse
 
 from ..time.profile import Profile
@@ -19,7 +19,7 @@ ZERO_CELSIUS = 273.15
 EXAMPLES = {"K": "313.15 K", "s": "3600 s", "m": "20 um", "kmol/m3": "0.33 mol/L", "m3": "60 L"}
 
 
-class Place(Protocol):
+class Location(Protocol):
     """Where a quantity stands: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
@@ -27,42 +27,42 @@ class Place(Protocol):
         ...
 
 
-class Bounds(NamedTuple):
+class ValueRange(NamedTuple):
     """A closed or open interval in the domain's unit, and its words."""
 
     low: float
     high: float
     open_low: bool
-    words: str
+    description: str
 
-    def holds(self, number: float) -> bool:
+    def contains(self, number: float) -> bool:
         above = number > self.low if self.open_low else number >= self.low
         return above and number <= self.high
 
     @property
-    def least(self) -> float:
+    def smallest(self) -> float:
         """The smallest number that the interval holds."""
         return float(np.nextafter(self.low, math.inf)) if self.open_low else self.low
 
 
-ANY = Bounds(-math.inf, math.inf, False, "a finite number")
-POSITIVE = Bounds(0.0, math.inf, True, "above 0")
-NOT_NEGATIVE = Bounds(0.0, math.inf, False, "at least 0")
+ANY = ValueRange(-math.inf, math.inf, False, "a finite number")
+POSITIVE = ValueRange(0.0, math.inf, True, "above 0")
+NOT_NEGATIVE = ValueRange(0.0, math.inf, False, "at least 0")
 # Processes in liquids run at no other temperatures; a number beyond was typed in another unit.
-TEMPERATURE = Bounds(100.0, 1000.0, False, "from 100 K to 1000 K (25 degC is 298.15 K)")
-LIQUID = Bounds(0.0, 3000.0, False, "from 0 to 3000 kg/m^3")  # mass per volume of a liquid
-DENSITY = Bounds(300.0, 10_000.0, False, "from 300 to 10000 kg/m^3")  # of crystals
-POROSITY = Bounds(0.1, 0.95, False, "from 0.1 to 0.95")  # of a cake of crystals
-SHARE = Bounds(0.0, 1.0, False, "a share from 0 to 1")
-INSIDE = Bounds(0.0, float(np.nextafter(1.0, 0.0)), True, "between 0 and 1, without either")
+TEMPERATURE = ValueRange(100.0, 1000.0, False, "from 100 K to 1000 K (25 degC is 298.15 K)")
+LIQUID = ValueRange(0.0, 3000.0, False, "from 0 to 3000 kg/m^3")  # mass per volume of a liquid
+DENSITY = ValueRange(300.0, 10_000.0, False, "from 300 to 10000 kg/m^3")  # of crystals
+POROSITY = ValueRange(0.1, 0.95, False, "from 0.1 to 0.95")  # of a cake of crystals
+SHARE = ValueRange(0.0, 1.0, False, "a share from 0 to 1")
+INSIDE = ValueRange(0.0, float(np.nextafter(1.0, 0.0)), True, "between 0 and 1, without either")
 
 
 def quantity(
-    section: Place,
+    section: Location,
     key: str,
     raw: Any,
     unit: str,
-    bounds: Bounds = ANY,
+    bounds: ValueRange = ANY,
     difference: bool = False,
     basis: str | None = None,
 ) -> float:
@@ -75,21 +75,21 @@ def quantity(
         value = conversion(name, unit, difference)(number)
     except UnitError as error:
         raise section.error(key, raw, str(error)) from None
-    if not math.isfinite(value) or not bounds.holds(value):
-        raise section.error(key, raw, f"allowed is {bounds.words}")
+    if not math.isfinite(value) or not bounds.contains(value):
+        raise section.error(key, raw, f"allowed is {bounds.description}")
     if abs(value) > LARGEST:
-        raise section.error(key, raw, f"allowed is {bounds.words}; {TOO_LARGE}")
-    if unit == "K" and not difference and not TEMPERATURE.holds(value):
-        raise section.error(key, raw, f"allowed is {TEMPERATURE.words}")
+        raise section.error(key, raw, f"allowed is {bounds.description}; {TOO_LARGE}")
+    if unit == "K" and not difference and not TEMPERATURE.contains(value):
+        raise section.error(key, raw, f"allowed is {TEMPERATURE.description}")
     return value
 
 
-def unit_of(section: Place, key: str, raw: Any, unit: str) -> str:
+def unit_of(section: Location, key: str, raw: Any, unit: str) -> str:
     """The unit that the owner wrote under `key`, for a quantity in the domain's `unit`."""
     return _split(section, key, raw, unit)[1] or "1"
 
 
-def _split(section: Place, key: str, raw: Any, unit: str) -> tuple[float, str]:
+def _split(section: Location, key: str, raw: Any, unit: str) -> tuple[float, str]:
     if isinstance(raw, bool) or not isinstance(raw, str | int | float):
         raise section.error(key, raw, f"allowed is {_example(unit)}")
     if not isinstance(raw, str):
@@ -111,16 +111,16 @@ def _example(unit: str) -> str:
     return f'such as "{EXAMPLES.get(unit, f"1.5 {unit}")}"'
 
 
-def given(
+def case_input(
     name: str, values: np.ndarray, labels: Sequence[str], unit: str,
-    index: np.ndarray | None = None, words: str = "", local: str = "", bounds: Bounds = ANY,
-) -> Given:  # fmt: skip
+    index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: ValueRange = ANY,
+) -> CaseInput:  # fmt: skip
     """Numbers of a case with all that is said about them; used in order unless `index` says else.
 
     `own`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
     size = float(np.max(np.abs(values), initial=0.0))
-    return Given(
+    return CaseInput(
         name,
         values,
         tuple(labels),
@@ -128,26 +128,28 @@ def given(
         np.arange(len(values)) if index is None else index,
         bump=1e-5 * size or None,
         move=1.0 if unit == "K" else None,
-        trade_unit=local if local not in PURE else "",
-        trade_factor=1.0 if local in PURE else 1 / conversion(local, unit, difference=True).scale,
+        display_unit=local if local not in PURE else "",
+        display_factor=1.0 if local in PURE else 1 / conversion(local, unit, difference=True).scale,
         group=name.partition(".")[0],
-        words=words,
-        low=TEMPERATURE.low if unit == "K" else bounds.least,
+        meaning=meaning,
+        low=TEMPERATURE.low if unit == "K" else bounds.smallest,
         high=TEMPERATURE.high if unit == "K" else bounds.high,
     )
 
 
 def single(
-    section: Section, name: str, key: str, raw: Any, unit: str, bounds: Bounds = ANY,
+    section: Section, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
     text: str = "",
-) -> Given:  # fmt: skip
+) -> CaseInput:  # fmt: skip
     """One number, index [], called `name` in tables of sensitivities."""
     value = quantity(section, key, raw, unit, bounds)
     local = unit_of(section, key, raw, unit)
-    return given(name, np.array([value]), ("",), unit, np.array(0), text, local, bounds)
+    return case_input(name, np.array([value]), ("",), unit, np.array(0), text, local, bounds)
 
 
-def listed(section: Section, key: str, raw: Any, unit: str, bounds: Bounds = ANY) -> list[float]:
+def listed(
+    section: Section, key: str, raw: Any, unit: str, bounds: ValueRange = ANY
+) -> list[float]:
     """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
     if isinstance(raw, dict):
         if set(raw) != {"value", "unit"} or not isinstance(raw["unit"], str):
@@ -168,27 +170,27 @@ def listed(section: Section, key: str, raw: Any, unit: str, bounds: Bounds = ANY
 
 def several(
     section: Section, name: str, key: str, raw: Any, unit: str, labels: Sequence[str] | str = "",
-    bounds: Bounds = ANY, text: str = "",
-) -> Given:  # fmt: skip
+    bounds: ValueRange = ANY, text: str = "",
+) -> CaseInput:  # fmt: skip
     """A list of numbers, index [n]; labels are `labels`, or that text with the entry's number."""
     values = np.array(listed(section, key, raw, unit, bounds))
     if isinstance(labels, str):
         labels = tuple(f"{labels}{i}" for i in range(len(values)))
-    return given(name, values, labels, unit, words=text, bounds=bounds)
+    return case_input(name, values, labels, unit, meaning=text, bounds=bounds)
 
 
-def absent(name: str, unit: str) -> Given:
+def absent(name: str, unit: str) -> CaseInput:
     """A number that the case does not have: no values, index [0]."""
-    return Given(name, np.zeros(0), (), unit, np.zeros(0, np.int64))
+    return CaseInput(name, np.zeros(0), (), unit, np.zeros(0, np.int64))
 
 
 def profile(
-    section: Section, name: str, key: str, raw: Any, unit: str, bounds: Bounds = ANY,
-    words: str = "",
+    section: Section, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
+    meaning: str = "",
 ) -> Profile:  # fmt: skip
     """A control over a unit's time: one quantity, or a table with nodes."""
     if not isinstance(raw, dict):
-        value = single(section, name, key, raw, unit, bounds, words)
+        value = single(section, name, key, raw, unit, bounds, meaning)
         return Profile("constant", np.array([0.0, 1.0]), replace(value, index=np.arange(1)), None)
     table = parse(ProfileTable, raw, str(section.file), f"{section.name}.{key}")
     inner = Section(section.file, f"{section.name}.{key}", section.notes)
@@ -198,7 +200,7 @@ def profile(
     edges = len(values) if table.kind == "linear" else len(values) + 1
     shares = np.linspace(0.0, 1.0, edges) if table.at is None else _shares(inner, table.at, edges)
     labels = tuple(f"node {i}" for i in range(len(values)))
-    numbers = given(name, np.array(values), labels, unit, words=words, bounds=bounds)
+    numbers = case_input(name, np.array(values), labels, unit, meaning=meaning, bounds=bounds)
     ramp = None
     if table.ramp is not None:
         ramp = quantity(inner, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)

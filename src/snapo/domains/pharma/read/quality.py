@@ -65,19 +65,23 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
         numbers.check(section, "range", table.range, (name, entry), end)
     change = conversion(local, unit)
 
-    def said(number: float) -> str:
+    def number_text(number: float) -> str:
         return (
             f"{(number - change.offset) / change.scale:.10g}{'' if local == '1' else f' {local}'}"
         )
 
     if not low <= nominal <= high:
-        message = f"the nominal value of {table.of}, {said(nominal)}, must lie in the range"
+        message = f"the nominal value of {table.of}, {number_text(nominal)}, must lie in the range"
         raise section.error("range", table.range, message)
     if not low <= inner[0] <= inner[1] <= high:
-        message = f"the normal range must lie in the range, {said(low)} to {said(high)}"
+        message = (
+            f"the normal range must lie in the range, {number_text(low)} to {number_text(high)}"
+        )
         raise section.error("normal", table.normal, message)
     if not inner[0] <= nominal <= inner[1]:
-        message = f"the nominal value of {table.of}, {said(nominal)}, must lie in the normal range"
+        message = (
+            f"the nominal value of {table.of}, {number_text(nominal)}, must lie in the normal range"
+        )
         raise section.error("normal", table.normal, message)
     spread = None
     if table.distribution is not None:

@@ -78,7 +78,7 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
     local = _exact(_parse(unit), domain)
     if _gaps(local, domain):
         requested = _dimension(domain) + ("" if target in PURE else f", {target}")
-        raise UnitError(f"{shown(unit)} is {_dimension(local)}, and this is {requested}")
+        raise UnitError(f"{unit_text(unit)} is {_dimension(local)}, and this is {requested}")
     registry = _registry()
     if local.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
         factors: list[Any] = [registry.get_base_units(item)[0] for item in (local, domain)]
@@ -141,7 +141,7 @@ def dimension(unit: str) -> str:
     return _dimension(_parse(unit))
 
 
-def shown(unit: str) -> str:
+def unit_text(unit: str) -> str:
     """A unit in a sentence."""
     return "a pure number" if unit.strip() in PURE else unit
 

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, Table, parse
 
 from ..time.profile import Profile
 from .names import check_name
-from .numbers import ANY, POSITIVE, Bounds, profile, quantity, single, suggest
+from .numbers import ANY, POSITIVE, ValueRange, profile, quantity, single, suggest
 
 
 class Reader(NamedTuple):
@@ -18,25 +18,25 @@ class Reader(NamedTuple):
     name: str
     table: Any
 
-    def words(self, key: str) -> str:
+    def meaning(self, key: str) -> str:
         """The meaning of a key, as its table says it."""
         return type(self.table).model_fields[key].title or key.replace("_", " ")
 
-    def number(self, key: str, unit: str, bounds: Bounds = ANY) -> Given:
+    def number(self, key: str, unit: str, bounds: ValueRange = ANY) -> CaseInput:
         raw, name = getattr(self.table, key), f"{self.name}.{key}"
-        return single(self.section, name, key, raw, unit, bounds, self.words(key))
+        return single(self.section, name, key, raw, unit, bounds, self.meaning(key))
 
-    def perhaps(self, key: str, unit: str, bounds: Bounds = ANY) -> Given | None:
+    def optional(self, key: str, unit: str, bounds: ValueRange = ANY) -> CaseInput | None:
         return None if getattr(self.table, key) is None else self.number(key, unit, bounds)
 
-    def plain(self, key: str, unit: str, bounds: Bounds = ANY) -> float:
+    def plain(self, key: str, unit: str, bounds: ValueRange = ANY) -> float:
         return quantity(self.section, key, getattr(self.table, key), unit, bounds)
 
-    def profile(self, key: str, unit: str, bounds: Bounds = POSITIVE) -> Profile:
+    def profile(self, key: str, unit: str, bounds: ValueRange = POSITIVE) -> Profile:
         raw, name = getattr(self.table, key), f"{self.name}.{key}"
-        return profile(self.section, name, key, raw, unit, bounds, self.words(key))
+        return profile(self.section, name, key, raw, unit, bounds, self.meaning(key))
 
-    def known(self, key: str, names: Sequence[str], noun: str) -> str:
+    def one_of(self, key: str, names: Sequence[str], noun: str) -> str:
         """One of these `names`."""
         name = getattr(self.table, key)
         if name not in names:

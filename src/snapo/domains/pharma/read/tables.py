@@ -26,21 +26,21 @@ class ReactionTable(Table):
 
     name: Text = Field(description="a name")
     equation: Text = Field(description='an equation such as "A + 2 B -> C"')
-    prefactor: Any = quantity('"2.65e4 L/mol/s"', words="prefactor of the rate")
-    activation: Any = quantity('"40 kJ/mol"', words="activation energy")
-    heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", words="heat of reaction")
+    prefactor: Any = quantity('"2.65e4 L/mol/s"', meaning="prefactor of the rate")
+    activation: Any = quantity('"40 kJ/mol"', meaning="activation energy")
+    heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", meaning="heat of reaction")
     order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
 
 
 class FeedTable(Table):
     """`[feeds.NAME]`"""
 
-    volume: Any = quantity('"60 L"', words="volume fed")
-    temperature: Any = quantity('"313.15 K"', words="temperature of the feed")
+    volume: Any = quantity('"60 L"', meaning="volume fed")
+    temperature: Any = quantity('"313.15 K"', meaning="temperature of the feed")
     concentration: dict[str, Any] = Field(
         {}, description='concentrations such as { A = "0.33 mol/L" }'
     )
-    solvent: Any = quantity('"887.6 kg/m^3"', words="solvent per volume fed")
+    solvent: Any = quantity('"887.6 kg/m^3"', meaning="solvent per volume fed")
     duration: Any = quantity('"2 h"', None)
 
 

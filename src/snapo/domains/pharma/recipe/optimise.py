@@ -19,7 +19,7 @@ from .optimum import Recipe, Traced, optimum
 from .records import Term
 
 
-class Bound(NamedTuple):
+class AttributeLimit(NamedTuple):
     """A limit of attribute number `which`: `sign` (value - `limit`) >= `reserve`; over `size` it
     is of order one."""
 
@@ -41,7 +41,7 @@ class Ramp(NamedTuple):
     entry: int
     duration: str
     share: float
-    most: float
+    steepest: float
 
 
 class Optimum(NamedTuple):
@@ -51,13 +51,13 @@ class Optimum(NamedTuple):
     """
 
     recipe: Recipe
-    bounds: tuple[Bound, ...]
+    bounds: tuple[AttributeLimit, ...]
     ramps: tuple[Ramp, ...]
     before: float
     mode: str
     compiling: float
     solving: float
-    ends: tuple[float, ...]
+    endpoints: tuple[float, ...]
 
 
 def optimise(process: Process, seed: int = 0) -> Optimum:
@@ -92,9 +92,9 @@ def optimise(process: Process, seed: int = 0) -> Optimum:
     return Optimum(recipe, limits, steep, before, reason, traced.compiling, solving, endpoints)
 
 
-def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp, ...]):
+def goal_and_room(process: Process, limits: tuple[AttributeLimit, ...], steep: tuple[Ramp, ...]):
     """From decisions [n] to the goal, the room to every limit, and both of every ramp."""
-    case, nominal = process.case, process.given()
+    case, nominal = process.case, process.nominal_inputs()
     ask = case.optimise
     assert ask is not None
     entries = tuple((decision.input, decision.entry) for decision in ask.decisions)
@@ -104,7 +104,7 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
 
     def function(x):
         inputs = process.shifted(x, entries, nominal)
-        measures = process.flow(inputs, along=True, own=False).measures
+        measures = process.flow(inputs, along=True, nominal_steps=False).measures
         inputs = held | inputs
         attributes = process.of_measures(measures)
         goal = _sum(ask.terms, measures, inputs)
@@ -115,7 +115,7 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
             for limit in limits
         ]
         for item in steep:
-            allowed = item.most * item.share * inputs[item.duration][0]
+            allowed = item.steepest * item.share * inputs[item.duration][0]
             change = inputs[item.input][item.entry + 1] - inputs[item.input][item.entry]
             room += [1 - change / allowed, 1 + change / allowed]
         return jnp.stack([goal, *room])
@@ -145,7 +145,7 @@ def varies(process: Process) -> np.ndarray:
     return spread(case, jacobian).total
 
 
-def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[Bound, ...]:
+def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[AttributeLimit, ...]:
     """The limits of all attributes as inequalities, less the reserve; `deviation` [Q]."""
     ask = case.optimise
     assert ask is not None
@@ -155,7 +155,9 @@ def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[Bound, ...]:
         for sign, limit in ((1, attribute.low), (-1, attribute.high)):
             if limit is not None:
                 size = abs(limit) or attribute.margin
-                results.append(Bound(attribute.name, attribute.unit, q, sign, limit, reserve, size))
+                results.append(
+                    AttributeLimit(attribute.name, attribute.unit, q, sign, limit, reserve, size)
+                )
     return tuple(results)
 
 

@@ -75,7 +75,7 @@ class Limits(NamedTuple):
 
     evaluations: int = 5000
     seconds: float = float("inf")
-    tell: Callable[[str], None] = say
+    progress: Callable[[str], None] = say
 
 
 class Stopped(Exception):
@@ -127,7 +127,7 @@ class Traced:
         return self._found
 
 
-class Watch:
+class BestSoFar:
     """What an optimisation has seen so far."""
 
     def __init__(self, traced: Traced, limits: Limits, equalities: int):
@@ -153,7 +153,7 @@ class Watch:
         rank = (violation if violation > SMALL else 0.0, float(values[0]))
         if self._best is None or rank < self._best[0]:
             self._best = rank, np.array(u)
-        self.limits.tell(
+        self.limits.progress(
             f"evaluation {count}: goal {float(goal):.7g}, largest violation {violation:.1e}"
         )
         if count >= self.limits.evaluations:
@@ -212,7 +212,7 @@ def optimum(
     0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     before = traced.evaluations
-    monitor = Watch(traced, limits, equalities)
+    monitor = BestSoFar(traced, limits, equalities)
     problem = _Scaled(traced, arguments, low, high, sense, scale, equalities, monitor)
     u, iterations = np.clip((np.asarray(start, float) - low) / (high - low), 0.0, 1.0), 0
     stopped = ""
@@ -260,12 +260,12 @@ class _Scaled(NamedTuple):
     sense: int
     scale: float
     equalities: int
-    watch: Watch
+    best_so_far: BestSoFar
 
     def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same, watched."""
         result = self.scaled(u)
-        self.watch.see(u, result[0], -self.sense * self.scale * result[0][0])
+        self.best_so_far.see(u, result[0], -self.sense * self.scale * result[0][0])
         return result
 
     def scaled(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

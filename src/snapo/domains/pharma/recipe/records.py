@@ -23,7 +23,7 @@ class Decision:
     high: float
     start: float
 
-    def owners(self, value: float) -> float:
+    def in_case_unit(self, value: float) -> float:
         """A number of the domain in the owner's unit."""
         return (value - self.offset) / self.scale
 

@@ -15,9 +15,9 @@ from .dynamics import Dynamics, Track
 from .mesh import Mesh, edges_of, make_mesh
 from .numerics import Numerics
 from .profile import values_at
-from .runge_kutta import last_state, runge_kutta
+from .runge_kutta import final_state, runge_kutta
 from .step_choice import own_steps
-from .stiff import Stepped, Steps, course, limit_of, stepped, steps_of
+from .stiff import Stepped, Steps, limit_of, schedule, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
 OWN, MORE = 2, 100  # tries for a stiff run's own steps: twice the nominal ones, and so many more
@@ -64,13 +64,13 @@ def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool)
     `numerics.own`."""
     nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
     endpoints = [value[-1] for _, value in problem.controls]
-    maximum = OWN * len(nominal.end) + MORE if numerics.own else len(nominal.end)
+    maximum = OWN * len(nominal.end) + MORE if numerics.own_steps else len(nominal.end)
 
     def on(steps: Steps) -> tuple[Stepped, Track | None]:
         results = stepped(problem, steps, limit, record)
         if results.states is None:
             return results, None
-        times, controls = course(problem, steps)
+        times, controls = schedule(problem, steps)
         slope = jax.vmap(problem.rate)(results.states, problem.drive(*controls.T))
         track = Track(problem.duration * times, results.states, slope, controls)
         filled = maximum + 1 - len(times)  # with the end, again and again
@@ -79,7 +79,7 @@ def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool)
         )
 
     result, track = on(nominal)
-    if numerics.own:
+    if numerics.own_steps:
         result, track = jax.lax.cond(
             result.share < 1.0,
             lambda: on(own_steps(problem, numerics.stiff_tolerance, maximum)),
@@ -103,7 +103,7 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
         return after, after if record else None
 
     if not (record or numerics.along) and len(step) * problem.start.size**2 <= MEMORY:
-        final, later = last_state(problem.rate, problem.start, step, drive), None
+        final, later = final_state(problem.rate, problem.start, step, drive), None
     else:
         final, later = jax.lax.scan(advance, problem.start, (step, drive))
     share = jnp.where(jnp.all(jnp.isfinite(final)), 1.0, 0.0)
@@ -131,7 +131,7 @@ def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
 
     closed = eqx.filter_closure_convert(right_hand_side, jnp.zeros(()), problem.start)
     # Control values jump or bend at the edges, and the solution at the event: no step across.
-    breaks = jnp.asarray(mesh.pieces.edges[1:-1])
+    breaks = jnp.asarray(mesh.piecewise.edges[1:-1])
     if problem.event is not None:
         breaks = jnp.sort(jnp.append(breaks, jax.lax.stop_gradient(problem.event)))
     control = diffrax.PIDController(rtol=numerics.tolerance, atol=numerics.tolerance)

@@ -30,7 +30,7 @@ def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, Schedule
     """`piece`: [T] number of the piece; `local`: [T, 3, 3] start, middle and end of the step within
     the piece, for each grading."""
     segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
-    endpoints = [segments.ends(*control) for control in problem.controls]
+    endpoints = [segments.endpoints(*control) for control in problem.controls]
     seconds = problem.duration * jnp.diff(segments.breaks)
 
     def advance(y, now):
@@ -57,7 +57,7 @@ def _stiff(
     step, a share of the duration. y is not a number after a step that is refused."""
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
     segments, steps = break_up(edges, None), steps_of(problem, held)
-    endpoints = [segments.ends(*control) for control in problem.controls]
+    endpoints = [segments.endpoints(*control) for control in problem.controls]
     limit = limit_of(numerics.stiff_tolerance)
 
     def advance(y, now):
@@ -68,7 +68,7 @@ def _stiff(
         )
         drive = push(problem.drive, start, end)
         after, error, _ = rosenbrock(
-            problem.rate, y, problem.duration * now["width"], drive, rolled=False
+            problem.rate, y, problem.duration * now["width"], drive, scanned=False
         )
         return jnp.where(size_of_error(error, y, after) <= limit, after, jnp.nan)
 

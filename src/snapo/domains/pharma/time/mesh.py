@@ -18,7 +18,7 @@ from .profile import Profile, values_in
 GRADING = 3  # power of the grading: the error of derivatives falls like that of values
 
 
-class Pieces(NamedTuple):
+class PiecewiseTime(NamedTuple):
     """A unit's time, broken into K pieces at the nodes of its profiles and at its event.
 
     `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` in
@@ -37,7 +37,7 @@ class Pieces(NamedTuple):
         local = np.searchsorted(profile.share[1:-1], middle, side="right")
         return jnp.asarray(local)[self.source]
 
-    def ends(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+    def endpoints(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         """The profile where each piece begins and where it ends; in between it is straight."""
         local = self.of(profile)
         first = values_in(profile, value, local, self.breaks[:-1])
@@ -51,7 +51,7 @@ class Mesh(NamedTuple):
     """
 
     stages: Float[Array, "n 3"]
-    pieces: Pieces
+    piecewise: PiecewiseTime
 
     def times(self) -> Float[Array, " n+1"]:
         """Shares of the duration at which the steps begin and end."""
@@ -59,7 +59,7 @@ class Mesh(NamedTuple):
 
     def values(self, profile: Profile, value: Float[Array, " N"]) -> Float[Array, "n 3"]:
         """The profile at every stage."""
-        local, steps = self.pieces.of(profile), len(self.stages) // len(self.pieces.source)
+        local, steps = self.piecewise.of(profile), len(self.stages) // len(self.piecewise.source)
         local = jnp.repeat(local, steps, total_repeat_length=len(self.stages))
         piece = jnp.broadcast_to(local[:, None], self.stages.shape)
         return values_in(profile, value, piece, self.stages)
@@ -86,7 +86,7 @@ def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
     return np.stack([even, 1 - (1 - even) ** GRADING, even**GRADING])
 
 
-def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> Pieces:
+def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> PiecewiseTime:
     """The pieces between the edges, and on both sides of an event at a share of the duration.
 
     Their number does not depend on where the event is: next to an edge, a piece has length zero.
@@ -94,13 +94,13 @@ def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> Pieces:
     number = np.arange(len(edges) - 1 + (event is not None))
     if event is None:
         evenly = np.broadcast_to([1.0, 0.0, 0.0], (len(number), 3))
-        return Pieces(jnp.asarray(edges), jnp.asarray(number), jnp.asarray(evenly), edges)
+        return PiecewiseTime(jnp.asarray(edges), jnp.asarray(number), jnp.asarray(evenly), edges)
     position = jnp.sum(edges <= event)
     breaks = jnp.sort(jnp.append(jnp.asarray(edges), event))
     source = jnp.clip(jnp.where(number < position, number, number - 1), 0, len(edges) - 2)
     before, after = number == position - 1, number == position
     grading = jnp.stack([~(before | after), before, after], -1).astype(breaks.dtype)
-    return Pieces(breaks, source, grading, edges)
+    return PiecewiseTime(breaks, source, grading, edges)
 
 
 def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:

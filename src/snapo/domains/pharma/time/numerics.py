@@ -35,7 +35,7 @@ class Numerics:
     max_steps: int
     refine: bool
     along: bool = False
-    own: bool = False
+    own_steps: bool = False
     stiff: Literal["none", "measured", "all"] = "none"
     stiff_tolerance: float = 1e-8
     loop_tolerance: float = 1e-10

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 
 from ..given import fixed, use
 
@@ -25,7 +25,7 @@ class Profile:
 
     kind: Literal["linear", "constant"]
     share: np.ndarray
-    value: Given
+    value: CaseInput
     ramp: float | None
 
 

@@ -139,7 +139,7 @@ def push(drive: Callable[..., Array], start: list[Array], end: list[Array]) -> P
 
 
 def rosenbrock(
-    rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push, rolled: bool = True
+    rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push, scanned: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "m m"]]:
     """y after a step of `step` seconds, the estimate of its error, and df/dy where it began.
 
@@ -156,7 +156,7 @@ def rosenbrock(
         right = step * rate(point, drive) + by_time * bend + before
         return solve(matrix, factors, GAMMA * right)
 
-    if rolled:
+    if scanned:
         u = _looped(stage, y, push)
         after = y + jnp.asarray(_TABLES[0][-1], y.dtype) @ u + u[-1]
         return after, u[-1], jacobian

@@ -39,7 +39,7 @@ def _step(rate: Rate, y, step, drive) -> tuple[Array, Float[Array, "4 m"]]:
     return y + step / 6 * (k1 + 2 * (k2 + k3) + k4), jnp.stack([y, y2, y3, y4])
 
 
-def last_state(
+def final_state(
     rate: Rate, start: Float[Array, " m"], step: Float[Array, " n"], drive: Float[Array, "n 3 D"]
 ) -> Float[Array, " m"]:
     """The state after all steps. Derivatives of it take memory for some 10 n m^2 numbers; they

@@ -12,7 +12,7 @@ from .mesh import edges_of
 from .rosenbrock import ORDER, rosenbrock
 from .stiff import Steps, pushed, size_of_error
 
-SAFETY, LEAST, MOST = 0.9, 0.1, 5.0  # of the step that the error estimate asks for
+SAFETY, MINIMUM, MAXIMUM = 0.9, 0.1, 5.0  # of the step that the error estimate asks for
 FIRST = 1e-6  # share of the duration that is tried first
 
 
@@ -44,7 +44,7 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
         size = size_of_error(error, y, after) / tolerance
         valid = size <= 1.0
         factor = SAFETY * jnp.maximum(size, 1e-12) ** (-1 / ORDER)
-        factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, LEAST, MOST), LEAST)
+        factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, MINIMUM, MAXIMUM), MINIMUM)
         requested = factor * (to - share)
         # A step cut short at a node says little about the one after it.
         width = jnp.where(valid & (to == node), jnp.maximum(requested, width), requested)
@@ -68,11 +68,11 @@ def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
     """`most` steps for the problem at hand, in a trace; those that are not needed have no length.
     Where they do not reach the end, one does that its error estimate refuses. No derivatives."""
 
-    def ends(start, duration):
+    def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end
 
     # The numbers that rate and drive close over become arguments, so that theirs can be stopped.
-    converted, held = jax.closure_convert(ends, problem.start, problem.duration)
+    converted, held = jax.closure_convert(endpoints, problem.start, problem.duration)
     values = jax.lax.stop_gradient((problem.start, problem.duration, *held))
     end = jax.lax.stop_gradient(converted(*values))
     start = jnp.append(0.0, end[:-1])

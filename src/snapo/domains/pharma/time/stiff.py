@@ -89,7 +89,7 @@ def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Step
     return Stepped(jnp.where(every, final, jnp.nan), states, share, jnp.max(sizes))
 
 
-def course(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
+def schedule(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
     """Shares of the duration [n + 1] and the controls [n + 1, C] there, at a jump the earlier."""
     segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
     times = jnp.append(jnp.asarray(steps.start), jnp.asarray(steps.end)[-1])

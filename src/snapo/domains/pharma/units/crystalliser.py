@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Section, Table
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid
@@ -53,21 +53,21 @@ class CrystalliserTable(Table):
     )
     sizes: dict | None = Field(None, description="the table sizes")
     solute: Text = Field(description="the name of a species")
-    duration: Any = quantity('"7200 s"', words="time of crystallisation")
-    temperature: Any = profile(words="temperature of the crystalliser")
+    duration: Any = quantity('"7200 s"', meaning="time of crystallisation")
+    temperature: Any = profile(meaning="temperature of the crystalliser")
     initial_concentration: Any = quantity(
-        '"49 kg/m^3"', None, words="concentration of the solute at the start"
+        '"49 kg/m^3"', None, meaning="concentration of the solute at the start"
     )
     solubility: dict = Field(description="the table solubility")
     kinetics: dict = Field(description="the table kinetics")
     seed: dict = Field(description="the table seed")
     shape: Any = number(
-        "a number above 0, such as 0.5236", words="volume of a crystal per cube of its size"
+        "a number above 0, such as 0.5236", meaning="volume of a crystal per cube of its size"
     )
-    density: Any = quantity('"1200 kg/m^3"', words="density of crystals")
-    nuclei_size: Any = quantity('"1 um"', "0 m", words="size of new crystals")
+    density: Any = quantity('"1200 kg/m^3"', meaning="density of crystals")
+    nuclei_size: Any = quantity('"1 um"', "0 m", meaning="size of new crystals")
     separate: bool = Field(False, description="true or false")
-    dosing: Any = profile(None, words="flow of anti-solvent")
+    dosing: Any = profile(None, meaning="flow of anti-solvent")
     basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
 
 
@@ -87,12 +87,12 @@ class Crystalliser(Timed):
 
     solute: str
     temperature: Profile
-    initial_concentration: Given | None
+    initial_concentration: CaseInput | None
     solubility: Solubility
     kinetics: Kinetics
-    shape: Given
-    density: Given
-    nuclei_size: Given
+    shape: CaseInput
+    density: CaseInput
+    nuclei_size: CaseInput
     seed: Seed
     separate: bool
     dosing: Profile | None
@@ -123,10 +123,10 @@ class Crystalliser(Timed):
         seed = read_seed(read.inner("seed", SeedTable))
         return cls(
             name=read.name,
-            solute=read.known("solute", species, "species"),
+            solute=read.one_of("solute", species, "species"),
             duration=read.number("duration", "s", POSITIVE),
             temperature=read.profile("temperature", "K"),
-            initial_concentration=read.perhaps("initial_concentration", "kg/m3", POSITIVE),
+            initial_concentration=read.optional("initial_concentration", "kg/m3", POSITIVE),
             solubility=read_solubility(read.inner("solubility", SolubilityTable)),
             kinetics=read_kinetics(read.inner("kinetics", KineticsTable)),
             shape=read.number("shape", "1", POSITIVE),

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.ledger import Finish, ledger
@@ -21,10 +21,10 @@ class DissolutionTable(Table):
     """`type = "dissolution"`"""
 
     type: Literal["dissolution"]
-    diffusivity: Any = quantity('"7e-10 m^2/s"', words="diffusivity in the film")
-    solubility: Any = quantity('"0.5 kg/m^3"', words="solubility in the test's liquid")
-    film: Any = quantity('"30 um"', words="thickness of the film")
-    time: Any = quantity('"30 min"', words="time of the test")
+    diffusivity: Any = quantity('"7e-10 m^2/s"', meaning="diffusivity in the film")
+    solubility: Any = quantity('"0.5 kg/m^3"', meaning="solubility in the test's liquid")
+    film: Any = quantity('"30 um"', meaning="thickness of the film")
+    time: Any = quantity('"30 min"', meaning="time of the test")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +36,10 @@ class Dissolution(Instant):
     m; each index [].
     """
 
-    diffusivity: Given
-    solubility: Given
-    film: Given
-    test_time: Given
+    diffusivity: CaseInput
+    solubility: CaseInput
+    film: CaseInput
+    test_time: CaseInput
 
     type = "dissolution"
     variant = ""

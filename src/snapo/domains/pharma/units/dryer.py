@@ -6,7 +6,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -30,12 +30,12 @@ class DryerTable(Table):
 
     type: Literal["dryer"]
     kind: Literal["falling-rate"] = word("falling-rate", "tray", default="falling-rate")
-    duration: Any = quantity('"3 h"', words="drying time")
-    temperature: Any = profile(words="temperature of the shelf")
-    rate: Any = quantity('"1e-3 1/s"', words="drying rate at the reference")
-    activation: Any = quantity('"40 kJ/mol"', words="activation energy of drying")
+    duration: Any = quantity('"3 h"', meaning="drying time")
+    temperature: Any = profile(meaning="temperature of the shelf")
+    rate: Any = quantity('"1e-3 1/s"', meaning="drying rate at the reference")
+    activation: Any = quantity('"40 kJ/mol"', meaning="activation energy of drying")
     reference_temperature: Any = quantity('"323.15 K"')
-    reference_size: Any = quantity('"40 um"', words="size to which the drying rate refers")
+    reference_size: Any = quantity('"40 um"', meaning="size to which the drying rate refers")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,12 @@ class Dryer(Unit):
     (reference_size / d32); X is solvent per crystals, kg/kg. `rate`: 1/s, `reference_size`: m.
     """
 
-    duration: Given
+    duration: CaseInput
     temperature: Profile
-    rate: Given
-    activation: Given
+    rate: CaseInput
+    activation: CaseInput
     reference_temperature: float
-    reference_size: Given
+    reference_size: CaseInput
 
     type = "dryer"
     variant = "falling-rate"

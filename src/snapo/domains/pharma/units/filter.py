@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -28,21 +28,21 @@ class FilterTable(Table):
     """`type = "filter"`"""
 
     type: Literal["filter"]
-    area: Any = quantity('"200 cm^2"', words="filter area")
-    pressure: Any = quantity('"1 bar"', words="pressure difference")
-    viscosity: Any = quantity('"0.46 mPa*s"', words="viscosity of the liquor")
-    medium_resistance: Any = quantity('"1e10 1/m"', words="resistance of the filter medium")
-    porosity: Any = number("a share between 0 and 1", words="porosity of the cake")
+    area: Any = quantity('"200 cm^2"', meaning="filter area")
+    pressure: Any = quantity('"1 bar"', meaning="pressure difference")
+    viscosity: Any = quantity('"0.46 mPa*s"', meaning="viscosity of the liquor")
+    medium_resistance: Any = quantity('"1e10 1/m"', meaning="resistance of the filter medium")
+    porosity: Any = number("a share between 0 and 1", meaning="porosity of the cake")
     saturation: Any = number(
-        "a share between 0 and 1", words="share of the cake's voids that keeps liquor"
+        "a share between 0 and 1", meaning="share of the cake's voids that keeps liquor"
     )
-    resistance: Any = quantity('"1e11 m/kg"', None, words="specific resistance of the cake")
+    resistance: Any = quantity('"1e11 m/kg"', None, meaning="specific resistance of the cake")
     wash: Literal["exponential", "dispersion"] = word(
         "exponential", "dispersion", default="exponential"
     )
-    wash_ratio: Any = number("a number, 0 or more", words="wash liquid per void volume")
-    efficiency: Any = number("a number above 0", None, words="efficiency of the wash")
-    peclet: Any = number("a number above 0", None, words="Peclet number of the wash")
+    wash_ratio: Any = number("a number, 0 or more", meaning="wash liquid per void volume")
+    efficiency: Any = number("a number above 0", None, meaning="efficiency of the wash")
+    peclet: Any = number("a number above 0", None, meaning="Peclet number of the wash")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +57,17 @@ class Filter(Instant):
     - `resistance`: specific, m/kg, []; None: from porosity and d32 by Carman and Kozeny.
     """
 
-    area: Given
-    pressure: Given
-    viscosity: Given
-    medium_resistance: Given
-    porosity: Given
-    saturation: Given
-    resistance: Given | None
+    area: CaseInput
+    pressure: CaseInput
+    viscosity: CaseInput
+    medium_resistance: CaseInput
+    porosity: CaseInput
+    saturation: CaseInput
+    resistance: CaseInput | None
     wash: Literal["exponential", "dispersion"]
-    wash_ratio: Given
-    efficiency: Given | None
-    peclet: Given | None
+    wash_ratio: CaseInput
+    efficiency: CaseInput | None
+    peclet: CaseInput | None
 
     type = "filter"
     variant = ""

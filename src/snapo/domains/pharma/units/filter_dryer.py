@@ -11,51 +11,53 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import Finish
 from ..given import use
 from ..read.fields import number, profile, quantity, word
-from ..read.numbers import Bounds
+from ..read.numbers import ValueRange
 from .filter import Filter, filtration
 from .operation import Inlet
 from .tray_dryer import TrayDryer, drying
 
-WASHES = Bounds(1.0, 20.0, False, "from 1 to 20")
+WASHES = ValueRange(1.0, 20.0, False, "from 1 to 20")
 
 
 class FilterDryerTable(Table):
     """`type = "filter-dryer"`"""
 
     type: Literal["filter-dryer"]
-    area: Any = quantity('"0.5 m^2"', words="filter area")
-    filter_pressure: Any = quantity('"2 bar"', words="pressure difference of filtration")
-    viscosity: Any = quantity('"0.46 mPa*s"', words="viscosity of the liquor")
-    medium_resistance: Any = quantity('"1e10 1/m"', words="resistance of the filter medium")
-    porosity: Any = number("a share between 0 and 1", words="porosity of the cake")
+    area: Any = quantity('"0.5 m^2"', meaning="filter area")
+    filter_pressure: Any = quantity('"2 bar"', meaning="pressure difference of filtration")
+    viscosity: Any = quantity('"0.46 mPa*s"', meaning="viscosity of the liquor")
+    medium_resistance: Any = quantity('"1e10 1/m"', meaning="resistance of the filter medium")
+    porosity: Any = number("a share between 0 and 1", meaning="porosity of the cake")
     saturation: Any = number(
-        "a share between 0 and 1", words="share of the cake's voids that keeps liquor"
+        "a share between 0 and 1", meaning="share of the cake's voids that keeps liquor"
     )
-    resistance: Any = quantity('"1e11 m/kg"', None, words="specific resistance of the cake")
+    resistance: Any = quantity('"1e11 m/kg"', None, meaning="specific resistance of the cake")
     wash: Literal["reslurry", "dispersion", "exponential"] = word(
         "reslurry", "dispersion", "exponential", default="reslurry"
     )
-    wash_ratio: Any = number("a number, 0 or more", words="wash liquid per void volume, of a wash")
-    washes: Any = number("a number from 1 to 20", 1.0, words="number of reslurry washes")
-    efficiency: Any = number("a number above 0", None, words="efficiency of the wash")
-    peclet: Any = number("a number above 0", None, words="Peclet number of the wash")
-    duration: Any = quantity('"8 h"', words="drying time")
-    temperature: Any = profile(words="temperature of the jacket")
-    pressure: Any = profile(words="pressure above the cake while it dries")
-    heating_area: Any = quantity('"1.2 m^2"', words="heated area that the cake touches")
-    heat_transfer: Any = quantity('"60 W/m^2/K"', words="heat transfer to the stirred cake")
-    mass_transfer: Any = quantity(
-        '"7e-10 kg/m^2/s/Pa"', words="mass transfer from the crystals' surface"
+    wash_ratio: Any = number(
+        "a number, 0 or more", meaning="wash liquid per void volume, of a wash"
     )
-    critical: Any = quantity('"0.03 kg/kg"', words="moisture below which the rate falls")
-    heat_capacity: Any = quantity('"1200 J/kg/K"', words="heat capacity of the crystals")
+    washes: Any = number("a number from 1 to 20", 1.0, meaning="number of reslurry washes")
+    efficiency: Any = number("a number above 0", None, meaning="efficiency of the wash")
+    peclet: Any = number("a number above 0", None, meaning="Peclet number of the wash")
+    duration: Any = quantity('"8 h"', meaning="drying time")
+    temperature: Any = profile(meaning="temperature of the jacket")
+    pressure: Any = profile(meaning="pressure above the cake while it dries")
+    heating_area: Any = quantity('"1.2 m^2"', meaning="heated area that the cake touches")
+    heat_transfer: Any = quantity('"60 W/m^2/K"', meaning="heat transfer to the stirred cake")
+    mass_transfer: Any = quantity(
+        '"7e-10 kg/m^2/s/Pa"', meaning="mass transfer from the crystals' surface"
+    )
+    critical: Any = quantity('"0.03 kg/kg"', meaning="moisture below which the rate falls")
+    heat_capacity: Any = quantity('"1200 J/kg/K"', meaning="heat capacity of the crystals")
     liquid: dict = Field(description="the table liquid")
 
 
@@ -64,7 +66,7 @@ class Nutsche(Filter):
     """The filter of a filter-dryer; reslurry washes leave (s / (s + W))^n of a solute, s being the
     share of the voids that keeps liquor and W the wash liquid per void volume of each of n."""
 
-    washes: Given | None = None
+    washes: CaseInput | None = None
 
     def remaining(self, inputs):
         if self.efficiency is not None or self.peclet is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -36,14 +36,14 @@ class HydrogenationTable(Table):
     """`type = "hydrogenation"`"""
 
     type: Literal["hydrogenation"]
-    duration: Any = quantity('"3 h"', words="reaction time")
-    temperature: Any = profile(words="temperature of the reactor")
+    duration: Any = quantity('"3 h"', meaning="reaction time")
+    temperature: Any = profile(meaning="temperature of the reactor")
     gas: Text = Field(description="the species that is the gas")
-    pressure: Any = profile(words="partial pressure of the gas")
-    transfer: Any = quantity('"0.05 1/s"', words="kL a of the gas")
-    henry: Any = quantity('"3.4e7 Pa*L/mol"', words="Henry's constant at the reference")
-    enthalpy: Any = quantity('"5 kJ/mol"', "0 J/mol", words="enthalpy of dissolution of the gas")
-    reference: Any = quantity('"298.15 K"', "298.15 K", words="temperature of Henry's constant")
+    pressure: Any = profile(meaning="partial pressure of the gas")
+    transfer: Any = quantity('"0.05 1/s"', meaning="kL a of the gas")
+    henry: Any = quantity('"3.4e7 Pa*L/mol"', meaning="Henry's constant at the reference")
+    enthalpy: Any = quantity('"5 kJ/mol"', "0 J/mol", meaning="enthalpy of dissolution of the gas")
+    reference: Any = quantity('"298.15 K"', "298.15 K", meaning="temperature of Henry's constant")
     dissolved: Literal["dynamic", "pseudo-steady"] = word(
         "dynamic", "pseudo-steady", default="dynamic"
     )
@@ -62,9 +62,9 @@ class Hydrogenation(Timed):
     temperature: Profile
     gas: int
     pressure: Profile
-    transfer: Given
-    henry: Given
-    enthalpy: Given
+    transfer: CaseInput
+    henry: CaseInput
+    enthalpy: CaseInput
     reference: float
     dissolved: Literal["dynamic", "pseudo-steady"]
 
@@ -91,7 +91,7 @@ class Hydrogenation(Timed):
             name=read.name,
             duration=read.number("duration", "s", POSITIVE),
             temperature=read.profile("temperature", "K"),
-            gas=species.index(read.known("gas", species, "species")),
+            gas=species.index(read.one_of("gas", species, "species")),
             pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
             transfer=read.number("transfer", "1/s", POSITIVE),
             henry=read.number("henry", "Pa*m3/kmol", POSITIVE),
@@ -113,7 +113,7 @@ class Hydrogenation(Timed):
         return True
 
     @property
-    def holds(self):
+    def steps_transfer(self):
         return True
 
     def sizes(self, inlets):

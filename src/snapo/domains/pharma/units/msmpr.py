@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid, Sizes
@@ -48,22 +48,24 @@ class MsmprTable(Table):
 
     type: Literal["msmpr"]
     solute: Text = Field(description="the name of a species")
-    volume: Any = quantity('"10 L"', words="volume of the suspension")
-    temperature: Any = quantity('"283 K"', words="temperature of the crystalliser")
+    volume: Any = quantity('"10 L"', meaning="volume of the suspension")
+    temperature: Any = quantity('"283 K"', meaning="temperature of the crystalliser")
     solubility: dict = Field(description="the table solubility")
-    growth: Any = quantity('"5 um/s"', words="growth at a supersaturation of 1")
-    growth_order: Any = number(default=1.0, words="order of growth")
-    nucleation: Any = quantity('"1e7 1/m^3/s"', words="nucleation at the reference")
-    reference_growth: Any = quantity('"0.1 um/s"', words="growth to which nucleation refers")
+    growth: Any = quantity('"5 um/s"', meaning="growth at a supersaturation of 1")
+    growth_order: Any = number(default=1.0, meaning="order of growth")
+    nucleation: Any = quantity('"1e7 1/m^3/s"', meaning="nucleation at the reference")
+    reference_growth: Any = quantity('"0.1 um/s"', meaning="growth to which nucleation refers")
     reference_suspension: Any = quantity(
-        '"20 kg/m^3"', words="suspended crystals to which nucleation refers"
+        '"20 kg/m^3"', meaning="suspended crystals to which nucleation refers"
     )
-    growth_power: Any = number(default=1.0, words="power of growth in nucleation")
+    growth_power: Any = number(default=1.0, meaning="power of growth in nucleation")
     suspension_power: Any = number(
         "a share from 0 to 1", 1.0, "power of the suspended crystals in nucleation"
     )
-    shape: Any = number("a number above 0, such as 0.5236", words="volume of a crystal per size^3")
-    density: Any = quantity('"1200 kg/m^3"', words="density of crystals")
+    shape: Any = number(
+        "a number above 0, such as 0.5236", meaning="volume of a crystal per size^3"
+    )
+    density: Any = quantity('"1200 kg/m^3"', meaning="density of crystals")
     basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
     sizes: dict | None = Field(None, description="the table sizes")
 
@@ -95,18 +97,18 @@ class Msmpr(Instant):
     """
 
     solute: str
-    volume: Given
-    temperature: Given
+    volume: CaseInput
+    temperature: CaseInput
     solubility: Solubility
-    growth: Given
-    growth_order: Given
-    nucleation: Given
-    reference_growth: Given
-    reference_suspension: Given
-    growth_power: Given
-    suspension_power: Given
-    shape: Given
-    density: Given
+    growth: CaseInput
+    growth_order: CaseInput
+    nucleation: CaseInput
+    reference_growth: CaseInput
+    reference_suspension: CaseInput
+    growth_power: CaseInput
+    suspension_power: CaseInput
+    shape: CaseInput
+    density: CaseInput
     edges: np.ndarray | None
     basis: Literal["solution", "suspension"] = "solution"
 
@@ -128,7 +130,7 @@ class Msmpr(Instant):
         grid = None if read.table.sizes is None else read.inner("sizes", SizesTable)
         return cls(
             name=read.name,
-            solute=read.known("solute", species, "species"),
+            solute=read.one_of("solute", species, "species"),
             volume=read.number("volume", "m3", POSITIVE),
             temperature=read.number("temperature", "K", POSITIVE),
             solubility=read_solubility(read.inner("solubility", SolubilityTable)),

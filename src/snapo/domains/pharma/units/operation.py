@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.feed import Feed
@@ -101,7 +101,7 @@ class Unit(ABC):
 
     @property
     @abstractmethod
-    def time(self) -> Given | None:
+    def time(self) -> CaseInput | None:
         """s over which the unit's profiles run; None for a unit without time."""
 
     @abstractmethod
@@ -155,10 +155,10 @@ class Unit(ABC):
 class Timed(Unit):
     """A unit that is integrated over `duration` s, index []."""
 
-    duration: Given
+    duration: CaseInput
 
     @property
-    def time(self) -> Given:
+    def time(self) -> CaseInput:
         return self.duration
 
     @property
@@ -167,7 +167,7 @@ class Timed(Unit):
         """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
 
     @property
-    def holds(self) -> bool:
+    def steps_transfer(self) -> bool:
         """Whether the steps that error control chooses for the nominal batch do for others too: few
         states, no event. Else, where it is due, every batch has its own."""
         return False

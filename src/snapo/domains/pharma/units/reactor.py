@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -38,10 +38,10 @@ class ReactorTable(Table):
     kind: Literal["batch", "semi-batch", "stirred", "plug-flow"] = word(
         "batch", "semi-batch", "stirred", "plug-flow", default="batch"
     )
-    duration: Any = quantity('"3600 s"', words="reaction time")
-    temperature: Any = profile(words="temperature of the reactor")
-    volume: Any = quantity('"10 L"', None, words="volume of the reactor")
-    dosing: Any = profile(None, words="flow that is dosed")
+    duration: Any = quantity('"3600 s"', meaning="reaction time")
+    temperature: Any = profile(meaning="temperature of the reactor")
+    volume: Any = quantity('"10 L"', None, meaning="volume of the reactor")
+    dosing: Any = profile(None, meaning="flow that is dosed")
     jacket: dict | None = Field(None, description="the table jacket")
     cells: Annotated[int, Field(ge=1, le=1000)] | None = Field(
         None, description="a whole number, 1 or more"
@@ -64,7 +64,7 @@ class Reactor(Timed):
 
     kind: Literal["batch", "semi-batch", "stirred", "plug-flow"]
     temperature: Profile
-    volume: Given | None
+    volume: CaseInput | None
     dosing: Profile | None
     jacket: Jacket | None
     cells: int | None
@@ -103,7 +103,7 @@ class Reactor(Timed):
             kind=table.kind,
             duration=read.number("duration", "s", POSITIVE),
             temperature=read.profile("temperature", "K"),
-            volume=read.perhaps("volume", "m3", POSITIVE),
+            volume=read.optional("volume", "m3", POSITIVE),
             dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
             jacket=None if table.jacket is None else read_jacket(read.inner("jacket", JacketTable)),
             cells=table.cells,
@@ -125,7 +125,7 @@ class Reactor(Timed):
         return self.jacket is not None
 
     @property
-    def holds(self):
+    def steps_transfer(self):
         """Of cells in series every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 

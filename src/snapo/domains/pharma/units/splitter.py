@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import jax.numpy as jnp
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.ledger import Finish, ledger
@@ -40,7 +40,7 @@ class Splitter(Instant):
     """
 
     ports: tuple[str, ...]
-    share: Given
+    share: CaseInput
 
     type = "splitter"
     variant = ""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -20,7 +20,7 @@ class ThickenerTable(Table):
 
     type: Literal["thickener"]
     underflow: Any = number(
-        "a share between 0 and 1", words="share of the liquor that stays with the crystals"
+        "a share between 0 and 1", meaning="share of the liquor that stays with the crystals"
     )
 
 
@@ -28,7 +28,7 @@ class ThickenerTable(Table):
 class Thickener(Instant):
     """All crystals leave with the share `underflow`, index [], of the liquor; the rest is clear."""
 
-    underflow: Given
+    underflow: CaseInput
 
     type = "thickener"
     variant = ""

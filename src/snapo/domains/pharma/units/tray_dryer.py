@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
@@ -27,7 +27,7 @@ from ..flowsheet.ledger import Finish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
 from ..read.fields import Text, profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, ZERO_CELSIUS, given
+from ..read.numbers import NOT_NEGATIVE, POSITIVE, ZERO_CELSIUS, case_input
 from ..read.quantities import UnitError, conversion
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
@@ -47,8 +47,8 @@ class LiquidTable(Table):
     )
     unit: Text = Field("Pa", description='a unit such as "Pa"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
-    latent_heat: Any = quantity('"448 kJ/kg"', words="latent heat of the liquid")
-    heat_capacity: Any = quantity('"1720 J/kg/K"', words="heat capacity of the liquid")
+    latent_heat: Any = quantity('"448 kJ/kg"', meaning="latent heat of the liquid")
+    heat_capacity: Any = quantity('"1720 J/kg/K"', meaning="heat capacity of the liquid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +58,9 @@ class Liquid:
     `antoine`: (A, B, C), index [3]; `latent_heat`: J/kg; `heat_capacity`: J/kg/K; each index [].
     """
 
-    antoine: Given
-    latent_heat: Given
-    heat_capacity: Given
+    antoine: CaseInput
+    latent_heat: CaseInput
+    heat_capacity: CaseInput
 
 
 def read_liquid(read: Reader) -> Liquid:
@@ -77,7 +77,9 @@ def read_liquid(read: Reader) -> Liquid:
     values = np.array([a + np.log10(scale), b, c - (ZERO_CELSIUS if table.scale == "degC" else 0)])
     name = f"{read.name}.antoine"
     return Liquid(
-        antoine=given(name, values, ("A", "B", "C"), "1, K, K", words="of Antoine's equation"),
+        antoine=case_input(
+            name, values, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation"
+        ),
         latent_heat=read.number("latent_heat", "J/kg", POSITIVE),
         heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
     )
@@ -88,16 +90,16 @@ class TrayDryerTable(Table):
 
     type: Literal["dryer"]
     kind: Literal["tray"] = word("falling-rate", "tray")
-    duration: Any = quantity('"3 h"', words="drying time")
-    temperature: Any = profile(words="temperature of the shelf")
-    pressure: Any = profile(words="pressure above the cake")
-    area: Any = quantity('"0.5 m^2"', words="area of the shelf")
-    heat_transfer: Any = quantity('"20 W/m^2/K"', words="heat transfer from shelf to cake")
+    duration: Any = quantity('"3 h"', meaning="drying time")
+    temperature: Any = profile(meaning="temperature of the shelf")
+    pressure: Any = profile(meaning="pressure above the cake")
+    area: Any = quantity('"0.5 m^2"', meaning="area of the shelf")
+    heat_transfer: Any = quantity('"20 W/m^2/K"', meaning="heat transfer from shelf to cake")
     mass_transfer: Any = quantity(
-        '"7e-10 kg/m^2/s/Pa"', words="mass transfer from the crystals' surface"
+        '"7e-10 kg/m^2/s/Pa"', meaning="mass transfer from the crystals' surface"
     )
-    critical: Any = quantity('"0.03 kg/kg"', words="moisture below which the rate falls")
-    heat_capacity: Any = quantity('"1200 J/kg/K"', words="heat capacity of the crystals")
+    critical: Any = quantity('"0.03 kg/kg"', meaning="moisture below which the rate falls")
+    heat_capacity: Any = quantity('"1200 J/kg/K"', meaning="heat capacity of the crystals")
     liquid: dict = Field(description="the table liquid")
 
 
@@ -114,11 +116,11 @@ class TrayDryer(Timed):
 
     temperature: Profile
     pressure: Profile
-    area: Given
-    heat_transfer: Given
-    mass_transfer: Given
-    critical: Given
-    heat_capacity: Given
+    area: CaseInput
+    heat_transfer: CaseInput
+    mass_transfer: CaseInput
+    critical: CaseInput
+    heat_capacity: CaseInput
     liquid: Liquid
 
     type = "dryer"
@@ -154,7 +156,7 @@ class TrayDryer(Timed):
         return True
 
     @property
-    def holds(self):
+    def steps_transfer(self):
         return True
 
     def sizes(self, inlets):

@@ -17,31 +17,31 @@ from typing import Any, Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ..flowsheet.ledger import Finish, ledger
 from ..given import fixed, use
 from ..read.fields import number, profile, quantity
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, Bounds
+from ..read.numbers import NOT_NEGATIVE, POSITIVE, ValueRange
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
 from .crystals.population import NUMBER, SIZE, UNITS, cell_powers, mean_sizes
 from .crystals.quantiles import QUANTILES, size_measures, size_states
 from .operation import Inlet, Timed
 
-AT_LEAST_TWO = Bounds(2.0, 100.0, False, "2 or more, and at most 100")
+AT_LEAST_TWO = ValueRange(2.0, 100.0, False, "2 or more, and at most 100")
 
 
 class WetMillTable(Table):
     """`type = "wet-mill"`"""
 
     type: Literal["wet-mill"]
-    duration: Any = quantity('"30 min"', words="milling time")
-    speed: Any = profile(words="tip speed of the rotor")
-    rate: Any = quantity('"1e-3 1/s"', words="rate of breakage at the reference size and speed")
-    reference_size: Any = quantity('"100 um"', words="size to which the rate refers")
-    reference_speed: Any = quantity('"20 m/s"', words="speed to which the rate refers")
+    duration: Any = quantity('"30 min"', meaning="milling time")
+    speed: Any = profile(meaning="tip speed of the rotor")
+    rate: Any = quantity('"1e-3 1/s"', meaning="rate of breakage at the reference size and speed")
+    reference_size: Any = quantity('"100 um"', meaning="size to which the rate refers")
+    reference_speed: Any = quantity('"20 m/s"', meaning="speed to which the rate refers")
     size_power: Any = number("a number, 0 or more", 3.0, "power of the size in the rate")
     speed_power: Any = number("a number, 0 or more", 2.0, "power of the speed in the rate")
     fragments: Any = number("a number, 2 or more", 2.0, "mean number of fragments")
@@ -56,12 +56,12 @@ class WetMill(Timed):
     """
 
     speed: Profile
-    rate: Given
-    reference_size: Given
-    reference_speed: Given
-    size_power: Given
-    speed_power: Given
-    fragments: Given
+    rate: CaseInput
+    reference_size: CaseInput
+    reference_speed: CaseInput
+    size_power: CaseInput
+    speed_power: CaseInput
+    fragments: CaseInput
 
     type = "wet-mill"
     variant = ""

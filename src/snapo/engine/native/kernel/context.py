@@ -76,7 +76,7 @@ class Build:
     chunk: int = 0
 
     @classmethod
-    def begin(cls, traced: Traced, processor: Processor, stages: Stages | None) -> "Build":
+    def start(cls, traced: Traced, processor: Processor, stages: Stages | None) -> "Build":
         lanes = processor.lanes(traced.setup.dtype)
         module = Module(lanes, processor.register)
         return cls(traced, processor, module, layouts(traced, lanes), stages)

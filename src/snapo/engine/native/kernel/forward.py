@@ -1,7 +1,7 @@
 """The forward sweep of a phase: inputs, operations, the tape, outputs."""
 
 from snapo.lanes.body import operations
-from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.storage import ArrayPlace
 from snapo.lanes.emit.values import Values
 from snapo.lanes.program.program import BIG, Op, Program, Value
 
@@ -26,7 +26,7 @@ def forward(
         tape.add(value, value.shape, value.dtype)
     with sweep(build, phase, "forward") as s:
         row = s.tape_row()
-        values = s.values(program, {v: tape.place(v, row) for v in taped})
+        values = s.values(program, {v: tape.address(v, row) for v in taped})
         read = {v for op in ops for v in op.inputs} | set(taped) | set(outputs)
         _inputs(s, values, program, read)
         operations.write(values, ops, [*outputs, *taped])
@@ -48,27 +48,27 @@ def _inputs(s: Sweep, values: Values, program: Program, read: set[Value]) -> Non
             values.small(value)
 
 
-def _given(s: Sweep, key) -> Place:
+def _given(s: Sweep, key) -> ArrayPlace:
     """Where an array of the path lies that is given to this phase."""
     layouts = s.build.layouts
     if key == "action":
-        return layouts["actions"].place(key, s.step_row("actions"))
+        return layouts["actions"].address(key, s.step_row("actions"))
     if key[0] == "start":
-        return layouts["start"].place(key, s.block_row("start"))
-    return layouts["carry"].place(key, field("carry"))
+        return layouts["start"].address(key, s.block_row("start"))
+    return layouts["carry"].address(key, field("carry"))
 
 
 def _deliver(s: Sweep, values: Values, outputs: list[Value]) -> None:
     """Writes the outputs: the next carry, totals and final states, records."""
     layouts = s.build.layouts
-    carry: list[tuple[Value, Place]] = []
+    carry: list[tuple[Value, ArrayPlace]] = []
     for value, (key, _) in zip(outputs, s.phase.outputs):
         if key[0] == "scale":
             continue
         if key[0] == "record":
-            values.copy(value, layouts["records"].place(key, s.step_row("records")))
+            values.copy(value, layouts["records"].address(key, s.step_row("records")))
         elif key[0] in ("final", "end"):
-            values.copy(value, layouts["final"].place(key, s.block_row("final")))
+            values.copy(value, layouts["final"].address(key, s.block_row("final")))
         else:
-            carry.append((value, layouts["carry"].place(key, field("carry"))))
+            carry.append((value, layouts["carry"].address(key, field("carry"))))
     replace_all(values, carry)

@@ -48,7 +48,7 @@ def _both(build: Build, phase: Phase) -> None:
         i for i, (key, aval) in enumerate(phase.inputs)
         if key not in ("noise", "action") and np.issubdtype(aval.dtype, np.floating)
     ]  # fmt: skip
-    bound = build.traced.bound if phase.name == "step" else None
+    bound = build.traced.clip if phase.name == "step" else None
     both = joint.joint(path, moving, _avals(phase), active, bound)
     program = optimize(both.program)
     build.show(f"{phase.name}: one path and its transpose", program)
@@ -58,8 +58,8 @@ def _both(build: Build, phase: Phase) -> None:
     cotangents = program.inputs[len(path.reads) + len(phase.inputs) :]
     gradients = plan_gradients(program, [path.reads[s] for s in slots], reads)
     transposed = Transposed(program, gradients, moving, cotangents, active, back)
-    selected = gradients.kept(dependents(program, cotangents))
-    division = plan(program, cotangents, outputs, transposed.wanted(), selected)
+    selected = gradients.stored(dependents(program, cotangents))
+    division = plan(program, cotangents, outputs, transposed.required(), selected)
     forward(build, phase, program, division.forward, outputs, division.tape)
     reverse(build, phase, transposed, division)
 
@@ -83,7 +83,7 @@ class Kernel:
 
 def emit(traced: Traced, processor: Processor, stages: Stages | None = None) -> Kernel:
     """Writes every function of a kernel, and tells `stages` of the programs on the way."""
-    build = Build.begin(traced, processor, stages)
+    build = Build.start(traced, processor, stages)
     for name in ("initial", "step", "final"):
         emit_phase(build, traced.phases[name])
     shared.prepare(build)

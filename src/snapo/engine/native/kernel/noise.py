@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from snapo.lanes.emit.storage import Place, row_major
+from snapo.lanes.emit.storage import ArrayPlace, row_major
 from snapo.lanes.emit.values import Values, objects
 from snapo.lanes.program.program import BIG, Value
 
@@ -55,7 +55,7 @@ def _drawn(s: Sweep, values: Values, value: Value) -> None:
         row = code.index(f"mul nsw i64 {slot}, {size * out.unit}")
         base = code.pointer(out.base, row)
     shape = value.shape
-    position = Place(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
+    position = ArrayPlace(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
     values.bind(value, position)
 
 

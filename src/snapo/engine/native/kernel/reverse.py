@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from snapo.lanes.body import operations
 from snapo.lanes.emit.code import Code
-from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.storage import ArrayPlace
 from snapo.lanes.emit.values import Values
 from snapo.lanes.gradients.accumulate import accumulate
 from snapo.lanes.gradients.plan import Gradients
@@ -36,9 +36,9 @@ class Transposed:
     active: list[int]
     back: list[Value]
 
-    def wanted(self) -> list[Value]:
+    def required(self) -> list[Value]:
         """Everything that the reverse sweep must bring about."""
-        return [*self.back, *self.gradients.wanted()]
+        return [*self.back, *self.gradients.required()]
 
 
 def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) -> None:
@@ -56,11 +56,11 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) 
         chunk_row = rows.row(code, field("chunk"), slot)
         values = s.values(program, rows.homes(chunk_row))
         for value in division.tape:
-            values.bind(value, tape.place(value, row))
+            values.bind(value, tape.address(value, row))
         _cotangents(s, values, transposed)
         # What is computed again has the bits that it had: a maximum is compared with its terms.
         later = dependents(program, transposed.cotangents)
-        operations.write(values, division.reverse, transposed.wanted(), later)
+        operations.write(values, division.reverse, transposed.required(), later)
         step_row = function.row(field("step_sums"), s.t, "step_sums") if stepwise else None
         sums = function.sums(step_row)
         accumulate(values, rows, sums, row, chunk_row)
@@ -85,24 +85,24 @@ def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
     layout = layouts["weights" if final else "cotangent"]
     base = s.block_row("weights") if final else field("cotangent")
     for value, i in zip(transposed.cotangents, transposed.moving):
-        values.bind(value, layout.place(s.phase.outputs[i][0], base))
+        values.bind(value, layout.address(s.phase.outputs[i][0], base))
         if value.size <= BIG:
             values.small(value)
     if len(transposed.cotangents) > len(transposed.moving):
-        bound = layouts["bounds"].place("bound", s.block_row("bounds"))
+        bound = layouts["bounds"].address("bound", s.block_row("bounds"))
         values.bind(transposed.cotangents[-1], bound)
 
 
 def _pass_back(s: Sweep, values: Values, transposed: Transposed) -> None:
     """Writes the cotangents of this phase's inputs."""
     layouts = s.build.layouts
-    pairs: list[tuple[Value, Place]] = []
+    pairs: list[tuple[Value, ArrayPlace]] = []
     for value, i in zip(transposed.back, transposed.active):
         key = s.phase.inputs[i][0]
         if key[0] == "start":
-            position = layouts["start_cotangent"].place(key, s.block_row("start_cotangent"))
+            position = layouts["start_cotangent"].address(key, s.block_row("start_cotangent"))
         else:
-            position = layouts["cotangent"].place(key, field("cotangent"))
+            position = layouts["cotangent"].address(key, field("cotangent"))
         pairs.append((value, position))
     replace_all(values, pairs)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from snapo.lanes.body import operations
 from snapo.lanes.emit.shared import Shared
-from snapo.lanes.emit.storage import Place, Small
+from snapo.lanes.emit.storage import ArrayPlace, Small
 from snapo.lanes.emit.values import Values
 from snapo.lanes.gradients.adding import add
 from snapo.lanes.program.cut import Leaf, Piece
@@ -18,7 +18,7 @@ from .context import Build, Function, field
 def bind(values: Values, program: Program, piece: Piece, tables: Shared, fixed: bool) -> None:
     """Tells where everything lies that a piece reads; tables do not change where `fixed`."""
     for value, leaf in zip(program.inputs, piece.reads):
-        values.bind(value, tables.place(leaf, fixed))
+        values.bind(value, tables.address(leaf, fixed))
 
 
 def prepare(build: Build) -> None:
@@ -43,14 +43,14 @@ def _computed(
         return
     program = optimize(forward(piece, (), False))
     build.show(f"{name}: computed once per {'step' if tables.step_row else 'call'}", program)
-    homes: dict[Value, Place] = {}
+    homes: dict[Value, ArrayPlace] = {}
     for value, leaf in zip(program.outputs, leaves):
-        homes.setdefault(value, tables.place(leaf))
+        homes.setdefault(value, tables.address(leaf))
     values = Values(function.code, build.workspace(), homes)
     bind(values, program, piece, tables, fixed=False)
     operations.write(values, program.ops, program.outputs)
     for value, leaf in zip(program.outputs, leaves):
-        position = tables.place(leaf)
+        position = tables.address(leaf)
         if homes[value].offset != position.offset or value.constant is not None:
             values.copy(value, position)
     build.used(values.workspace)
@@ -84,14 +84,14 @@ def _transposed(
     values = Values(function.code, build.workspace())
     bind(values, program, piece, tables, fixed=True)
     for value, i in zip(program.inputs[len(piece.reads) :], moving):
-        values.bind(value, _narrowed(values, sums.place(leaves[i]), value))
+        values.bind(value, _narrowed(values, sums.address(leaves[i]), value))
     operations.write(values, program.ops, program.outputs)
     for value, slot in zip(program.outputs, both.read_slots):
-        add(values, value, sums.place(piece.reads[slot]))
+        add(values, value, sums.address(piece.reads[slot]))
     build.used(values.workspace)
 
 
-def _narrowed(values: Values, position: Place, value: Value) -> Small | Place:
+def _narrowed(values: Values, position: ArrayPlace, value: Value) -> Small | ArrayPlace:
     """Sums are kept in float64; the transposes run in the call's precision."""
     if value.dtype == np.float64:
         return position

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from snapo.lanes.emit.code import Code
-from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.storage import ArrayPlace
 from snapo.lanes.emit.values import Values
 from snapo.lanes.program.program import Program, Value
 
@@ -44,7 +44,7 @@ class Sweep:
         distance = self.code.index(f"mul nsw i64 {self.relative}, %stride")
         return self.code.pointer(field(TAPES[self.phase.name]), distance)
 
-    def values(self, program: Program, homes: dict[Value, Place]) -> Values:
+    def values(self, program: Program, homes: dict[Value, ArrayPlace]) -> Values:
         """The arrays of a program; those that all paths share are known."""
         values = Values(self.code, self.build.workspace(), homes)
         row = self.function.row(field("steps"), self.t, "steps")
@@ -80,12 +80,12 @@ def _at(build: Build, phase: Phase, function: Function, t: str) -> Sweep:
     return Sweep(build, phase, function, t, relative)
 
 
-def replace_all(values: Values, pairs: list[tuple[Value, Place]]) -> None:
+def replace_all(values: Values, pairs: list[tuple[Value, ArrayPlace]]) -> None:
     """Writes new values over old ones that some of them may still be views of."""
     for value, position in pairs:
         available = values.get(value)
         if (
-            isinstance(available, Place)
+            isinstance(available, ArrayPlace)
             and available.base in (field("carry"), field("cotangent"))
             and not _same(available, position)
         ):
@@ -94,9 +94,9 @@ def replace_all(values: Values, pairs: list[tuple[Value, Place]]) -> None:
             values.bind(value, aside)
     for value, position in pairs:
         available = values.get(value)
-        if not (isinstance(available, Place) and _same(available, position)):
+        if not (isinstance(available, ArrayPlace) and _same(available, position)):
             values.copy(value, position)
 
 
-def _same(a: Place, b: Place) -> bool:
+def _same(a: ArrayPlace, b: ArrayPlace) -> bool:
     return a.base == b.base and a.offset == b.offset and a.strides == b.strides

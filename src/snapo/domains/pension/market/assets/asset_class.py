@@ -102,7 +102,7 @@ class AssetClass(ABC):
     """
 
     kind: ClassVar[str]
-    words: ClassVar[str]
+    description: ClassVar[str]
     columns: ClassVar[tuple[str, ...]]
     without: ClassVar[str]
     part: ClassVar[AttributionPart]

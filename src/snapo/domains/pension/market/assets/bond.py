@@ -55,7 +55,7 @@ class Bond(Maturing):
     """Zero-coupon bonds without default."""
 
     kind: ClassVar[str] = "bond"
-    words: ClassVar[str] = "zero-coupon bonds of constant maturity on the nominal curve"
+    description: ClassVar[str] = "zero-coupon bonds of constant maturity on the nominal curve"
     columns: ClassVar[tuple[str, ...]] = ("maturity",)
     without: ClassVar[str] = "its return follows from the curve"
     part: ClassVar[AttributionPart] = "rates"

@@ -14,7 +14,7 @@ class Cash(AssetClass):
     """Cash in the fund's own currency."""
 
     kind: ClassVar[str] = "cash"
-    words: ClassVar[str] = "earns the short rate"
+    description: ClassVar[str] = "earns the short rate"
     columns: ClassVar[tuple[str, ...]] = ()
     without: ClassVar[str] = "its return is the short rate, which follows from the curve"
     part: ClassVar[AttributionPart] = "cash"

@@ -13,5 +13,5 @@ class Commodity(Priced):
     """Commodities, lognormal with a shock of their own."""
 
     kind: ClassVar[str] = "commodity"
-    words: ClassVar[str] = "commodities; lognormal with a shock of their own"
+    description: ClassVar[str] = "commodities; lognormal with a shock of their own"
     risk: ClassVar[str] = "commodity"

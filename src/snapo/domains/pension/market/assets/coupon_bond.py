@@ -26,7 +26,7 @@ class CouponBond(Maturing):
     """Bonds that pay a `coupon` per year, `AT_PAR` for the par rate."""
 
     kind: ClassVar[str] = "coupon-bond"
-    words: ClassVar[str] = (
+    description: ClassVar[str] = (
         "bonds of constant maturity on the nominal curve that pay a coupon once a year"
     )
     columns: ClassVar[tuple[str, ...]] = ("maturity", "coupon")

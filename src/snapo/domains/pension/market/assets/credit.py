@@ -48,7 +48,7 @@ class CreditBond(Maturing):
     """Zero-coupon corporate bonds; `rating`: position in the ratings of the case."""
 
     kind: ClassVar[str] = "credit"
-    words: ClassVar[str] = (
+    description: ClassVar[str] = (
         "zero-coupon corporate bonds of constant maturity: the curve plus a rating's spread,"
         " less defaults"
     )

@@ -13,7 +13,7 @@ class Equity(Priced):
     """Shares, lognormal with a shock of their own."""
 
     kind: ClassVar[str] = "equity"
-    words: ClassVar[str] = (
+    description: ClassVar[str] = (
         "shares, listed or private, and infrastructure; lognormal with a shock of their own"
     )
     risk: ClassVar[str] = "developed"

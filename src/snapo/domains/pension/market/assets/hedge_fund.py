@@ -13,5 +13,7 @@ class HedgeFund(Priced):
     """A strategy without a market index, lognormal with a shock of its own."""
 
     kind: ClassVar[str] = "hedge-fund"
-    words: ClassVar[str] = "hedge funds and other alternatives; lognormal with a shock of their own"
+    description: ClassVar[str] = (
+        "hedge funds and other alternatives; lognormal with a shock of their own"
+    )
     risk: ClassVar[str] = "unlisted"

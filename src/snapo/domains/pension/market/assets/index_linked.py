@@ -19,7 +19,7 @@ class IndexLinked(Bond):
     """Zero-coupon bonds on the real curve, without default."""
 
     kind: ClassVar[str] = "index-linked"
-    words: ClassVar[str] = (
+    description: ClassVar[str] = (
         "zero-coupon bonds of constant maturity that pay the price index, discounted on the curve"
         " less break-evens"
     )

@@ -13,7 +13,7 @@ class Property(Priced):
     """Property, lognormal with a shock of its own."""
 
     kind: ClassVar[str] = "property"
-    words: ClassVar[str] = (
+    description: ClassVar[str] = (
         "buildings and land; lognormal with a shock of its own, where appraised shown with a lag"
     )
     risk: ClassVar[str] = "unlisted-property"

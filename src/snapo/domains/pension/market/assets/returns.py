@@ -38,7 +38,7 @@ class Returns(NamedTuple):
 
     log: Array
     swaps: Array | None
-    shown: Array | None
+    reported: Array | None
     beneath: tuple[Mixture | None, ...]
 
 

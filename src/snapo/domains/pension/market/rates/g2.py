@@ -13,4 +13,4 @@ class G2(ShortRate):
 
     kind: ClassVar[str] = "g2++"
     factors: ClassVar[tuple[str, ...]] = ("rate", "rate 2")
-    words: ClassVar[str] = "G2++, two factors"
+    description: ClassVar[str] = "G2++, two factors"

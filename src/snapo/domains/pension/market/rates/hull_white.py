@@ -13,4 +13,4 @@ class HullWhite(ShortRate):
 
     kind: ClassVar[str] = "hull-white"
     factors: ClassVar[tuple[str, ...]] = ("rate",)
-    words: ClassVar[str] = "Hull-White, one factor"
+    description: ClassVar[str] = "Hull-White, one factor"

@@ -11,10 +11,10 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
-from ...read.cells import Grid, Place, listed, per_factor, side_by_side, stepwise
+from ...read.cells import Grid, TableContext, listed, per_factor, side_by_side, stepwise
 from ...records.said import number, quiet_volatility
 
 MEAN_REVERSION = number(
@@ -40,11 +40,11 @@ class ShortRate:
 
     kind: ClassVar[str]
     factors: ClassVar[tuple[str, ...]]
-    words: ClassVar[str]
+    description: ClassVar[str]
 
-    mean_reversion: Given
-    volatility: Given
-    price_of_risk: Given
+    mean_reversion: CaseInput
+    volatility: CaseInput
+    price_of_risk: CaseInput
 
     @classmethod
     def count(cls) -> int:
@@ -57,7 +57,7 @@ class ShortRate:
         return cls.factors if len(cls.factors) > 1 else ("",)
 
     @classmethod
-    def read(cls, section: Place, table: Table, grid: Grid) -> Self:
+    def read(cls, section: TableContext, table: Table, grid: Grid) -> Self:
         """The numbers of `[rates]`: lists have one per factor; volatilities may change in time."""
         labels = cls.labels()
         names = ("volatility", "mean_reversion", "price_of_risk")
@@ -66,7 +66,7 @@ class ShortRate:
         return cls(
             mean_reversion=listed("rate_mean_reversion", reversion, labels, MEAN_REVERSION),
             volatility=side_by_side("rate_volatility", moving, labels, VOLATILITY),
-            price_of_risk=section.told(
+            price_of_risk=section.input(
                 table, "price_of_risk", listed("rate_price_of_risk", price, labels, PRICE_OF_RISK)
             ),
         )
@@ -78,7 +78,7 @@ class ShortRate:
         index = np.broadcast_to(np.arange(count), (steps, count))
         return cls(
             listed("rate_mean_reversion", [0.1] * count, labels, MEAN_REVERSION),
-            VOLATILITY.given("rate_volatility", [0.0] * count, labels, index),
+            VOLATILITY.input("rate_volatility", [0.0] * count, labels, index),
             listed("rate_price_of_risk", [0.0] * count, labels, PRICE_OF_RISK),
         )
 

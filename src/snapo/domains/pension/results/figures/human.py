@@ -78,7 +78,7 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: Curve) -> float:
     """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
     name, quotes = curve.rate.name, jnp.asarray(curve.rate.values)
 
-    def worth(shift):
+    def value(shift):
         moved = values | {name: quotes + shift}
         held = case.assets.weight.used() * float(case.assets.amount.used())
         total = held @ log_prices(case, moved)
@@ -86,7 +86,7 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: Curve) -> float:
             total = total + case.overlay.notional.used() @ swap_values(case, moved)
         return total
 
-    return float(jax.jit(jax.grad(worth))(jnp.zeros(())))
+    return float(jax.jit(jax.grad(value))(jnp.zeros(())))
 
 
 def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, float]:
@@ -105,7 +105,7 @@ def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
     # Bases and mortality do not matter to returns.
     market = replace(case, lee_carter=None)
 
-    def roll(inputs):
+    def simulate(inputs):
         terms, steps, _ = market_schedule(market, inputs, np.array([round(1 / case.step)]))
         terms, steps = without_empty(terms), without_empty(steps)
         none = jnp.zeros(slots(market).size)
@@ -116,7 +116,7 @@ def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
 
         return jax.lax.scan(step, terms.start, steps)[1]
 
-    gross = np.asarray(jax.jit(roll)(values))
+    gross = np.asarray(jax.jit(simulate)(values))
     return np.expm1(np.log(gross).mean(0) / case.step)
 
 

@@ -195,7 +195,9 @@ def _funding(case: PensionCase) -> list[str]:
     ]
     plan = result.recovery
     if plan.deficit:
-        message = f"recovery plan: {readable(plan.each, currency)} a year for {plan.years:g} years"
+        message = (
+            f"recovery plan: {readable(plan.probability, currency)} a year for {plan.years:g} years"
+        )
         summary.append(f"{message} (deficit {readable(plan.deficit, currency)})")
     return summary
 
@@ -226,11 +228,13 @@ def readable(amount: float, currency: str) -> str:
 def _line(case: PensionCase, line: Line) -> str:
     money = line.name in MONEY
 
-    def shown(value: float) -> str:
+    def text(value: float) -> str:
         return readable(value, case.currency) if money else f"{value:,.6g}"
 
-    available = "" if line.given is None else f", given {shown(line.given)} ({line.error:+.1e})"
-    return f"{line.name}: {shown(line.own)}{available}"
+    available = (
+        "" if line.supplied is None else f", given {text(line.supplied)} ({line.error:+.1e})"
+    )
+    return f"{line.name}: {text(line.computed)}{available}"
 
 
 def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line]:
@@ -240,11 +244,11 @@ def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line
     """
     result = check(case, plain(pension_inputs(case)), available)
     for line in result:
-        if not line.ok and line.given is not None and case.reconcile is not None:
+        if not line.ok and line.supplied is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
             message = (
-                f"this model's own figure is {line.own:.8g}, which differs by {line.error:.3g}; "
-                f"the tolerance is {tolerance:g}"
+                f"this model's own figure is {line.computed:.8g}, which differs by "
+                f"{line.error:.3g}; the tolerance is {tolerance:g}"
             )
-            raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)
+            raise CaseError(str(case.file), f"reconcile.{line.name}", line.supplied, message)
     return result

@@ -46,8 +46,8 @@ class Line:
     `error` and whether that is within the tolerance."""
 
     name: str
-    own: float
-    given: float | None
+    computed: float
+    supplied: float | None
     error: float | None
     ok: bool | None
 
@@ -82,11 +82,11 @@ def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
     """
     case = replace(case, scenarios=None)
 
-    def worth(values):
+    def value(values):
         both = payments(case, values)
         return jnp.dot(*both), both
 
-    return jax.jit(jax.grad(worth, has_aux=True))
+    return jax.jit(jax.grad(value, has_aux=True))
 
 
 def check(

@@ -102,14 +102,14 @@ class _Loops:
             raise inside.error("high", inner.high, "high must lie above low")
         return Cascade(of, above, below, low, high)
 
-    def _pi(self, section: Section, table, unit: str, moved: str, setpoint: Any) -> PI:
+    def _pi(self, section: Section, table, unit: str, manipulated: str, setpoint: Any) -> PI:
         sensor = _among(section, "measure", table.measure, self.states, "measurement")
         if table.measure.partition(".")[0] != unit:
             message = f"a loop measures in the unit that it moves, {unit}"
             raise section.error("measure", table.measure, message)
         local, gain, integral, nodes = self.units[table.measure], None, None, None
         if table.gain is not None:
-            gain = number(section, "gain", table.gain, per(moved, local), difference=True)
+            gain = number(section, "gain", table.gain, per(manipulated, local), difference=True)
             if gain == 0:
                 raise section.error("gain", table.gain, f"allowed is {NOT_ZERO}")
         if table.integral_time is not None:

@@ -14,7 +14,7 @@ from ...quality.draws import process_entries
 from ...time.profile import Profile, weights
 from ...units.operation import Inlet, Unit, timed
 
-LEAST = 1e-9  # s: of a flow whose duration is not known yet
+MINIMUM = 1e-9  # s: of a flow whose duration is not known yet
 
 
 def check_decided(case: PharmaCase) -> None:
@@ -147,7 +147,7 @@ def _lasting(feeds, units, connections) -> dict[tuple[str, str], float]:
     """{(unit, inlet): s over which what comes flows, 0 of a batch}; units in the order of flow."""
     fed = {(f.name, ""): f.duration or 0.0 for f in feeds}
     # What comes back in a loop flows for as long as what is fed to it.
-    _, into = settled(units, connections, fed, LEAST, lambda unit, flows: unit.lasts(flows))
+    _, into = settled(units, connections, fed, MINIMUM, lambda unit, flows: unit.lasts(flows))
     return {
         (unit.name, inlet.name): lasts
         for unit in units

@@ -22,7 +22,7 @@ def check_drawn(
     share = outside(distribution, numbers.value(entry), values.low, values.high)
     if share <= NOTED:
         return
-    metadata = f"{100 * share:.2g} % of its draws are none that {numbers.said(entry)} can have"
+    metadata = f"{100 * share:.2g} % of its draws are none that {numbers.name_of(entry)} can have"
     metadata += f" ({limits(values)})"
     if share > REFUSED:
         hint = "" if values.low < 0 else '; kind "lognormal" stays above 0'

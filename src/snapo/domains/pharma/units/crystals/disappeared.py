@@ -10,7 +10,7 @@ import numpy as np
 from .kinetics import Rates
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
-MOST = 1000  # points in time
+MAXIMUM = 1000  # points in time
 REMEDY = 'by moments none disappears; take method = "finite-volumes"'
 
 
@@ -30,7 +30,7 @@ def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) 
             f"{1e6 * smallest:.3g} um: {REMEDY}"
         )
     # Nuclei of an interval count as born at its end.
-    selected = np.unique(np.linspace(0, len(time) - 1, MOST).astype(int))
+    selected = np.unique(np.linspace(0, len(time) - 1, MAXIMUM).astype(int))
     born = np.diff(np.cumsum(born)[selected], prepend=0.0)
     size = (
         nuclei_size + length[selected][:, None] - length[selected]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...given import absent, use
@@ -26,15 +26,15 @@ class Kinetics:
     mu3 in m3/m3 being that of all crystals. Every field is a number, index [].
     """
 
-    growth: Given
-    growth_order: Given
-    dissolution: Given
-    dissolution_order: Given
-    primary: Given
-    primary_order: Given
-    secondary: Given
-    secondary_order: Given
-    crystal_order: Given
+    growth: CaseInput
+    growth_order: CaseInput
+    dissolution: CaseInput
+    dissolution_order: CaseInput
+    primary: CaseInput
+    primary_order: CaseInput
+    secondary: CaseInput
+    secondary_order: CaseInput
+    crystal_order: CaseInput
     rounding: float
 
 

@@ -20,17 +20,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
 from ...read.fields import Text, Texts, quantity
-from ...read.numbers import POSITIVE, SHARE, given, listed
+from ...read.numbers import POSITIVE, SHARE, case_input, listed
 from ...read.reader import Reader
 
 ROUNDS = 60  # of bisection: to round-off
-LEAST = -60.0  # ln x below which nothing is searched
+MINIMUM = -60.0  # ln x below which nothing is searched
 
 
 def activity(x: Float[Array, " n"], tau: Float[Array, "n n"], alpha) -> Float[Array, " n"]:
@@ -65,7 +65,7 @@ def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
         above = gap(middle, *fixed) > 0
         return (jnp.where(above, low, middle), jnp.where(above, middle, high)), None
 
-    start = jnp.full_like(fixed[0], LEAST), jnp.full_like(fixed[0], -1e-9)
+    start = jnp.full_like(fixed[0], MINIMUM), jnp.full_like(fixed[0], -1e-9)
     (low, high), _ = jax.lax.scan(halved, start, length=ROUNDS)
     u = still((low + high) / 2)
     slope = still(jax.grad(lambda v: gap(v, *fixed))(u))
@@ -78,16 +78,16 @@ class NrtlTable(Table):
     """`[units.NAME.solubility.nrtl]`"""
 
     solute: Text | None = Field(None, description='a name that chemicals knows, as "paracetamol"')
-    molar_mass: Any = quantity('"151.16 g/mol"', None, words="molar mass of the solute")
-    melting: Any = quantity('"443.6 K"', None, words="melting point of the crystals")
-    fusion: Any = quantity('"27.1 kJ/mol"', None, words="enthalpy of fusion")
+    molar_mass: Any = quantity('"151.16 g/mol"', None, meaning="molar mass of the solute")
+    melting: Any = quantity('"443.6 K"', None, meaning="melting point of the crystals")
+    fusion: Any = quantity('"27.1 kJ/mol"', None, meaning="enthalpy of fusion")
     heat_capacity_change: Any = quantity(
-        '"0 J/mol/K"', "0 J/mol/K", words="heat capacity of the melt less that of the crystals"
+        '"0 J/mol/K"', "0 J/mol/K", meaning="heat capacity of the melt less that of the crystals"
     )
     solvents: Texts = Field(description='names of the solvents, such as ["ethanol", "water"]')
     solvent_masses: Any = Field(None, description='their molar masses, such as ["46.07 g/mol"]')
     composition: Any = Field(None, description="their shares by mole, such as [0.8, 0.2]")
-    density: Any = quantity('"789 kg/m^3"', words="solvent per volume of solution")
+    density: Any = quantity('"789 kg/m^3"', meaning="solvent per volume of solution")
     a: list[list[float]] | None = Field(
         None, description="numbers a_ij of tau, rows i, the solute first"
     )
@@ -104,13 +104,13 @@ class Mixture:
       row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar mass of the solute over theirs.
     """
 
-    melting: Given
-    fusion: Given
-    capacity: Given
-    density: Given
-    a: Given
-    b: Given
-    alpha: Given
+    melting: CaseInput
+    fusion: CaseInput
+    capacity: CaseInput
+    density: CaseInput
+    a: CaseInput
+    b: CaseInput
+    alpha: CaseInput
     liquid: np.ndarray
     ratio: float
 
@@ -132,29 +132,29 @@ def read_mixture(read: Reader) -> Mixture:
     if len(masses) != count - 1:
         raise read.section.error("solvent_masses", table.solvent_masses, "one of each solvent")
 
-    def own(key: str, unit: str, which: str) -> Given:
+    def parameter(key: str, unit: str, which: str) -> CaseInput:
         if getattr(table, key) is not None:
             return read.number(key, unit, POSITIVE)
         if table.solute is None:
             raise read.section.error(key, None, "without the name of a solute this key is needed")
         value = np.array([constant(read, "solute", table.solute, which)])
-        return given(f"{read.name}.{key}", value, ("",), unit, np.array(0), read.words(key))
+        return case_input(f"{read.name}.{key}", value, ("",), unit, np.array(0), read.meaning(key))
 
-    solute = own("molar_mass", "kg/kmol", "MW")
+    solute = parameter("molar_mass", "kg/kmol", "MW")
     names = ["solute", *table.solvents]
     labels = [f"{names[i]}-{names[j]}" for i, j in zip(*_apart(count))]
 
-    def matrix(key: str, unit: str) -> Given:
+    def matrix(key: str, unit: str) -> CaseInput:
         raw = getattr(table, key)
         rows = np.zeros((count, count)) if raw is None else raw
         if len(rows) != count or any(len(row) != count for row in rows):
             raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
         values = np.array(rows, float)[_apart(count)]
-        return given(f"{read.name}.{key}", values, labels, unit, words=f"{key} of NRTL")
+        return case_input(f"{read.name}.{key}", values, labels, unit, meaning=f"{key} of NRTL")
 
     return Mixture(
-        melting=own("melting", "K", "Tm"),
-        fusion=own("fusion", "J/mol", "Hfus"),
+        melting=parameter("melting", "K", "Tm"),
+        fusion=parameter("fusion", "J/mol", "Hfus"),
         capacity=read.number("heat_capacity_change", "J/mol/K"),
         density=read.number("density", "kg/m3", POSITIVE),
         a=matrix("a", "1"),
@@ -192,7 +192,7 @@ def dissolved(record: Mixture, inputs: dict[str, Any], temperature) -> Array:
     """c* in kg/m3 at temperatures of any shape, x / (1 - x) times the solvent."""
     count, (rows, columns) = len(record.liquid) + 1, _apart(len(record.liquid) + 1)
 
-    def square(item: Given) -> Array:
+    def square(item: CaseInput) -> Array:
         return jnp.zeros((count, count)).at[rows, columns].set(use(inputs, item))
 
     a, b, alpha = square(record.a), square(record.b), square(record.alpha)

@@ -9,13 +9,13 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use
 from ...read.fields import quantity
-from ...read.numbers import POSITIVE, given
+from ...read.numbers import POSITIVE, case_input
 from ...read.numbers import quantity as read_quantity
 from ...read.reader import Reader
 from .population import NUMBER, SIZE, cell_powers
@@ -32,10 +32,10 @@ class Seed:
     lognormal distribution; None where all are of one size.
     """
 
-    loading: Given | None
-    size: Given | None
-    moments: Given | None
-    spread: Given | None = None
+    loading: CaseInput | None
+    size: CaseInput | None
+    moments: CaseInput | None
+    spread: CaseInput | None = None
 
 
 def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Array, " 6"]:
@@ -89,7 +89,7 @@ def read_seed(read: Reader) -> Seed:
         if table.size is None:
             raise read.section.error("size", None, "a loading needs this key")
         loading = read.number("loading", "kg/m3", POSITIVE)
-        size, spread = read.number("size", "m", POSITIVE), read.perhaps("spread", "1", POSITIVE)
+        size, spread = read.number("size", "m", POSITIVE), read.optional("spread", "1", POSITIVE)
         return Seed(loading, size, None, spread)
     for key in ("size", "spread"):
         if getattr(table, key) is not None:
@@ -110,7 +110,9 @@ def read_seed(read: Reader) -> Seed:
     labels = tuple(f"mu{k}" for k in range(6))
     name = f"{read.name}.moments"
     return Seed(
-        None, None, given(name, np.array(values), labels, "m^k/m3", words="moment of the seed")
+        None,
+        None,
+        case_input(name, np.array(values), labels, "m^k/m3", meaning="moment of the seed"),
     )
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
 from ...read.fields import Text, quantity, word
-from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, given, several
+from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, case_input, several
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
 from .nrtl import Mixture, NrtlTable, dissolved, read_mixture
@@ -36,11 +36,11 @@ class Solubility:
     """
 
     kind: Kind
-    coefficients: Given
+    coefficients: CaseInput
     zero: float
-    antisolvent: Given
-    value: Given | None = None
-    enthalpy: Given | None = None
+    antisolvent: CaseInput
+    value: CaseInput | None = None
+    enthalpy: CaseInput | None = None
     reference: float = 298.15
     mixture: Mixture | None = None
 
@@ -52,9 +52,9 @@ class SolubilityTable(Table):
     coefficients: Annotated[list[float], Field(min_length=1)] | None = Field(
         None, description="a list of numbers, of rising powers of the temperature"
     )
-    value: Any = quantity('"20 kg/m^3"', None, words="solubility at the reference")
-    enthalpy: Any = quantity('"25 kJ/mol"', None, words="enthalpy of dissolution")
-    reference: Any = quantity('"298.15 K"', None, words="temperature of the reference")
+    value: Any = quantity('"20 kg/m^3"', None, meaning="solubility at the reference")
+    enthalpy: Any = quantity('"25 kJ/mol"', None, meaning="enthalpy of dissolution")
+    reference: Any = quantity('"298.15 K"', None, meaning="temperature of the reference")
     nrtl: dict | None = Field(None, description="the table nrtl")
     unit: Text = Field("kg/m^3", description='a unit such as "kg/m^3"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
@@ -100,7 +100,9 @@ def read_solubility(read: Reader) -> Solubility:
     labels = tuple(f"t^{k}" for k in range(len(values)))
     return Solubility(
         kind=table.kind,
-        coefficients=given(read.name, values, labels, unit, words="coefficient of solubility"),
+        coefficients=case_input(
+            read.name, values, labels, unit, meaning="coefficient of solubility"
+        ),
         zero=0.0 if table.scale == "K" else ZERO_CELSIUS,
         antisolvent=extra,
     )

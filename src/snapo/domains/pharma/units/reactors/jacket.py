@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...read.fields import profile, quantity
@@ -15,9 +15,9 @@ from ...time.profile import Profile
 class JacketTable(Table):
     """`[units.NAME.jacket]`"""
 
-    heat_capacity: Any = quantity('"1.9e6 J/m^3/K"', words="heat capacity of the mixture")
-    conductance: Any = quantity('"120 W/K"', words="heat conductance to the jacket")
-    temperature: Any = profile(words="temperature of the jacket")
+    heat_capacity: Any = quantity('"1.9e6 J/m^3/K"', meaning="heat capacity of the mixture")
+    conductance: Any = quantity('"120 W/K"', meaning="heat conductance to the jacket")
+    temperature: Any = profile(meaning="temperature of the jacket")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class Jacket:
       reactor of its whole length. `temperature`: of the jacket, a profile in K.
     """
 
-    heat_capacity: Given
-    conductance: Given
+    heat_capacity: CaseInput
+    conductance: CaseInput
     temperature: Profile
 
 

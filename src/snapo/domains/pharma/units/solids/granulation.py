@@ -24,45 +24,49 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...flowsheet.ledger import Finish, ledger
 from ...flowsheet.stream import MOMENTS
 from ...given import use
 from ...read.fields import Text, number, profile, quantity
-from ...read.numbers import DENSITY, INSIDE, LIQUID, NOT_NEGATIVE, POSITIVE, Bounds
+from ...read.numbers import DENSITY, INSIDE, LIQUID, NOT_NEGATIVE, POSITIVE, ValueRange
 from ...time.dynamics import Dynamics
 from ...time.profile import Profile
 from ..crystals.population import mean_sizes
 from ..operation import Inlet, Timed
 
 SPHERE = np.pi / 6  # granules are round
-BROAD = Bounds(0.0, 2.0, False, "from 0 to 2")
-WEIGHED = Bounds(0.0, 1000.0, False, "from 0 to 1000 per mass of drug")
+BROAD = ValueRange(0.0, 2.0, False, "from 0 to 2")
+WEIGHED = ValueRange(0.0, 1000.0, False, "from 0 to 1000 per mass of drug")
 
 
 class GranulationTable(Table):
     """`type = "granulation"`"""
 
     type: Literal["granulation"]
-    duration: Any = quantity('"10 min"', words="time of wet massing")
-    speed: Any = profile(words="tip speed of the impeller")
+    duration: Any = quantity('"10 min"', meaning="time of wet massing")
+    speed: Any = profile(meaning="tip speed of the impeller")
     excipient: Text = Field(description="the species that is the excipient")
-    excipient_ratio: Any = number("a number, 0 or more", words="mass of excipient per mass of drug")
-    excipient_density: Any = quantity('"1540 kg/m^3"', words="density of the excipient")
-    liquid_ratio: Any = number("a number, 0 or more", words="granulation liquid per mass of solids")
-    liquid_density: Any = quantity('"1000 kg/m^3"', words="density of the granulation liquid")
-    nuclei_size: Any = quantity('"150 um"', words="mean size of the first granules, by volume")
+    excipient_ratio: Any = number(
+        "a number, 0 or more", meaning="mass of excipient per mass of drug"
+    )
+    excipient_density: Any = quantity('"1540 kg/m^3"', meaning="density of the excipient")
+    liquid_ratio: Any = number(
+        "a number, 0 or more", meaning="granulation liquid per mass of solids"
+    )
+    liquid_density: Any = quantity('"1000 kg/m^3"', meaning="density of the granulation liquid")
+    nuclei_size: Any = quantity('"150 um"', meaning="mean size of the first granules, by volume")
     nuclei_spread: Any = number("a number from 0 to 2", 0.0, "spread of ln(size) of the first ones")
-    coalescence: Any = quantity('"0.01 1/s"', words="rate of coalescence at the references")
+    coalescence: Any = quantity('"0.01 1/s"', meaning="rate of coalescence at the references")
     saturation_power: Any = number("a number, 0 or more", 0.0, "power of the saturation in it")
-    consolidation: Any = quantity('"0.005 1/s"', words="rate at which porosity falls")
-    porosity: Any = number("a share between 0 and 1", words="porosity of the first granules")
-    least_porosity: Any = number("a share between 0 and 1", words="least porosity of granules")
-    reference_speed: Any = quantity('"8 m/s"', words="speed to which both rates refer")
+    consolidation: Any = quantity('"0.005 1/s"', meaning="rate at which porosity falls")
+    porosity: Any = number("a share between 0 and 1", meaning="porosity of the first granules")
+    least_porosity: Any = number("a share between 0 and 1", meaning="least porosity of granules")
+    reference_speed: Any = quantity('"8 m/s"', meaning="speed to which both rates refer")
     speed_power: Any = number("a number, 0 or more", 1.0, "power of the speed in both rates")
-    packing: Any = number("a share between 0 and 1", words="share of a bed that granules fill")
+    packing: Any = number("a share between 0 and 1", meaning="share of a bed that granules fill")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +82,20 @@ class Granulation(Timed):
 
     speed: Profile
     excipient: int
-    excipient_ratio: Given
-    excipient_density: Given
-    liquid_ratio: Given
-    liquid_density: Given
-    nuclei_size: Given
-    nuclei_spread: Given
-    coalescence: Given
-    saturation_power: Given
-    consolidation: Given
-    porosity: Given
-    least_porosity: Given
-    reference_speed: Given
-    speed_power: Given
-    packing: Given
+    excipient_ratio: CaseInput
+    excipient_density: CaseInput
+    liquid_ratio: CaseInput
+    liquid_density: CaseInput
+    nuclei_size: CaseInput
+    nuclei_spread: CaseInput
+    coalescence: CaseInput
+    saturation_power: CaseInput
+    consolidation: CaseInput
+    porosity: CaseInput
+    least_porosity: CaseInput
+    reference_speed: CaseInput
+    speed_power: CaseInput
+    packing: CaseInput
 
     type = "granulation"
     variant = ""
@@ -118,7 +122,7 @@ class Granulation(Timed):
             name=read.name,
             duration=read.number("duration", "s", POSITIVE),
             speed=read.profile("speed", "m/s", NOT_NEGATIVE),
-            excipient=species.index(read.known("excipient", species, "species")),
+            excipient=species.index(read.one_of("excipient", species, "species")),
             excipient_ratio=read.number("excipient_ratio", "1", WEIGHED),
             excipient_density=read.number("excipient_density", "kg/m3", DENSITY),
             liquid_ratio=read.number("liquid_ratio", "1", POSITIVE),

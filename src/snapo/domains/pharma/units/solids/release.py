@@ -25,7 +25,7 @@ BY_MEAN = (
 class Lasting(NamedTuple):
     """`whole`: [K] s that crystals of K sizes last; `share`: [K] of the volume that they have."""
 
-    whole: Float[Array, " K"]
+    complete: Float[Array, " K"]
     share: Float[Array, " K"]
 
 
@@ -62,7 +62,7 @@ def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
 
 def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[Array, ""]:
     """The mean by volume of a share that is `dissolved`, by the seconds that a crystal lasts."""
-    return jnp.sum(crystals.share * dissolved(crystals.whole))
+    return jnp.sum(crystals.share * dissolved(crystals.complete))
 
 
 def gone(time, complete) -> Float[Array, ""]:

@@ -23,20 +23,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import Given
+from snapo.case.given import CaseInput
 from snapo.case.table import Table
 
 from ...flowsheet.ledger import Finish, ledger
 from ...flowsheet.stream import Stream
 from ...given import use
 from ...read.fields import Text, number, quantity, word
-from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, Bounds
+from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, ValueRange
 from ..operation import Inlet, Instant
 from .release import BY_MEAN, lasting, over_sizes, released
 
 ACCEPTED = (0.985, 1.015)  # of the label: a mean within them adds nothing to the acceptance value
 TEN = 2.4  # acceptability constant of ten tablets
-FEW = Bounds(0.0, 0.5, False, "a share from 0 to 0.5")
+FEW = ValueRange(0.0, 0.5, False, "a share from 0 to 0.5")
 
 
 class TabletPressTable(Table):
@@ -44,27 +44,27 @@ class TabletPressTable(Table):
 
     type: Literal["tablet-press"]
     drug: Text = Field(description="the species that is the drug")
-    weight: Any = quantity('"300 mg"', words="weight of a tablet")
-    label: Any = quantity('"100 mg"', words="drug in a tablet as labelled")
-    diameter: Any = quantity('"10 mm"', words="diameter of a flat tablet")
-    pressure: Any = quantity('"150 MPa"', words="pressure of compaction")
-    true_density: Any = quantity('"1450 kg/m^3"', words="true density of the solids")
-    packing: Any = number("a share between 0 and 1", words="share of a bed that particles fill")
+    weight: Any = quantity('"300 mg"', meaning="weight of a tablet")
+    label: Any = quantity('"100 mg"', meaning="drug in a tablet as labelled")
+    diameter: Any = quantity('"10 mm"', meaning="diameter of a flat tablet")
+    pressure: Any = quantity('"150 MPa"', meaning="pressure of compaction")
+    true_density: Any = quantity('"1450 kg/m^3"', meaning="true density of the solids")
+    packing: Any = number("a share between 0 and 1", meaning="share of a bed that particles fill")
     compaction: Literal["heckel", "kawakita"] = word("heckel", "kawakita", default="heckel")
-    yield_pressure: Any = quantity('"80 MPa"', None, words="Heckel's mean yield pressure")
+    yield_pressure: Any = quantity('"80 MPa"', None, meaning="Heckel's mean yield pressure")
     rearrangement: Any = number("a share from 0 to 1", None, "relative density by rearrangement")
     kawakita_a: Any = number("a share between 0 and 1", None, "Kawakita's a")
-    kawakita_b: Any = quantity('"0.1 1/MPa"', None, words="Kawakita's b")
-    strength: Any = quantity('"10 MPa"', words="tensile strength without pores")
-    bonding: Any = number("a number, 0 or more", words="fall of ln(strength) with porosity")
+    kawakita_b: Any = quantity('"0.1 1/MPa"', None, meaning="Kawakita's b")
+    strength: Any = quantity('"10 MPa"', meaning="tensile strength without pores")
+    bonding: Any = number("a number, 0 or more", meaning="fall of ln(strength) with porosity")
     deviation: Any = number("a share from 0 to 0.5", 0.0, "relative deviation of the content")
-    disintegration: Any = quantity('"2 min"', words="mean time in which a tablet falls apart")
+    disintegration: Any = quantity('"2 min"', meaning="mean time in which a tablet falls apart")
     reference_porosity: Any = number("a share", 0.1, "porosity to which that time refers")
     porosity_power: Any = number("a number, 0 or more", 0.0, "power of the porosity in that time")
-    diffusivity: Any = quantity('"7e-10 m^2/s"', words="diffusivity in the film")
-    solubility: Any = quantity('"0.5 kg/m^3"', words="solubility in the test's liquid")
-    film: Any = quantity('"30 um"', words="thickness of the film")
-    time: Any = quantity('"30 min"', words="time of the dissolution test")
+    diffusivity: Any = quantity('"7e-10 m^2/s"', meaning="diffusivity in the film")
+    solubility: Any = quantity('"0.5 kg/m^3"', meaning="solubility in the test's liquid")
+    film: Any = quantity('"30 um"', meaning="thickness of the film")
+    time: Any = quantity('"30 min"', meaning="time of the dissolution test")
 
 
 HECKEL, KAWAKITA = ("yield_pressure", "rearrangement"), ("kawakita_a", "kawakita_b")
@@ -83,26 +83,26 @@ class TabletPress(Instant):
     """
 
     drug: int
-    weight: Given
-    label: Given
-    diameter: Given
-    pressure: Given
-    true_density: Given
-    packing: Given
-    yield_pressure: Given | None
-    rearrangement: Given | None
-    kawakita_a: Given | None
-    kawakita_b: Given | None
-    strength: Given
-    bonding: Given
-    deviation: Given
-    disintegration: Given
-    reference_porosity: Given
-    porosity_power: Given
-    diffusivity: Given
-    solubility: Given
-    film: Given
-    test_time: Given
+    weight: CaseInput
+    label: CaseInput
+    diameter: CaseInput
+    pressure: CaseInput
+    true_density: CaseInput
+    packing: CaseInput
+    yield_pressure: CaseInput | None
+    rearrangement: CaseInput | None
+    kawakita_a: CaseInput | None
+    kawakita_b: CaseInput | None
+    strength: CaseInput
+    bonding: CaseInput
+    deviation: CaseInput
+    disintegration: CaseInput
+    reference_porosity: CaseInput
+    porosity_power: CaseInput
+    diffusivity: CaseInput
+    solubility: CaseInput
+    film: CaseInput
+    test_time: CaseInput
 
     type = "tablet-press"
     variant = ""
@@ -136,17 +136,17 @@ class TabletPress(Instant):
                 raise read.section.error(key, values, f'compaction "{table.compaction}" {says}')
         return cls(
             name=read.name,
-            drug=species.index(read.known("drug", species, "species")),
+            drug=species.index(read.one_of("drug", species, "species")),
             weight=read.number("weight", "kg", POSITIVE),
             label=read.number("label", "kg", POSITIVE),
             diameter=read.number("diameter", "m", POSITIVE),
             pressure=read.number("pressure", "Pa", NOT_NEGATIVE),
             true_density=read.number("true_density", "kg/m3", DENSITY),
             packing=read.number("packing", "1", INSIDE),
-            yield_pressure=read.perhaps("yield_pressure", "Pa", POSITIVE),
-            rearrangement=read.perhaps("rearrangement", "1", SHARE),
-            kawakita_a=read.perhaps("kawakita_a", "1", INSIDE),
-            kawakita_b=read.perhaps("kawakita_b", "1/Pa", POSITIVE),
+            yield_pressure=read.optional("yield_pressure", "Pa", POSITIVE),
+            rearrangement=read.optional("rearrangement", "1", SHARE),
+            kawakita_a=read.optional("kawakita_a", "1", INSIDE),
+            kawakita_b=read.optional("kawakita_b", "1/Pa", POSITIVE),
             strength=read.number("strength", "Pa", POSITIVE),
             bonding=read.number("bonding", "1", NOT_NEGATIVE),
             deviation=read.number("deviation", "1", FEW),
