@@ -77,7 +77,7 @@ def test_a_table_for_a_spreadsheet_holds_no_formula(kept):
 
 
 def test_there_is_an_end_to_them(kept, monkeypatch):
-    monkeypatch.setattr("snapo.live.scenarios.MOST", 2)
+    monkeypatch.setattr("snapo.live.scenarios.MAXIMUM", 2)
     kept.keep("a", {}, {})
     kept.keep("b", {}, {})
     kept.keep("b", {}, {})

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from snapo.problem.form import Use
     from snapo.problem.inputs import Input
 
-SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
+SHARED = ("bump", "move", "display_unit", "display_factor", "group", "meaning")
 
 
 class SheetCell(NamedTuple):
@@ -107,7 +107,7 @@ class CaseInput:
         """The numbers as a differentiable input, with all that is said about them."""
         from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
 
-        metadata = {name: getattr(self, name) for name in SAID}
+        metadata = {name: getattr(self, name) for name in SHARED}
         return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
@@ -139,5 +139,5 @@ class CaseInput:
             values=np.insert(self.values, 0, before),
             labels=(f"before {first}", *self.labels),
             starts=np.insert(self.starts, 0, day.toordinal()),
-            places=(None, *self.positions),
+            positions=(None, *self.positions),
         )

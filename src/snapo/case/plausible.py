@@ -70,10 +70,10 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
         labels,
         entry.unit,
         entry.group,
-        getattr(entry, "display_unit", "") or getattr(entry, "trade_unit", ""),
-        getattr(entry, "display_factor", None) or getattr(entry, "trade_factor", 1.0),
+        getattr(entry, "display_unit", ""),
+        getattr(entry, "display_factor", 1.0),
         range=getattr(getattr(entry, "quantity", None), "plausible", None),
-        positions=getattr(entry, "places", ()),
+        positions=getattr(entry, "positions", ()),
     )
 
 

@@ -136,7 +136,7 @@ class Quantity:
             rows = key.rows(raw, self.by, self.column)
             return quantity.from_dated_rows(self.name or key.name, rows)
         return quantity.input(
-            self.name or key.name, [quantity.checked(raw, key)], places=(key.path,)
+            self.name or key.name, [quantity.checked(raw, key)], positions=(key.path,)
         )
 
     def from_dated_rows(self, name: str, rows: Sequence[Row]) -> CaseInput:
@@ -149,7 +149,7 @@ class Quantity:
         """The numbers of one column, each with its cell."""
         values = [self.cell(row) for row in rows]
         positions = tuple(row.position(self.column) for row in rows)
-        return self.input(name, values, labels, places=positions, **more)
+        return self.input(name, values, labels, positions=positions, **more)
 
     def input(
         self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any
@@ -157,8 +157,10 @@ class Quantity:
         """Numbers with everything that is known of them."""
         values = np.asarray(values, np.float64)
         more.setdefault("index", np.array(0) if tuple(labels) == ("",) else np.arange(len(values)))
-        about = {key: getattr(self, key) for key in ("bump", "move", "trade_unit", "trade_factor")}
-        about |= {"group": self.group, "words": self.meaning}
+        about = {
+            key: getattr(self, key) for key in ("bump", "move", "display_unit", "display_factor")
+        }
+        about |= {"group": self.group, "meaning": self.meaning}
         about |= {"low": self.range.low, "high": self.range.high, "quantity": self}
         return CaseInput(name, values, tuple(labels), self.unit, **(about | more))
 
@@ -292,7 +294,7 @@ def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
         values=np.concatenate([part.values for part in parts]),
         labels=tuple(f"{p}{y}".strip() for p, x in zip(prefixes, parts) for y in x.labels),
         index=np.stack([x.index + start for x, start in zip(parts, starts)], axis=-1),
-        places=tuple(position for part in parts for position in part.positions),
+        positions=tuple(position for part in parts for position in part.positions),
         starts=None,
     )
 

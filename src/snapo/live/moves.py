@@ -31,12 +31,12 @@ class WhatIf:
     """
 
     def __init__(
-        self, study: Study, inputs: Mapping[str, Input], digits: InputPositions, rebuilt: Rebuild
+        self, study: Study, inputs: Mapping[str, Input], positions: InputPositions, rebuilt: Rebuild
     ):
         self.study, self.inputs_by_name, self.positions, self.rebuild = (
             study,
             inputs,
-            digits,
+            positions,
             rebuilt,
         )
         self.slopes: dict[str, np.ndarray] = {}

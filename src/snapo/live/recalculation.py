@@ -19,9 +19,9 @@ class Recalculation(WhatIf):
     """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
 
     def __init__(
-        self, study: Study, values: Recalculated, digits: InputPositions, rebuilt: Rebuild
+        self, study: Study, values: Recalculated, positions: InputPositions, rebuilt: Rebuild
     ):
-        super().__init__(study, values.inputs_by_name, digits, rebuilt)
+        super().__init__(study, values.inputs_by_name, positions, rebuilt)
         self.values, self.paths = values, 0
         self._variants: dict[str, Recalculated] = {}
         self._base: np.ndarray | None = None

@@ -46,13 +46,13 @@ class Valuation(WhatIf):
         self,
         study: Study,
         solution: Solution,
-        digits: InputPositions,
+        positions: InputPositions,
         counts: Counts,
         rebuilt: Rebuild,
     ):
         assert study.setup is not None
         self.setup = study.setup()
-        super().__init__(study, self.setup.problem.inputs_by_name, digits, rebuilt)
+        super().__init__(study, self.setup.problem.inputs_by_name, positions, rebuilt)
         self.solution, self.counts = solution, counts
         self.slopes = slopes(solution.sensitivities, self.inputs_by_name)
         self._base: np.ndarray | None = None

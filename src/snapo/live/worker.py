@@ -57,8 +57,8 @@ def open_run(
     files = read_files(file.parent, data)
     if study.setup is None and study.recalculated is not None:
         values = study.recalculated()
-        digits = InputPositions(domain.read, files, values.inputs_by_name, study.inputs, case)
-        return Recalculation(study, values, digits, rebuild)
+        positions = InputPositions(domain.read, files, values.inputs_by_name, study.inputs, case)
+        return Recalculation(study, values, positions, rebuild)
     if study.setup is None:
         message = "this run trained no policy, and there is none to value again"
         raise CaseError(str(run), "", None, message)
@@ -67,10 +67,10 @@ def open_run(
         raise CaseError("snapo open", "", None, message)
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
-    digits = InputPositions(domain.read, files, setup.problem.inputs_by_name, study.inputs, case)
+    positions = InputPositions(domain.read, files, setup.problem.inputs_by_name, study.inputs, case)
     if counts is None:
         counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
-    return Valuation(study, solution, digits, counts, rebuild)
+    return Valuation(study, solution, positions, counts, rebuild)
 
 
 REST = 0.4  # seconds without an order, after which what can wait is computed

@@ -301,7 +301,7 @@ def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | Non
     return arrays
 
 
-REPORTED = ("by", "whole", "unseen", "slopes", "others")
+REPORTED = ("by", "total", "unseen", "slopes", "others")
 CURVATURE = ("inverse", "covariance")
 
 

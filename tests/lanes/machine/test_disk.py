@@ -69,11 +69,11 @@ def test_code_is_evicted_by_age_and_size(tmp_path, made, monkeypatch):
         disk.cached(text, tmp_path)
         file = tmp_path / f"{disk.key(text)}{disk.ENDING}"
         os.utime(file, (time.time() - 100 * age,) * 2)
-    monkeypatch.setattr(disk, "MOST_SECONDS", 350)
+    monkeypatch.setattr(disk, "MAX_SECONDS", 350)
     disk.evict(tmp_path)
     assert len(list(tmp_path.iterdir())) == 4
     disk.cached(texts[3], tmp_path)  # used again: the youngest now
-    monkeypatch.setattr(disk, "MOST_BYTES", 2 * only_size(tmp_path))
+    monkeypatch.setattr(disk, "MAX_BYTES", 2 * only_size(tmp_path))
     disk.evict(tmp_path)
     left = {each.name for each in tmp_path.iterdir()}
     assert left == {f"{disk.key(text)}{disk.ENDING}" for text in (texts[3], texts[0])}

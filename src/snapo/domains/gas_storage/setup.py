@@ -83,7 +83,7 @@ def rebuilt(problem: Problem) -> Problem:
 
 def _bare(problem: Problem) -> Problem:
     """The problem without a guide and without a hedge."""
-    bare = replace(simulator_of(problem), guide=None, hedge=None, surprises=None)
+    bare = replace(simulator_of(problem), value_table=None, hedge=None, innovations=None)
     return replace(problem, simulator=bare)
 
 
@@ -91,9 +91,9 @@ def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
     # No hedge yet, but its place: what is compiled serves before and after.
-    adjacent = {"surprises": _surprises(problem, fit), "hedge": np.zeros(simulator.horizon)}
+    adjacent = {"innovations": _surprises(problem, fit), "hedge": np.zeros(simulator.horizon)}
     return replace(
-        problem, simulator=replace(simulator, guide=value_table(problem, fit), **adjacent)
+        problem, simulator=replace(simulator, value_table=value_table(problem, fit), **adjacent)
     )
 
 

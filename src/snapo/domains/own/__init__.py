@@ -29,7 +29,7 @@ class Own(Kind):
     example: str = "simulator:Reservoir"
 
     def with_simulator(self, module: str, name: str) -> "Own":
-        return replace(self, place=(module, name))
+        return replace(self, location=(module, name))
 
     def decides(self, case: "OwnCase") -> Mapping[str, Any]:
         return {"simulator": ":".join(case.location), "simulator file": case.code_hash}

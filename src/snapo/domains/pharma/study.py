@@ -72,7 +72,12 @@ def study(case: PharmaCase, options: Options) -> Study:
         rules = [RULES.part] if case.control.rules else []
         needs = (TRAINED.name, *(part.name for part in rules))
         parts += [RECIPES.part, TRAINED, *rules, CLOSED_LOOP.part._replace(needs=needs)]
-        hooks |= {"loop": loop, "setup": loop.setup, "moved": loop.setup_at, "shown": kept_limits}
+        hooks |= {
+            "loop": loop,
+            "setup": loop.setup,
+            "setup_at": loop.setup_at,
+            "live_tables": kept_limits,
+        }
     else:
         hooks["recalculated"] = lambda: Recipe(case)
     selected = choice.with_needs(parts, case.parts)

@@ -99,11 +99,11 @@ class InputPositions:
         recorded = {
             name: x for name, x in entries.items() if isinstance(x, CaseInput) and x.positions
         }
-        for name, digits in getattr(self.case, "positions", {}).items():
+        for name, located in getattr(self.case, "positions", {}).items():
             x = self.inputs[name]
             index = np.arange(x.value.size)
             recorded[name] = CaseInput(
-                name, x.value.ravel(), x.names(), x.unit, index, positions=digits
+                name, x.value.ravel(), x.names(), x.unit, index, positions=located
             )
         return recorded
 

@@ -162,7 +162,7 @@ class Binomial(Counts):
         self.probability, self.maximum = numbers(probability), maximum
 
     def __check_init__(self):
-        refuse(self, "chance", 0.0, 1.0)
+        refuse(self, "probability", 0.0, 1.0)
 
     def logarithms(self, k):
         ways = gammaln(self.maximum + 1.0) - gammaln(k + 1.0) - gammaln(self.maximum - k + 1.0)

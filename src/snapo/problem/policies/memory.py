@@ -228,7 +228,7 @@ class Remembering(Around):
 def remembers(simulator: Simulator) -> bool:
     """Whether the state holds a policy's memory already, also inside another simulator."""
     return isinstance(simulator, Remembering) or isinstance(
-        getattr(simulator, "own", None), Remembering
+        getattr(simulator, "inner", None), Remembering
     )
 
 

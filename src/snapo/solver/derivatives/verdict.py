@@ -168,7 +168,7 @@ def _of(
     if verdict.source == UNKNOWN:
         nan = np.full(np.shape(held.blocks), np.nan)
         # Of a jump the change of the value is no derivative; elsewhere nothing is finite.
-        return base._replace(estimate=Estimate(nan), whole=np.full(len(nan), np.nan))
+        return base._replace(estimate=Estimate(nan), total=np.full(len(nan), np.nan))
     if verdict.source == THROUGH:
         return _through(base, reaction, smooth, share)
     if verdict.source == RANGE:
@@ -184,7 +184,7 @@ def _of(
         moves = weight * reaction.reaction.reshape(-1, *(1,) * by.ndim)
         estimate = Estimate(held.blocks + moves * share)
     left = (1 - weight) * (error if weight else max(error, abs(value)))
-    return base._replace(estimate=estimate, whole=complete, unseen=left * np.abs(share))
+    return base._replace(estimate=estimate, total=complete, unseen=left * np.abs(share))
 
 
 def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarray) -> Reported:
@@ -195,7 +195,7 @@ def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarr
     )
     if less <= verdict.held[0] <= more:
         return result
-    return result._replace(whole=reaction.bump, estimate=_spread(reaction.bump, share))
+    return result._replace(total=reaction.bump, estimate=_spread(reaction.bump, share))
 
 
 def _spread(complete: np.ndarray, share: np.ndarray) -> Estimate:
@@ -213,9 +213,9 @@ def _through(
     error = float(np.hypot(error, reaction.extra))
     extra = np.abs(share) * (reaction.extra / SHARE_UNSEEN)
     if base.by.size == 1:
-        return base._replace(estimate=_spread(complete, share), whole=complete, unseen=extra)
+        return base._replace(estimate=_spread(complete, share), total=complete, unseen=extra)
     nan = np.full((len(complete), *base.by.shape), np.nan)
-    result = base._replace(estimate=Estimate(nan), whole=complete, unseen=extra)
+    result = base._replace(estimate=Estimate(nan), total=complete, unseen=extra)
     if smooth is None:
         return result
     soft, soft_error = _pair(blocks_along(smooth, base.by))

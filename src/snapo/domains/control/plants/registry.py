@@ -19,7 +19,7 @@ PLANTS = (
     Quadrotor,
 )
 
-SAID = ("type", "words", "parameters", "weights", "states", "actions", "steps")
+MEMBERS = ("type", "description", "parameters", "weights", "states", "actions", "steps")
 
 
 def catalogue(plants: tuple[type[Plant], ...]) -> dict[str, type[Plant]]:
@@ -30,7 +30,7 @@ def catalogue(plants: tuple[type[Plant], ...]) -> dict[str, type[Plant]]:
     table: dict[str, type[Plant]] = {}
     for plant in plants:
         missing = sorted(getattr(plant, "__abstractmethods__", ()))
-        missing += [name for name in SAID if not hasattr(plant, name)]
+        missing += [name for name in MEMBERS if not hasattr(plant, name)]
         if missing:
             raise TypeError(f"The plant {plant.__name__} lacks {', '.join(missing)}.")
         if plant.type in table:

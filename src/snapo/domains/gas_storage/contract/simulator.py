@@ -110,7 +110,7 @@ class StorageSimulator(Simulator):
 
     def on_paths(self):
         # What the policy sees of guide and surprises is in the schedule.
-        names = ("contract", "process", "curve", "rate", "discounts", "guide", "surprises")
+        names = ("contract", "process", "curve", "rate", "discounts", "value_table", "innovations")
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
         return replace(self, **dict(zip(names, bare)))
 

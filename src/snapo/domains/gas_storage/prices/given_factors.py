@@ -94,6 +94,6 @@ def read_factors(
     numbers = (
         stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
         stacked("volatility", volatilities),
-        CORRELATION.input("correlation", correlation, pairs, places=tuple(positions)),
+        CORRELATION.input("correlation", correlation, pairs, positions=tuple(positions)),
     )
     return {values.name: values for values in numbers}

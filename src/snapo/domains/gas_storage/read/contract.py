@@ -114,11 +114,11 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
             raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
         position = (*section.keys, "end_inventory")
-        owed = stock.input("end_inventory", [table.end_inventory], places=(position,))
+        owed = stock.input("end_inventory", [table.end_inventory], positions=(position,))
         return LevelAtEnd(_stock(owed, limits))
     if not isinstance(table.end_value, str):
         position = (*section.keys, "end_value")
-        share = SPOT_SHARE.input("end_value", [table.end_value or 0.0], places=(position,))
+        share = SPOT_SHARE.input("end_value", [table.end_value or 0.0], positions=(position,))
         return PriceAtEnd(share)
     rows = read_rows(FileReference(section, "end_value", table.end_value), ("inventory", "value"))
     levels = [row.number("inventory", 0.0) for row in rows]

@@ -61,7 +61,7 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
     forward = replace(FORWARD, unit=unit)
     positions = tuple(price.cell for price in prices)
     return forward.input(
-        "forward_curve", [price.value for price in prices], labels, places=positions
+        "forward_curve", [price.value for price in prices], labels, positions=positions
     )
 
 

@@ -65,7 +65,7 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
     everywhere = np.zeros((len(days), 1), np.int64)
     level = replace(LEVEL, unit=table.volume_unit)
     # No file has this inventory: plain rates hold at every one.
-    inventory = level.input("ratchet_inventory", [0.0], index=everywhere, places=(None,))
+    inventory = level.input("ratchet_inventory", [0.0], index=everywhere, positions=(None,))
     return Ratchets(inventory, rate(table.max_withdrawal), rate(table.max_injection), "step")
 
 

@@ -124,7 +124,7 @@ class ContractTable(Table):
     injection_fuel: CaseInput = SHARE("share of the injection, bought on top", 0.0)
     withdrawal_fuel: CaseInput = SHARE("share of the withdrawal, not sold", 0.0)
     inventory_loss: CaseInput = SHARE(
-        "lost gas", 0.0, unit="1/day", trade_unit="percentage point a day", move=1e-4, bump=1e-6,
+        "lost gas", 0.0, unit="1/day", display_unit="percentage point a day", move=1e-4, bump=1e-6,
         plausible=OF_STOCK,
     )  # fmt: skip
     inventory_cost: CaseInput = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")

@@ -60,18 +60,18 @@ def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
         network = network_of(setup)
         for i, position in enumerate(network.sites):
             for other in (position.lead_time - 1, position.lead_time + 1):
-                digits = list(network.sites)
-                digits[i] = replace(position, lead=other)
+                sites = list(network.sites)
+                sites[i] = replace(position, lead_time=other)
                 yield (
                     position.name,
                     position.lead_time,
                     other,
-                    replace(network, places=tuple(digits)),
+                    replace(network, sites=tuple(sites)),
                 )
     else:
         case = case_of(setup)
         for other in (case.item.lead_time - 1, case.item.lead_time + 1):
-            item = replace(case.item, lead=other, coming=None)  # with its usual start
+            item = replace(case.item, lead_time=other, coming=None)  # with its usual start
             yield "", case.item.lead_time, other, replace(case, item=item)
 
 

@@ -52,17 +52,17 @@ def measure(run: StudyRun) -> NetworkService:
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
-    digits = tuple(_place(case, position, paths) for position in case.sites)
-    return NetworkService(service.service_of(paths), service.costs_of(paths, names), digits)
+    sites = tuple(_place(case, site, paths) for site in case.sites)
+    return NetworkService(service.service_of(paths), service.costs_of(paths, names), sites)
 
 
-def _place(case: NetworkCase, position: Site, paths: PathTotals) -> PlaceService:
-    name, fixed, sells = position.name, position.fixed, position.demand is not None
+def _place(case: NetworkCase, site: Site, paths: PathTotals) -> PlaceService:
+    name, fixed, sells = site.name, site.fixed, site.demand is not None
     pooled, level, orders = f"sent_{name}" in paths.totals, f"level_{name}", f"orders_{name}"
     return PlaceService(
         name,
         service.ratio(paths, level, orders) if fixed else service.total(paths, level),
-        "" if position.supplier is None else case.sites[position.supplier].name,
+        "" if site.supplier is None else case.sites[site.supplier].name,
         service.total(paths, f"stock_{name}"),
         service.total(paths, orders) if fixed else None,
         service.ratio(paths, f"ordered_{name}", orders) if fixed else None,
@@ -75,25 +75,23 @@ def _place(case: NetworkCase, position: Site, paths: PathTotals) -> PlaceService
 
 def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     """A table with a row for every place."""
-    case, decimal_places = CaseSummary.of(run), result.places
+    case, sites = CaseSummary.of(run), result.places
     unit, digits = (
         case.item_unit,
-        decimals([position.stock.value for position in decimal_places], 4),
+        decimals([site.stock.value for site in sites], 4),
     )
 
-    def mean(name: str, label: str, unit: str, decimals: int) -> Column:
-        return Column(
-            label, lambda location: _value(getattr(location, name)), unit, decimal_places=decimals
-        )
+    def mean(name: str, label: str, unit: str, digits: int) -> Column:
+        return Column(label, lambda site: _value(getattr(site, name)), unit, decimal_places=digits)
 
     columns = [
         Column("Place", "name"),
-        Column("Supplied by", lambda index: index.supplier or "outside"),
+        Column("Supplied by", lambda site: site.supplier or "outside"),
         mean("level", "Orders up to", unit, 2),
-        Column("Stock", lambda place: WithError(place.stock.value, place.stock.standard_error),
+        Column("Stock", lambda site: WithError(site.stock.value, site.stock.standard_error),
                unit, decimal_places=digits),
         mean("demand", "Demand", unit, digits),
-        Column("Fill rate", lambda place: percent(_value(place.fill_rate), 2)),
+        Column("Fill rate", lambda site: percent(_value(site.fill_rate), 2)),
     ]  # fmt: skip
     text = (
         "Stock is the average on hand at the end of a period. The level up to which a place orders "
@@ -130,7 +128,7 @@ def network_tables(paths: PathTotals) -> list[LiveTable]:
     case = network_of(paths.setup)
     columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
     rows = []
-    for position in (_place(case, location, paths) for location in case.sites):
-        rate = position.fill_rate.times(100) if position.fill_rate else (None, None)
-        rows.append((position.name, *position.stock.times(1), *rate))
+    for site in (_place(case, location, paths) for location in case.sites):
+        rate = site.fill_rate.times(100) if site.fill_rate else (None, None)
+        rows.append((site.name, *site.stock.times(1), *rate))
     return [*service.live_tables(paths), LiveTable("Places", columns, rows)]

@@ -47,7 +47,7 @@ def classical(setup: Setup) -> dict[str, Numbers]:
     more number of the search."""
     case = network_of(setup)
     first = Numbers((0.0,) * len(case.sites), BAND if case.moving(True) else 0.0)
-    rules = {"newsvendor levels": first._replace(kept=0.0), "best levels": best(setup, first)}
+    rules = {"newsvendor levels": first._replace(reserve=0.0), "best levels": best(setup, first)}
     name = "best levels"
     if case.fixed:
         batch, wait = first_batches(case)
@@ -55,7 +55,7 @@ def classical(setup: Setup) -> dict[str, Numbers]:
         name = "(s, S) of echelons"
         rules[name] = best(setup, first)
     if case.pools:
-        rules[f"{name}, nothing sent"] = best(setup, first._replace(kept=ENDLESS))
+        rules[f"{name}, nothing sent"] = best(setup, first._replace(reserve=ENDLESS))
     return rules
 
 

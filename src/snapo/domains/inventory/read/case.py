@@ -69,7 +69,7 @@ def _item(section: Section, table: ItemTable, complete: bool) -> Item:
     shortage = table.shortage
     if table.unmet == "lost":
         by_unit, text = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
-        shortage = replace(shortage, unit=by_unit, words=text)
+        shortage = replace(shortage, unit=by_unit, meaning=text)
     coming = replace(STOCK, unit=table.unit, meaning="at the start")
     rows = positions((*section.keys, "coming"), (arrivals,))
     labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
@@ -86,7 +86,7 @@ def _item(section: Section, table: ItemTable, complete: bool) -> Item:
         if table.stock is None
         else replace(table.stock, labels=("now",), index=np.arange(1)),
         coming=coming.input(
-            "start_coming", table.coming, labels, index=np.arange(arrivals), places=rows
+            "start_coming", table.coming, labels, index=np.arange(arrivals), positions=rows
         )
         if table.coming
         else None,

@@ -103,7 +103,7 @@ class Process:
     ) -> Flow:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
-        numerics = replace(self.case.numerics, along=along, own=nominal_steps)
+        numerics = replace(self.case.numerics, along=along, own_steps=nominal_steps)
         return flow(replace(self.case, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:

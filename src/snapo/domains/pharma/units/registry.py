@@ -44,7 +44,7 @@ OPERATIONS = (
     Thickener,
 )
 
-SAID = ("type", "variant", "title", "table", "reacts", "symbols", "assumptions")
+MEMBERS = ("type", "variant", "title", "table", "reacts", "symbols", "assumptions")
 Variants = dict[str, type[Unit]]
 
 
@@ -56,7 +56,7 @@ def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
     table: dict[str, Variants] = {}
     for operation in operations:
         missing = sorted(getattr(operation, "__abstractmethods__", ()))
-        missing += [name for name in SAID if not hasattr(operation, name)]
+        missing += [name for name in MEMBERS if not hasattr(operation, name)]
         if missing or inspect.isabstract(operation):
             raise TypeError(f"The unit operation {operation.__name__} lacks {', '.join(missing)}.")
         variants = table.setdefault(operation.type, {})

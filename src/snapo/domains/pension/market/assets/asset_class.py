@@ -185,7 +185,7 @@ AnyKind = TypeVar("AnyKind", bound=type[AssetClass])
 
 def register(kind: AnyKind) -> AnyKind:
     """Makes a kind known by its word; one that is incomplete or known already is an error."""
-    needed = ("kind", "words", "columns", "without", "part", "risk")
+    needed = ("kind", "description", "columns", "without", "part", "risk")
     missing = [name for name in needed if not hasattr(kind, name)]
     # Of its own: what a kind that it is made from is charged would be silence here.
     missing += ["risk of its own"] * ("risk" not in vars(kind) and "risk" not in missing)

@@ -89,7 +89,9 @@ AnyModel = TypeVar("AnyModel", bound=type[ShortRate])
 
 def register(model: AnyModel) -> AnyModel:
     """Makes a model known by its word; one that is incomplete or known already is an error."""
-    missing = [name for name in ("kind", "factors", "words") if not getattr(model, name, None)]
+    missing = [
+        name for name in ("kind", "factors", "description") if not getattr(model, name, None)
+    ]
     if missing:
         raise TypeError(f"{model.__name__}: a model of the short rate needs {', '.join(missing)}.")
     if model.kind in MODELS:
