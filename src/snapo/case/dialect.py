@@ -49,7 +49,7 @@ class Dialect:
         """A day as YYYY-MM-DD or a month as YYYY-MM, where it is written another way; else the
         cell itself.
 
-        **Raises:** `Doubt` for 01/02/2024 in a file that does not tell day from month.
+        **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not tell day from month.
         """
         cell = MIDNIGHT.sub("", cell)
         if match := MONTH.fullmatch(cell):
@@ -86,7 +86,7 @@ def separator(header: str) -> str:
 def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
     """The dialect of a file, from its header row and all cells below it.
 
-    **Raises:** `Doubt` where the cells contradict each other, or could mean two things.
+    **Raises:** `AmbiguousFormat` where the cells contradict each other, or could mean two things.
     """
     mark, cells = separator(header), {cell for row in rows for cell in row}
     comma = mark != "," and _decimal_comma(cells)

@@ -59,8 +59,8 @@ class CaseInput:
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
     - `low`, `high`: what the numbers may be at all; infinite where there is no limit.
-    - `bump`, `move`, `trade_unit`, `trade_factor`, `group`, `words`: as in `Input`.
-    - `places`: [n] the position of each number in the files of the case; () where no reader
+    - `bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in `Input`.
+    - `positions`: [n] the position of each number in the files of the case; () where no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
     - `quantity`: its declaration (`snapo.case.quantity`), where it has one.

@@ -20,7 +20,7 @@ Tables = Mapping[str, Any]
 class Only:
     """A key with a meaning only where something holds.
 
-    - `holds`: of the tables of a case by name, "" the whole file; a missing one is left out.
+    - `applies`: of the tables of a case by name, "" the whole file; a missing one is left out.
     - `when`: the same in a clause that follows "only". `instead`: what the case has in its place.
     """
 

@@ -25,8 +25,8 @@ def known_parts(
 ) -> tuple[str, ...]:
     """The parts of a run that are wanted, by name; () where none is named, which means all.
 
-    - `known`: all parts of the domain; `lacking`: {one of them: why a run of this case has it not,
-      in a clause}.
+    - `available`: all parts of the domain; `missing`: {one of them: why a run of this case has it
+      not, in a clause}.
 
     **Raises:** `CaseError` for a name that is not known, or of a part that is lacking.
     """

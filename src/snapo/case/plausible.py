@@ -39,7 +39,8 @@ class CheckedNumbers(NamedTuple):
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
     - `display_unit`, `display_factor`: the unit of the trade, and how many of it make one `unit`.
     - `source`: the input that they are made from; they are not noted where that one is.
-    - `range`: the plausible one of its declaration; `places`: [n] their positions, where recorded.
+    - `range`: the plausible one of its declaration; `positions`: [n] their positions, where
+      recorded.
     """
 
     name: str

@@ -33,7 +33,7 @@ from .table import LARGEST, TOO_LARGE, Section, Table
 class Range(NamedTuple):
     """The numbers from `low` to `high`; its text stands in messages and in the documentation.
 
-    - `ends`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
+    - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
     - `note`: text that follows, such as ": the mean of ln S".
     - `noun`: of one of its numbers.
     """
@@ -94,7 +94,8 @@ class Quantity:
     - `unit`: a key of the same table in braces stands for its value.
     - `range`: the numbers allowed; `limits`: those that occur at all, beyond which a number is
       refused as a mistake; `plausible`: those outside of which a note asks for the unit.
-    - `group`, `move`, `trade_unit`, `trade_factor`, `bump`: as of an `Input`; `meaning`: its words.
+    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
+      words.
     - `by`: the column of a CSV by which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that holds before the first row.
     - `text`: the values allowed, where the range does not say all.

@@ -70,7 +70,7 @@ class Rollout(NamedTuple):
 
     - `totals`: {output: [N]} per path.
     - `state`: the final state, every leaf with a leading axis of paths.
-    - `record`: of the names asked for, each one of `COURSE`: leaves [T, N, …].
+    - `record`: of the names asked for, each one of `TRAJECTORY`: leaves [T, N, …].
     """
 
     totals: dict[str, Float[Array, " N"]]

@@ -68,7 +68,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, summary | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `again` at their first state, where nothing counts."""
+        """All paths moved; those to start `repeated` at their first state, where nothing counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 

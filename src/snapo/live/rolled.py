@@ -25,7 +25,7 @@ class Simulated(NamedTuple):
 
     - `totals`: {output: [paths]} for the value.
     - `actions`: [T, paths, A] for the deltas; None where they roll their own.
-    - `shown`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
+    - `tables`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
     """
 
     totals: dict[str, np.ndarray]

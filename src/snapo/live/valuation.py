@@ -101,8 +101,8 @@ class Valuation(WhatIf):
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and what that gains on the same paths.
 
-        It starts from the run's policy, which stays the one that the page values. `told` hears of
-        the steps done and of all; what it raises ends the training.
+        It starts from the run's policy, which stays the one that the page values. `summary` hears
+        of the steps done and of all; what it raises ends the training.
         """
         setup, policy = self._at(values, selected)[1], self.solution.policy
         assert policy is not None

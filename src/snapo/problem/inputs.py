@@ -33,10 +33,10 @@ class Input(eqx.Module):
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number's own size (see `step`).
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a share of itself.
-    - `trade_unit`, `trade_factor`: the unit in which its owner thinks, and how many of them make
-      one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
+    - `display_unit`, `display_factor`: the unit in which its owner thinks, and how many of them
+      make one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
     - `group`: the family of risk it belongs to, such as "price", "volatility" or "contract".
-    - `words`: its meaning, in one phrase.
+    - `meaning`: its meaning, in one phrase.
 
     A correlation matrix enters as its strict lower triangle.
 
@@ -130,12 +130,12 @@ def named_inputs(inputs: PyTree) -> list[NamedInput]:
 
 
 def values(inputs: PyTree) -> list[np.ndarray]:
-    """The values of all inputs, in the order of `named`."""
+    """The values of all inputs, in the order of `named_inputs`."""
     return [entry.input.value for entry in named_inputs(inputs)]
 
 
 def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
-    """The plain module with `new` values in place of the inputs, in the order of `named`.
+    """The plain module with `new` values in place of the inputs, in the order of `named_inputs`.
 
     Unlike `plain`, it takes traced values, so that `prepare` can be differentiated.
     """

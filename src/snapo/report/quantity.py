@@ -41,7 +41,7 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
 
 
 def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
-    """`-1234.5` as "−1,234.5"; `places` decimals, or what four significant digits need.
+    """`-1234.5` as "−1,234.5"; `digits` decimals, or what four significant digits need.
 
     A number that would be mostly noughts stands as a power of ten: "1.578 × 10⁻⁶".
     """
@@ -93,7 +93,7 @@ def plus_minus(error: Any, digits: int) -> str:
 def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
     """A value and its standard error, ("+0.00018", "± 0.00004").
 
-    Both with `places` decimals, or with those of the first digit of a smaller error; both as powers
+    Both with `digits` decimals, or with those of the first digit of a smaller error; both as powers
     of ten where they are tiny. An error that is the rounding of the value is none.
     """
     available, values = finite(error), finite(value)

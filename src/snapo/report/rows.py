@@ -25,7 +25,7 @@ class Column(NamedTuple):
 
     - `of`: the name of an attribute, or a function of the record; `unit`: in the header.
     - `digits`: significant ones of the largest number; `sign`: whether a plus is written.
-    - `places`: decimals, those that `digits` ask for where it is None.
+    - `decimal_places`: decimals, those that `digits` ask for where it is None.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Column(NamedTuple):
     ) -> list[tuple[Any, ...]]:
         """The cells of each row: two for a number with an error, one for anything else.
 
-        `places`: decimals by row; None: those of the column.
+        `decimal_places`: decimals by row; None: those of the column.
         """
         if all(isinstance(x, str) for x in values):
             return [(x,) for x in values]
@@ -73,7 +73,8 @@ def table(
 ) -> Table:
     """A table with a row for each record.
 
-    - `places`: decimals of all its numbers; `by_row`: whether each row has its own number of them.
+    - `decimal_places`: decimals of all its numbers; `by_row`: whether each row has its own number
+      of them.
     - `folded`: the words to click before the table is shown.
     """
     values = [column.values(records) for column in columns]

@@ -48,8 +48,8 @@ Callback = Callable[[Progress], object]  # one that returns True stops the train
 class Loop(NamedTuple):
     """All that one step of training needs; `update` is the compiled step of the optimiser.
 
-    - `problem`, `bound`: what a step climbs on; with a `spread` or `exploration` they practise
-      more than the problem itself, which is `own`, and `exact` rolls it.
+    - `problem`, `bound_engine`: what a step climbs on; with a `spread` or `exploration` they
+      practise more than the problem itself, which is `inner`, and `exact` rolls it.
     """
 
     problem: Problem

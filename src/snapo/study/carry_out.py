@@ -42,7 +42,7 @@ def carry_out(
 ) -> dict[str, Any]:
     """Does the parts of a study one after another, and returns what result.json says.
 
-    `preparing`: the seconds that reading the case and making the study took; `beside`: those of
+    `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name. A part that fails leaves a note and a status; parts that need
     it are skipped. On Ctrl-C the parts that are done are reported, and the interrupt goes on to the
     caller.

@@ -27,7 +27,8 @@ def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
 
 
 def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
-    """What a study's `about` says of them, for a report: names of parts, `kept` and left out."""
+    """What a study's `about` says of them, for a report: names of parts, `selected` and left
+    out."""
     return {
         PLANNED: [part.name for part in selected],
         LEFT_OUT: [part.name for part in parts if part not in selected],

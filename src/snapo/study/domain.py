@@ -69,7 +69,7 @@ class Report:
 class Domain(Protocol):
     """A kind of case.
 
-    - `kind`: the word in a case's `kind`; `words`: a phrase for the list of `snapo new`.
+    - `kind`: the word in a case's `kind`; `description`: a phrase for the list of `snapo new`.
     - `templates`: {size: folder that `snapo new` copies}; the first size is the default.
     """
 
@@ -214,7 +214,7 @@ def load(request: CaseRequest) -> Loaded:
 def remarks(
     notes: Iterable[str], progress: "ProgressCallback", ignored: Collection[str] = ()
 ) -> None:
-    """Prints the remarks that the owner of a case should see, without those `known` already."""
+    """Prints the remarks that the owner of a case should see, without those `ignored` already."""
     for note in notes:
         if note not in ignored:
             progress(f"note: {note}")

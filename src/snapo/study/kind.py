@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Kind:
     """A domain (see `snapo.study.domain.Domain`) by the names of its functions.
 
-    - `kind`, `words`: the word in a case's `kind`, and a phrase for the list of `snapo new`.
+    - `kind`, `description`: the word in a case's `kind`, and a phrase for the list of `snapo new`.
     - `package`: the name of its package; `sizes`: {size: folder in it that `snapo new` copies}.
     - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
       data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, tell)`;

@@ -45,7 +45,7 @@ class Setup(NamedTuple):
 class Today(NamedTuple):
     """The decision of today in the words of its domain.
 
-    - `words`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) beside it.
+    - `description`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) beside it.
     - `columns`: (name, unit) of the table, and its `rows`.
     """
 
@@ -58,8 +58,8 @@ class Today(NamedTuple):
 class LiveTable(NamedTuple):
     """A section of the domain's own on the live page.
 
-    - `title`; `words`: one line above; `columns`: (name, unit) of the table, and its `rows`, of
-      texts and numbers.
+    - `title`; `description`: one line above; `columns`: (name, unit) of the table, and its `rows`,
+      of texts and numbers.
     """
 
     title: str
@@ -92,7 +92,7 @@ class PathTotals(NamedTuple):
 class Recalculated(Protocol):
     """A study without a policy, calculated at other inputs for the live page.
 
-    - `named`: its inputs.
+    - `inputs_by_name`: its inputs.
     """
 
     @property
@@ -100,7 +100,7 @@ class Recalculated(Protocol):
 
     def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
         """(name, table) one after another: "value" ("value", "standard_error", "paths", and
-        "kept" [N] by path), "sections" (a list of `Shown` as tables), "deltas" (rows with "of",
+        "kept" [N] by path), "sections" (a list of `LiveTable` as tables), "deltas" (rows with "of",
         the output that is differentiated, "input", "effect", "standard_error", "rows")."""
         ...
 
@@ -134,13 +134,13 @@ class Study:
     - `result`: what result.json says, from the run so far: "value", "standard_error", "status" …
     - `setup`: gives what training takes, the same object every time; None where nothing trains.
     - `relaxation`: gives the inner problem of the bound from above; or says why there is none.
-    - `moved`: gives the setup at a case that differs in the numbers of its inputs alone, as fast
+    - `setup_at`: gives the setup at a case that differs in the numbers of its inputs alone, as fast
       as it can: with code that is compiled already. None: its inputs cannot be moved.
     - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
       written without them.
     - `today`: says the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
-    - `shown`: gives the domain's own sections of the live page.
+    - `live_tables`: gives the domain's own sections of the live page.
     - `recalculated`: gives the calculation at other inputs of a study that trains nothing.
     """
 
@@ -173,8 +173,8 @@ class StudyRun:
     """A study while it runs: what its parts read, and where they write.
 
     - `folder`: of the run; `resume`: whether to go on from its checkpoint.
-    - `tell`: takes one line of progress.
-    - `found`: the tables of all finished parts by key, as they come back from JSON.
+    - `progress`: takes one line of progress.
+    - `results`: the tables of all finished parts by key, as they come back from JSON.
     - `troubles`: what could not be written.
     - `mark`: of all that decides its numbers; a checkpoint with another mark is not its own.
     """

@@ -66,8 +66,8 @@ def trained(
     """What result.json says of a study that trains; empty while it has not yet.
 
     How much can still be gained is the "verdict" on the terminal and the first note, where the run
-    has a bound from above or an `exact` value. `leads` over classical rules, on the same paths: of
-    one that does better the notes tell, and the verdict in the place of the other.
+    has a bound from above or an `exact` value. `advantages` over classical rules, on the same
+    paths: of one that does better the notes tell, and the verdict in the place of the other.
     """
     result = dict(run.get("solution", {}))
     if not result:

@@ -34,7 +34,7 @@ class Mistake:
 
     - `name`: the place and the kind of mistake, "contract.inventory: text".
     - `spoil`: changes the parsed TOML in place, or a file of the folder.
-    - `named`: words that the message must contain; none where the mistake may have a sense.
+    - `names`: words that the message must contain; none where the mistake may have a sense.
     """
 
     name: str

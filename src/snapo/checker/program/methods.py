@@ -24,7 +24,7 @@ _LIBRARIES = f"{os.sep}site-packages{os.sep}"
 
 
 class Method(NamedTuple):
-    """A method as a function of `given`, by name in its order."""
+    """A method as a function of `arguments`, by name in its order."""
 
     name: str
     function: Callable[..., Any]
@@ -97,7 +97,7 @@ def preparation(simulator: Simulator, inputs: PyTree) -> Method:
 
 
 class Line(NamedTuple):
-    """A line of a user's code; `own` says that it is one of snapo's."""
+    """A line of a user's code; `user_code` says that it is one of snapo's."""
 
     file: str
     number: int

@@ -22,7 +22,7 @@ OPTION = "--simulator"
 class Own(Kind):
     """Cases whose simulator the command line names.
 
-    - `place`: module and class, as in `--simulator simulator:Reservoir`.
+    - `location`: module and class, as in `--simulator simulator:Reservoir`.
     """
 
     location: tuple[str, str] | None = None

@@ -15,8 +15,8 @@ from snapo.problem.simulator import Simulator
 class OwnCase:
     """What `snapo solve` needs of a case.
 
-    - `place`: module and class of the simulator; `code`: the file of the module, where it is one,
-      and `code_hash`: of its bytes.
+    - `location`: module and class of the simulator; `code`: the file of the module, where it is
+      one, and `code_hash`: of its bytes.
     - `unit`: of the value; `units`: by name of a state, of the action, of an output.
     - `objective_words`: "mean of cash"; `outputs`: {place in the case: output} of all that is made
       as large as possible.

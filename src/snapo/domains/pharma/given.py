@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 
-Entry = tuple[str, int]  # the name of a `Given`, and a position in its values
+Entry = tuple[str, int]  # the name of a `CaseInput`, and a position in its values
 
 
 def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:

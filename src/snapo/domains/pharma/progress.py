@@ -11,7 +11,7 @@ _listeners: list[list] = []  # [tell, when the part began, when it was last told
 
 @contextmanager
 def reporting(progress: Callable[[str], None]) -> Iterator[None]:
-    """Within it, `say` reaches `tell`."""
+    """Within it, `say` reaches `progress`."""
     now = time.perf_counter()
     _listeners.append([progress, now, now])
     try:

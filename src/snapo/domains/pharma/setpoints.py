@@ -56,7 +56,7 @@ def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, chang
 
 
 def _once(record, available: set[str], selected: set[Entry], changed) -> Iterable[tuple]:
-    """The chosen numbers of a unit or a feed but those that are `known`."""
+    """The chosen numbers of a unit or a feed but those that are `available`."""
     for values in numbers_in(record):
         for i, value in enumerate(values.values.tolist()):
             if values.name not in available and (values.name, i) in selected:

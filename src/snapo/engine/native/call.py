@@ -34,7 +34,7 @@ from .runtime import Back, Inputs, Runner
 class Seats(NamedTuple):
     """The lanes of all blocks, part by part; the last path of a part fills its last block.
 
-    - `path`: [blocks x lanes] the number of each lane's path; `own`: whether it counts there.
+    - `path`: [blocks x lanes] the number of each lane's path; `local`: whether it counts there.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 

@@ -28,8 +28,8 @@ class Phase:
 class Traced:
     """Everything that the writer of a kernel needs, and the way back to the caller's trees.
 
-    `asked`: of the leaves of `call` and of `now`, whether their gradient is asked for. Where it is
-    zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
+    `requested`: of the leaves of `call` and of `now`, whether their gradient is asked for. Where it
+    is zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
     """
 
     setup: Setup

@@ -235,7 +235,7 @@ def _apart(context: np.ndarray, name: str, size: int) -> None:
 
 
 def _add_up_in(context: np.ndarray, position: int, calls: int, item: int) -> None:
-    """By column, sums of the call from here on, then those of the steps: `each` bytes together."""
+    """By column, sums of the call from here on, then those of the steps: `item` bytes together."""
     positions = position + item * np.arange(len(context))
     context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = positions, positions + calls
 

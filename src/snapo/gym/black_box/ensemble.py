@@ -66,7 +66,7 @@ def fit(
     """The ensemble fitted on from the weights `raw`, and how far it is off on rows held out.
 
     A tenth of the rows is held out. Every member keeps the weights that were best on it; the fit
-    stops after `most` steps, or after `patience` looks without a better one. `capacity` is the
+    stops after `maximum` steps, or after `patience` looks without a better one. `capacity` is the
     most rows there will ever be: arrays have that length, so that all fits are compiled once.
     """
     rng = np.random.default_rng((seed, transitions.count))

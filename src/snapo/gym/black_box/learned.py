@@ -47,7 +47,7 @@ class Round(NamedTuple):
 
     - `steps`: real steps by its end, `rows`: transitions that the model was fitted to.
     - `error`: of the model on rows held out, over the spread of each number (see `Fit.error`).
-    - `found`: the new policy without noise, from first observations that all rounds share.
+    - `comparison`: the new policy without noise, from first observations that all rounds share.
     - `seconds`: of processor time.
     """
 
@@ -64,9 +64,9 @@ class Learned:
 
     - `policy`: from the environment's observation to its action, both in its own units: plays by
       `snapo.gym.Agent(policy)`, is saved and exported as every policy is.
-    - `found`: its value in both, and their gap, on fresh starts that no round used.
+    - `comparison`: its value in both, and their gap, on fresh starts that no round used.
     - `steps`: of the real environment, all of them; `hold`: how many each decision is held for.
-    - `rounds`: the history; `chosen` the round, from 1, whose policy this is: that which earned
+    - `rounds`: the history; `selected` the round, from 1, whose policy this is: that which earned
       most in the real environment from the starts that all rounds share.
     - `model`, `inputs`: the simulator and its numbers, as of the last fit: `snapo.Problem(model,
       inputs, "reward")`.

@@ -107,7 +107,7 @@ def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
 def compared(
     plan: Plan, available: Known, inside: Inside, policy: MLP, maximum: float, common: Any = None
 ) -> Compared:
-    """Episodes in the real environment up to `most` steps in all, one at least, and the same in
+    """Episodes in the real environment up to `maximum` steps in all, one at least, and the same in
     the model.
 
     With the seeds `common` every second episode is another, with noise, for the next fit alone.

@@ -34,7 +34,7 @@ def loops(op: Op) -> tuple[int, ...] | None:
 def regions(ops: list[Op], values: set[Value]) -> list[Region]:
     """Orders the operations; loops are put off until nothing else can go on.
 
-    `wanted` are values that must exist after the last region.
+    `values` are values that must exist after the last region.
     """
     waiting, readers = {}, {}
     made = {v for op in ops for v in op.outputs}

@@ -1,7 +1,7 @@
-"""Where an array lives: in registers, element by element (`Small`), or in memory (`Place`).
+"""Where an array lives: in registers, element by element (`Small`), or in memory (`ArrayPlace`).
 
-Rearranging a `Small` array rearranges Python objects; rearranging a `Place` changes its strides.
-Neither costs an instruction.
+Rearranging a `Small` array rearranges Python objects; rearranging a `ArrayPlace` changes its
+strides. Neither costs an instruction.
 """
 
 import math

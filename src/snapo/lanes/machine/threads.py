@@ -46,7 +46,7 @@ def spread(
 ) -> None:
     """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
 
-    `own` gives each thread its own scratch memory, and `stop` is a flag that ends the work. On an
+    `local` gives each thread its own scratch memory, and `stop` is a flag that ends the work. On an
     interrupt the others are waited for; a second one leaves them alone with their last groups, so
     that `one` must hold all the memory that it reads and writes.
     """

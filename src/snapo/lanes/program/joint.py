@@ -48,7 +48,7 @@ def joint(
 ) -> Joint:
     """Traces a piece with its transpose; `moving` are the outputs that have cotangents.
 
-    `bound` maps the cotangents of the active path inputs to clipped ones, given the outputs and two
+    `clip` maps the cotangents of the active path inputs to clipped ones, given the outputs and two
     numbers per path.
     """
     avals = [leaf.aval for leaf in piece.reads] + list(path_avals)

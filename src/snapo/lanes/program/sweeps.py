@@ -39,7 +39,7 @@ def plan(
 
     `primal` are the outputs of the forward sweep, `back` those of the reverse sweep, and
     `cotangents` the inputs that only the reverse sweep has. Dot products, curves and noise are
-    stored; cheap arithmetic is done again from stored values. `kept` are stored in any case.
+    stored; cheap arithmetic is done again from stored values. `values` are stored in any case.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     later = dependents(program, cotangents)

@@ -80,7 +80,7 @@ class Choice(NamedTuple):
 
 
 def choices(files: Files, bumped: Tried) -> list[Choice]:
-    """Every key of the case that has more than one value; `tried` reads a case, or raises
+    """Every key of the case that has more than one value; `bumped` reads a case, or raises
     `CaseError`."""
     menus = []
     options = _options(files, bumped)

@@ -19,7 +19,7 @@ MAXIMUM = 6  # moved inputs that are tried one by one
 def no_value(
     moved: Mapping[str, np.ndarray], inputs: Mapping[str, Input], invalid: int, paths: int
 ) -> CaseError:
-    """The refusal of `moved` inputs with which `bad` of so many `paths` are not finite."""
+    """The refusal of `moved` inputs with which `invalid` of so many `paths` are not finite."""
     if not moved:
         message = f"{_share(invalid, paths)} come to no finite total, so there is no value"
         return CaseError("this choice", "", None, message)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 
 def count(name: str, values: Any, minimum: int, more: str = "") -> int:
-    """A whole number of at least `least`.
+    """A whole number of at least `minimum`.
 
     **Raises:** `ValueError` for anything else; `more` ends its sentence.
     """

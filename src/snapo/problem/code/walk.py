@@ -75,7 +75,7 @@ class Walk:
     - `moving`: the content of all that may change in place, such as lists and NumPy arrays, and
       what the code itself sets, such as a counter: with others it may be another program.
     - `unseen`: whether there is more that cannot be looked at.
-    - `own`: whether there is any code of a user's.
+    - `user_code`: whether there is any code of a user's.
     """
 
     def __init__(self, trees: Iterable[Any]):

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from .base import Noise, concrete, numbers, only, parameter, refuse, uniform
 
-TAIL = 1e-10  # the chance of numbers above `most`
+TAIL = 1e-10  # the chance of numbers above `maximum`
 ROOM = 1.5  # parameters may rise by a half
 
 
@@ -75,12 +75,12 @@ class Drawn(Noise):
 
 
 class Counts(Noise):
-    """Whole numbers 0 … `most`. Subclass it and write `logarithms`.
+    """Whole numbers 0 … `maximum`. Subclass it and write `logarithms`.
 
     `draw` gives a number whose derivative by the parameters is right where outcomes are quadratic
     without corners, and nearly so where corners lie at different numbers on different paths;
-    `weigh` gives a number and its likelihood, which is right always. `most` is static, and follows
-    from the parameters where these are known.
+    `weigh` gives a number and its likelihood, which is right always. `maximum` is static, and
+    follows from the parameters where these are known.
     """
 
     separate = True
@@ -108,7 +108,7 @@ class Counts(Noise):
 
 
 class Poisson(Counts):
-    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of its own: give `most`.
+    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of its own: give `maximum`.
 
     >>> [float(snapo.noise.Poisson(4.0).draw(np.array([z]))) for z in (-2.0, 0.0, 2.0)]
     [1.0, 4.0, 8.0]
@@ -153,7 +153,8 @@ class NegativeBinomial(Counts):
 
 
 class Binomial(Counts):
-    """How many of `most` independent trials succeed, each with `chance`; one trial: yes or no."""
+    """How many of `maximum` independent trials succeed, each with `probability`; one trial: yes or
+    no."""
 
     probability: Any
     maximum: int = eqx.field(static=True)

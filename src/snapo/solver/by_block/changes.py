@@ -29,8 +29,8 @@ SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, 
 class Plan(NamedTuple):
     """The weights of all paths, in the order of the blocks, and their changes.
 
-    - `whole`: {output: [N]}; `sizes`: [B] of the blocks.
-    - `sample`: [R] positions of paths; `pieces`: weights {output: [R]} of K pulls on them.
+    - `total`: {output: [N]}; `sizes`: [B] of the blocks.
+    - `sample`: [R] positions of paths; `blocks`: weights {output: [R]} of K pulls on them.
     - `parts`: [B, K], by how much of each piece the weights change without a block.
     """
 
@@ -115,7 +115,7 @@ def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _common(change, size, sample, value, groups) -> tuple[np.ndarray, np.ndarray]:
-    """`parts` [B, K] and `pieces` [K, outputs, R] whose product is nearly the change.
+    """`parts` [B, K] and `segments` [K, outputs, R] whose product is nearly the change.
 
     The sum of the change over paths is kept exactly, in one piece for each output that changes.
     """

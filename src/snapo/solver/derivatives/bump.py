@@ -124,7 +124,7 @@ def reactions(
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
     """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
-    `most` paths together.
+    `maximum` paths together.
 
     Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
     and a wider move follow, the least certain input first, until about `rollouts` paths were
@@ -238,7 +238,7 @@ class _Bumper:
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
-        `moved` by default rebuilds what it can; `mirrored`: for one side alone, see `opposite`.
+        `at_values` by default rebuilds what it can; `mirrored`: for one side alone, see `opposite`.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value

@@ -37,7 +37,7 @@ class Surface(NamedTuple):
     """A quadratic surface around a policy, in radii from `centre` along the coordinates.
 
     - `coordinates`, `centre` [n], `radius` [n]; `top`: [n] of the highest place.
-    - `places`: [M, n] where the value was measured, in radii from `centre`.
+    - `points`: [M, n] where the value was measured, in radii from `centre`.
     - `inverse`: [n, n] of minus the curvature; `covariance`: [n, n] of the top.
     - `target`: the loss at one radius; `gain`: that of the surface from its centre to its top.
     - `source`, `paths`: on which the values were measured.

@@ -278,7 +278,7 @@ def _over_constants(
     taken: list[tuple[np.ndarray, Draws, np.ndarray]],
     engine: Engine,
 ) -> tuple[np.ndarray, Gain]:
-    """The best constant decision [size] of some, and the gain over it: see `rivals`."""
+    """The best constant decision [size] of some, and the gain over it: see `constant_baselines`."""
     unpriced = _unpriced(problem)
     bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
     paths = np.concatenate([entry[0] for entry in taken])

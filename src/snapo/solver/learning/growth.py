@@ -76,7 +76,7 @@ class Growth(NamedTuple):
 
 
 def _explodes(largest: np.ndarray, position: int) -> int:
-    """The step from which on adjoints, on their way back to `place`, exceed the limit."""
+    """The step from which on adjoints, on their way back to `position`, exceed the limit."""
     over = largest[position:] > TAME * largest[-1]
     return position + int(np.flatnonzero(over)[-1])
 

@@ -76,7 +76,7 @@ class Progress:
     `raced`: the rounds in which starts fell out, where there were several.
     `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
     `redrawn`: the steps at which it began anew from other first weights (see `verdict.idle`);
-    `alike`: the validations in a row in which every path earned the same.
+    `unchanged`: the validations in a row in which every path earned the same.
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """
 

@@ -46,7 +46,7 @@ def race(
 ) -> tuple[Progress, tuple[Round, ...]]:
     """The start that is left, and the rounds in which the others fell out.
 
-    - `begun`: the starts before their first step.
+    - `started`: the starts before their first step.
     - `steps`: of a whole run; `run(progress, until)` trains up to step `until` and validates.
     """
     every = max(1, round(ROUND * steps))

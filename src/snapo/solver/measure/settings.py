@@ -64,7 +64,7 @@ class Effort(NamedTuple):
     and more where a path is short. The numbers follow the problem and the settings alone, never a
     clock: a run that is repeated has the same bits.
 
-    - `work`: the paths that may be valued for one purpose; `most`: paths on which it is done.
+    - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
     """
 
     work: float

@@ -29,7 +29,7 @@ class Decisions(NamedTuple):
     """A stopping problem: its parts, and where in the state the rights are.
 
     - `rights`: how many there are; `right`: the number of their leaf in the flattened state.
-    - `worth`: {output: its weight in the objective}.
+    - `values`: {output: its weight in the objective}.
     """
 
     problem: Problem

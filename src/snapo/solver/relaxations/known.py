@@ -16,7 +16,7 @@ class Relaxation(Protocol):
     """The inner problem of a simulator: best decisions of one path in hindsight, penalised.
 
     - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
-    - `words`: the penalty in a phrase, for a report.
+    - `description`: the penalty in a phrase, for a report.
     """
 
     @property
@@ -28,7 +28,7 @@ class Relaxation(Protocol):
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
 
-        `rolled` has the policy's states ("state": leaves [T, N, …]) and final states on the same
+        `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
         paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
         penalty's parts (zeros: perfect foresight).
         """

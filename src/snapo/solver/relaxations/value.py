@@ -27,7 +27,7 @@ MINIMUM = 1e-9  # of a number's size: a smaller deviation is none
 
 
 def exponents(numbers: int) -> list[tuple[int, ...]]:
-    """The factors of every monomial, by degree: (), (0,), (1,), (0, 0), …; at most `MOST`."""
+    """The factors of every monomial, by degree: (), (0,), (1,), (0, 0), …; at most `MAXIMUM`."""
     results: list[tuple[int, ...]] = []
     for degree in range(DEGREE + 1):
         more = list(combinations_with_replacement(range(numbers), degree))

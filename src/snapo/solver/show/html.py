@@ -5,7 +5,7 @@ from html import escape
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """A table of texts; columns not in `words` are figures, flush right."""
+    """A table of texts; columns not in `text` are figures, flush right."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         sides = ("left" if i in text else "right" for i in range(len(row)))

@@ -30,7 +30,7 @@ def room(
 ) -> Room | None:
     """What is known of a value; None where nothing is, or no more than `USEFUL` could say.
 
-    - `bound`: as `Bound.row` has it; `exact`: the exact value, of which no policy has more.
+    - `bounds`: as `Bound.row` has it; `exact`: the exact value, of which no policy has more.
     """
     results = [_below_exact(value, error, exact), _below_bound(bounds)]
     available = [item for item in results if item is not None and item.share <= USEFUL]

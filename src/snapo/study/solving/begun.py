@@ -24,7 +24,7 @@ KEPT, GAIN = "given policy", "gain over the given policy"
 
 
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
-    """The study with `given` in the place of its untrained policy; `file` is that of its case.
+    """The study with `values` in the place of its untrained policy; `file` is that of its case.
 
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
@@ -49,7 +49,7 @@ def _fitted(setup: Callable[[], Setup], values: SuppliedPolicy) -> Callable[[], 
 
     def build() -> Setup:
         local = setup()
-        if id(local) not in made:  # the pair keeps `own`, and with it its number
+        if id(local) not in made:  # the pair keeps `local`, and with it its number
             made[id(local)] = (
                 local,
                 local._replace(policy=values.adopted_by(local.policy), recipe=None),

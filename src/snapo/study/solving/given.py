@@ -39,7 +39,7 @@ class SuppliedPolicy:
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
     - `content`: the bytes of the file; `value`: that of its run, where it has one.
-    - `arrays`: all of its numbers, in order; `words`: {place: kinds, sizes, functions}.
+    - `arrays`: all of its numbers, in order; `text`: {place: kinds, sizes, functions}.
     """
 
     source: Path
@@ -55,7 +55,7 @@ class SuppliedPolicy:
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
     def adopted_by(self, local: Policy) -> Policy:
-        """The policy of a case, `own`, with the trained numbers of this one.
+        """The policy of a case, `local`, with the trained numbers of this one.
 
         **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
         """

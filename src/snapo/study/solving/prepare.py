@@ -116,7 +116,8 @@ def carried_out(
 ) -> dict[str, Any]:
     """Does the parts of the study; returns what result.json says.
 
-    `began`: when the command did, by `time.perf_counter()`; `beside`: seconds of other work for it.
+    `began`: when the command did, by `time.perf_counter()`; `adjacent`: seconds of other work for
+    it.
     """
     from ..carry_out import carry_out
 

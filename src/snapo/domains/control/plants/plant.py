@@ -55,9 +55,10 @@ class Plant(Simulator):
 
     **Attributes:**
 
-    - `horizon`: steps; `clock`: whether the policy sees the share of the horizon that is left.
+    - `horizon`: steps; `time_feature`: whether the policy sees the share of the horizon that is
+      left.
     - `starts`: ((state, keys of its distribution), …), of every state.
-    - `shaken`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
+    - `disturbed_parts`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
     - `measured`: the states that are seen with an error of measurement, the others exactly.
     """
 

@@ -33,7 +33,7 @@ NOTHING = 1e-14  # a variance below this is none
 class Basis:
     """K functions of the price factors on the T days and the end date.
 
-    - `of`: all factors; `kept`: indices of those in the polynomials, the fast one first.
+    - `of`: all factors; `selected`: indices of those in the polynomials, the fast one first.
     - `common`: indices of the factors in the exponential; there may be none.
     - `powers`: [n, kept] degrees of the polynomials; K = n, or n + 1 with the constant.
     """

@@ -35,7 +35,7 @@ class Reach(NamedTuple):
 
     - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
       cover all nodes within reach.
-    - `ends`: (rows, left, right, share): ends of the reach that lie between two nodes.
+    - `endpoints`: (rows, left, right, share): ends of the reach that lie between two nodes.
     """
 
     inside: list[tuple[int, Rows, Rows, Rows]]
@@ -202,7 +202,7 @@ def _bends(schedule, day_rates: Rates, t: int, nodes, after) -> tuple[Bends | No
 def _meetings(
     endpoints: np.ndarray, after: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(cell, share, node) wherever a line through `ends` [n] crosses a node inside a cell."""
+    """(cell, share, node) wherever a line through `endpoints` [n] crosses a node inside a cell."""
     low, high = np.minimum(endpoints[:-1], endpoints[1:]), np.maximum(endpoints[:-1], endpoints[1:])
     first = np.searchsorted(after, low, side="right")
     count = np.maximum(np.searchsorted(after, high, side="left") - first, 0)

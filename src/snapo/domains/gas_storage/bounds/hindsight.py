@@ -25,7 +25,7 @@ INVENTORIES = 141
 class Hindsight:
     """The penalised store of a schedule (NumPy leaves).
 
-    - `fitted`: the V of the penalty, None for none (perfect foresight).
+    - `fitted_value`: the V of the penalty, None for none (perfect foresight).
     - `inventories`: points of the grid from 0 to the largest inventory. Between them the value
       is held from above (`best_value`): a coarse grid gives a higher bound and never a low one.
     """

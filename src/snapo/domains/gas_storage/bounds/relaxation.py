@@ -16,8 +16,8 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 class StoreRelaxation:
     """See `snapo.Relaxation`.
 
-    `fitted` is the value function of the penalty, where the price process has Gaussian factors; it
-    is a finer one than that of the policy's guide.
+    `fitted_value` is the value function of the penalty, where the price process has Gaussian
+    factors; it is a finer one than that of the policy's guide.
     """
 
     def __init__(self, problem: Problem, inventories: int = INVENTORIES):

@@ -33,7 +33,7 @@ class EndRule(eqx.Module):
     """A rule for the end date; prices and money are those of the end date, undiscounted.
 
     As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
-    `needs_price` and `known` are for the reader and the study.
+    `needs_price` and `value_known` are for the reader and the study.
     """
 
     @property

@@ -3,7 +3,7 @@
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
 without ratchets). Index T stands for the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
-`Given` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
+`CaseInput` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
 A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
 """
 

@@ -20,8 +20,8 @@ class Day(NamedTuple):
     Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
     `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
     `price` is the row of the price process, `ahead` tells the curve's shape to the network,
-    `guide` holds the marginal value of gas that the policy starts from, `hedge` the forward volume
-    of the control variate, `surprise` the fitted value of the other one.
+    `value_table` holds the marginal value of gas that the policy starts from, `hedge` the forward
+    volume of the control variate, `innovation` the fitted value of the other one.
     """
 
     day: Array
@@ -58,7 +58,7 @@ class Terms(NamedTuple):
     `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
     spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
     `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
-    largest daily rate, `surprise` the end of its control variate.
+    largest daily rate, `innovation` the end of its control variate.
     """
 
     inventory: Array

@@ -44,11 +44,11 @@ class StorageSimulator(Simulator):
     - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
       used; `discounts`: of its payments.
     - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
-    - `guide`: the marginal values that the policy starts from (see `policy.value_table`).
+    - `value_table`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
-    - `surprises`: of a fitted value of the store: the control variate `value_surprise` in place of
-      that of a hedge; its total is zero on average too.
+    - `innovations`: of a fitted value of the store: the control variate `value_surprise` in place
+      of that of a hedge; its total is zero on average too.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate.
     """

@@ -47,7 +47,8 @@ class Transition(NamedTuple):
 class FactorGrid:
     """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
 
-    - `of`: all factors of the price process; `kept`: indices of those on the grid, fast one first.
+    - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
+      first.
     - `fast`, `slow`: node positions (slow: one node at 0 where a single factor is kept).
     - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
     """

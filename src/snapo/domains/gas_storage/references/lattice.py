@@ -25,7 +25,8 @@ class LatticeResult:
     - `deltas`: [T] derivative of the value by each day's forward price, in discounted volume
       (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
-    - `kept`: indices of the price factors on the grid, fast one first; `dropped`: those left out.
+    - `selected`: indices of the price factors on the grid, fast one first; `dropped`: those left
+      out.
     """
 
     value: float

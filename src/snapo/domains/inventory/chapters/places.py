@@ -98,14 +98,14 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
         "is the mean over periods of all goods at the place, on their way to it and further down, "
         "less demand that waits, with its order."
     )
-    if any(place.sent for place in decimal_places):
+    if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]
         text += " Sent and received is what stores send one another in a period."
-    if any(place.orders for place in decimal_places):
+    if any(place.orders for place in sites):
         columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
         columns.append(mean("order_size", "Order size", unit, 2))
         text += " Where an order has a cost of its own, the level is the mean over its orders."
-    rows = table(decimal_places, columns, "Stock and service by place")
+    rows = table(sites, columns, "Stock and service by place")
     return [rows, Text(text, caveat=True)]
 
 

@@ -23,7 +23,7 @@ Parameters = Mapping[str, Any]
 class Demand(eqx.Module):
     """Demand of one period, by period.
 
-    **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `whole`, whether it
+    **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether it
     comes in whole units.
     """
 
@@ -34,7 +34,8 @@ class Demand(eqx.Module):
     @classmethod
     @abc.abstractmethod
     def read(cls, section: Section, table: Any, unit: str, maximum: float) -> Self:
-        """From its table; `unit` of demand in a period, `most` the largest factor of a period."""
+        """From its table; `unit` of demand in a period, `maximum` the largest factor of a
+        period."""
 
     @abc.abstractmethod
     def inputs(self) -> tuple[CaseInput, ...]:

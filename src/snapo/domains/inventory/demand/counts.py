@@ -33,9 +33,9 @@ ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
 
 
 class Counts(Demand):
-    """Demand 0, 1, … up to `most`; the last one holds all that lie above.
+    """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
 
-    - `most`: static, the number of demands above zero that are told apart.
+    - `maximum`: static, the number of demands above zero that are told apart.
     """
 
     integer = True
@@ -46,7 +46,7 @@ class Counts(Demand):
         """ln of the chance of demand `k`, shaped like both together."""
 
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
-        """`below` [T, K]: F(k - 1); `chance` [T, K]: p(k)."""
+        """`below` [T, K]: F(k - 1); `probability` [T, K]: p(k)."""
         k = jnp.arange(self.maximum)
         probability = jnp.exp(self.logarithms(parameters, factors[:, None], k))
         upto = jnp.cumsum(probability, 1)

@@ -21,7 +21,7 @@ def kinds() -> dict[str, type[Demand]]:
 
 
 def read_demand(section: Section, data: Mapping[str, Any], unit: str, maximum: float) -> Demand:
-    """The demand of the table `[demand]`; `most`: the largest factor of a period."""
+    """The demand of the table `[demand]`; `maximum`: the largest factor of a period."""
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:

@@ -16,8 +16,9 @@ class Item:
     """One item in one place.
 
     - `lost`: whether demand without stock is lost; otherwise it waits.
-    - `lead`: periods from an order to its arrival.
-    - `whole`: whether orders are whole numbers; `most`: of one order, infinite where not limited.
+    - `lead_time`: periods from an order to its arrival.
+    - `integer`: whether orders are whole numbers; `maximum`: of one order, infinite where not
+      limited.
     - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
       order.
     - `stock`, `coming`: at the start, None where the start is the usual one.

@@ -17,7 +17,7 @@ class Site:
     """One place.
 
     - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
-    - `lead`: periods from an order to its arrival, before the demand of that period.
+    - `lead_time`: periods from an order to its arrival, before the demand of that period.
     - `demand`: of customers; None where there are none.
     - `season`: factors of its mean demand by place in the season; None where periods are alike.
     - `fixed`: whether an order costs something whatever its size.
@@ -35,7 +35,7 @@ class Site:
 class Pool:
     """Places with customers that send one another goods, at once: lateral transshipment.
 
-    - `places`: their numbers; `one_way`: only from the first of two to the second.
+    - `sites`: their numbers; `one_way`: only from the first of two to the second.
     - `before`: whether they do so before the demand of a period is known, to balance their
       stocks; otherwise afterwards, to where a place is short.
     """
@@ -59,7 +59,7 @@ class Pool:
 class NetworkCase:
     """What `snapo solve` needs of a case with places.
 
-    - `whole`: whether orders and all that is sent are whole numbers.
+    - `integer`: whether orders and all that is sent are whole numbers.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place that
       sells, in the order of `sellers`; `transshipment`: by pool, of a unit moved; `ordering`: of
       an order of any size, by place in the order of `fixed`, None where no order costs anything.

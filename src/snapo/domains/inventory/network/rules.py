@@ -24,7 +24,8 @@ class Numbers(NamedTuple):
     """Of a classical rule, all in deviations of the demand that a place serves.
 
     - `above` [n]: how far its levels lie above those of the simulator.
-    - `kept`: the bands of stores; what they hold back after demand is nothing, but for `ENDLESS`.
+    - `reserve`: the bands of stores; what they hold back after demand is nothing, but for
+      `ENDLESS`.
     - `wait` [m]: how far reorder points lie below the levels of the simulator, of each place where
       an order has a cost of its own; None where it orders whenever it is below its level.
     """

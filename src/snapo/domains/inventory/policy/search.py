@@ -20,10 +20,10 @@ def search(
     maximum: int = 300,
     together: Sequence[tuple[int, int]] = (),
 ) -> tuple[float, ...]:
-    """The numbers at which `cost` is smallest, among points of a grid of width `least`.
+    """The numbers at which `cost` is smallest, among points of a grid of width `minimum`.
 
     Moves by `step` along every number, and of two along both diagonals, while that helps, then by
-    half, down to `least`; at most `most` costs are asked for.
+    half, down to `minimum`; at most `maximum` costs are asked for.
 
     - `together`: of more than two numbers, pairs that move along their diagonals too.
     """

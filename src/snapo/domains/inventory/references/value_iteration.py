@@ -49,8 +49,8 @@ def lost_sales(
 ) -> Optimum:
     """Unmet demand is lost; the shortage cost is of every unit lost.
 
-    - `chances`: of demands 0, 1, …; `mean`: of the whole distribution, its tail included.
-    - `lead`: periods from an order to its arrival, 0 or more.
+    - `probabilities`: of demands 0, 1, …; `mean`: of the whole distribution, its tail included.
+    - `lead_time`: periods from an order to its arrival, 0 or more.
     - `most_stock`, `most_order`: limits of the grid; they must not bind at the optimum.
     """
     moves, idle = _period(probabilities, mean, costs, most_stock)
@@ -85,8 +85,8 @@ def backlogged(
 ) -> Optimum:
     """Unmet demand waits; the shortage cost is of every unit that waits, every period.
 
-    The state is the inventory position before the order, `least` to `most`: an order now is felt
-    in the period in which it is on hand, after the demand of the periods until then.
+    The state is the inventory position before the order, `minimum` to `maximum`: an order now is
+    felt in the period in which it is on hand, after the demand of the periods until then.
     """
     levels = np.arange(minimum, maximum + 1)
     felt = np.array([1.0])

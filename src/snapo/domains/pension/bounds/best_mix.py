@@ -11,7 +11,7 @@ from ..records.case import PensionCase
 
 class Limits(NamedTuple):
     """Of the weights: bounds [n]; `group` [n] the group of each class, groups [k] with bounds
-    (a class without a group is one of its own); of the swaps: `least`, `most` [b] shares."""
+    (a class without a group is one of its own); of the swaps: `minimum`, `maximum` [b] shares."""
 
     low: np.ndarray
     high: np.ndarray

@@ -47,7 +47,7 @@ class Paths(NamedTuple):
 
 
 class Deflated(NamedTuple):
-    """[T, N]: D at the start of each step, over m; `after` at its end; and the `worth` of a unit
+    """[T, N]: D at the start of each step, over m; `after` at its end; and the `growth` of a unit
     in each investment, not yet deflated by either."""
 
     over: Array

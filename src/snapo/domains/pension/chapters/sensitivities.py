@@ -237,8 +237,8 @@ def _columns(unit: str) -> list[tuple[str, str]]:
 def _nodes(
     input_effect: InputEffect, rows: Sequence[NumberEffect], scale: float, unit: str
 ) -> Table:
-    """One line per node, and the `whole` input moved at once: the parallel shift, which is their
-    sum."""
+    """One line per node, and the `input_effect` input moved at once: the parallel shift, which is
+    their sum."""
     name = name_of(input_effect.input)
     body = [_row(row, row.label, scale) for row in rows]
     body.append(_row(input_effect, "Parallel = sum", scale))

@@ -174,7 +174,7 @@ def stressed(
 
 
 def _change(value: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
-    """Changes of `worth` from one set of inputs to another."""
+    """Changes of `value` from one set of inputs to another."""
     with jax.enable_x64(True):
         return np.asarray(value(case, after)) - np.asarray(value(case, before))
 

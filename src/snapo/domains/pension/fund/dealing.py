@@ -21,7 +21,7 @@ NONE = 1e-12  # of the assets: fewer purchases than this are none
 def dealt(
     assets: Assets, step: float, requested: Array, now: Array, smooth: Constraints
 ) -> Float[Array, " n"]:
-    """The weights after trading, from those `now` [n] towards those `wanted` [n]; both add up to
+    """The weights after trading, from those `now` [n] towards those `requested` [n]; both add up to
     1, and so do the result's."""
     cash, count = assets.cash, len(assets.classes)
     is_cash = np.arange(count) == cash

@@ -12,7 +12,7 @@ from .simulator import PensionSimulator
 
 
 def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """[b] notionals where the policy puts them, from their `places` in the ranges, 0 to 1.
+    """[b] notionals where the policy puts them, from their `positions` in the ranges, 0 to 1.
 
     `values`: [b] the money that limits are shares of (see `limit_unit`).
     """

@@ -44,7 +44,7 @@ class Factors(NamedTuple):
 
 
 class BondLoads(NamedTuple):
-    """The loads of a kind of bond: `loads` [g] of the factors' integrals, `own` [T] of dW_I."""
+    """The loads of a kind of bond: `loads` [g] of the factors' integrals, `loading` [T] of dW_I."""
 
     loads: np.ndarray
     loading: Array

@@ -65,7 +65,7 @@ def _payroll(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
 
 class PotTerms(NamedTuple):
     """The whole horizon: the `fund`'s terms, the `reserve`'s rules, `fill` the share of
-    contributions that it takes, `pots` [C] and `kept` (the reserve) now, `level` of pots over
+    contributions that it takes, `pots` [C] and `survivors` (the reserve) now, `level` of pots over
     annuities now; `last` [C, J] the cohorts' payments at the horizon."""
 
     fund: Terms

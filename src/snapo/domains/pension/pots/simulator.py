@@ -127,7 +127,7 @@ class PotSimulator(PensionSimulator):
     ) -> Shared:
         """Pots and reserve after the return of the step, and the excess return in it.
 
-        `given`: money earned, cash's return, the annuities before and after the step, `smooth`.
+        `values`: money earned, cash's return, the annuities before and after the step, `smooth`.
         """
         earned, cash, (before, after), smooth = values
         pots, reserve = state.pots + paid.pots, state.reserve + paid.reserve

@@ -138,7 +138,7 @@ def _mean(row: Row) -> float:
 def _volatilities(
     section: Section, rows: Sequence[Row], local: Sequence[int], grid: Grid
 ) -> CaseInput:
-    """Of the classes `own` with a shock of their own, side by side."""
+    """Of the classes `local` with a shock of their own, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
     parts = [_volatility(section, rows[i], grid) for i in local]
@@ -178,7 +178,8 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
 def _weights(
     section: Section, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
 ) -> list[float]:
-    """Of today, between their `ends`: 0 and 1, or beyond as far as the bounds of the class go."""
+    """Of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the class
+    go."""
     numbers = [row.number("weight", *item) for row, item in zip(rows, endpoints)]
     total = math.fsum(numbers)
     if abs(total - 1) > WHOLE:

@@ -30,7 +30,7 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True)
 class TableContext(Section):
-    """A table of a case while it is read; `silent` collects the numbers left at a default."""
+    """A table of a case while it is read; `defaulted` collects the numbers left at a default."""
 
     defaulted: set[str]
 
@@ -115,7 +115,7 @@ def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
 
 
 def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray:
-    """The numbers of a column, each above the one before and all above `least`."""
+    """The numbers of a column, each above the one before and all above `minimum`."""
     values: list[float] = []
     for row in rows:
         value = row.number(column)

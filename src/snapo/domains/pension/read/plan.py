@@ -1,6 +1,6 @@
 """Reads `[plan]`, `[liability]` and `[reconcile]`: promises, contributions and their valuation.
 
-A number that the rule of a case does not look at is no input: its `Given` stays empty.
+A number that the rule of a case does not look at is no input: its `CaseInput` stays empty.
 """
 
 import numpy as np

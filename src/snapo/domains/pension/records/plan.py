@@ -66,7 +66,7 @@ class Contribution:
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
-      Each applies only where its flag is set. All `Given`s index [].
+      Each applies only where its flag is set. All `CaseInput`s index [].
     - `schedule`: paid on top, whatever the limits; None where the case has none.
     """
 

@@ -19,7 +19,7 @@ SQUARE_ROOT, YEARLY = "1/sqrt(year)", "1/year"
 
 @dataclass(frozen=True)
 class InputNumber:
-    """Of a number: its unit, and the fields of `Given` of the same names."""
+    """Of a number: its unit, and the fields of `CaseInput` of the same names."""
 
     unit: str
     meaning: str

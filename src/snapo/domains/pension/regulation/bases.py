@@ -36,8 +36,8 @@ class Basis:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Level payments `each` year, money, at the end of each of `years` years, which are worth the
-    deficit on technical provisions; their `total`; all 0 without a deficit."""
+    """Level payments `probability` year, money, at the end of each of `years` years, which are
+    worth the deficit on technical provisions; their `total`; all 0 without a deficit."""
 
     deficit: float
     years: float

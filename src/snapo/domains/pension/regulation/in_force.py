@@ -22,7 +22,7 @@ def in_force(
 
     **Arguments:**
 
-    - `own`: {name: file} of the rules that come with the package.
+    - `local`: {name: file} of the rules that come with the package.
 
     **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
     """

@@ -101,7 +101,7 @@ def held_now(case: PensionCase) -> np.ndarray:
 
 
 def slopes(curve: Curve, inputs: dict[str, Any], value: Callable[[dict], Array]) -> np.ndarray:
-    """[k, nodes]: d `worth` [k] / d quote at a node of `curve`."""
+    """[k, nodes]: d `value` [k] / d quote at a node of `curve`."""
 
     def shifted(quotes):
         return value(inputs | {curve.rate.name: quotes})
@@ -160,7 +160,7 @@ def _by_node(case: PensionCase, curve: Curve, values: dict, counted: np.ndarray)
 def trades(
     case: PensionCase, weights: np.ndarray, positions: np.ndarray, values: np.ndarray
 ) -> TradeList:
-    """The trades of the classes, and of the swaps to their `places` between limits [b]."""
+    """The trades of the classes, and of the swaps to their `positions` between limits [b]."""
     amount, now = float(case.assets.amount.used()), case.assets.weight.used()
     cost = case.assets.cost.used() if case.assets.cost.values.size else np.zeros(len(now))
     classes = tuple(

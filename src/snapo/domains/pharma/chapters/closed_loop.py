@@ -72,7 +72,7 @@ class KeptShares:
 class ControlCourse:
     """A control after each decision, at `time` in s since its unit's start.
 
-    - `policy`, `policy_low`, `policy_high`: median and band over batches; `values`: of the best
+    - `policy`, `policy_low`, `policy_high`: median and band over batches; `given`: of the best
       fixed recipe; `given`: of the recipe as given.
     """
 
@@ -224,7 +224,7 @@ def trajectories(
 
 
 def _within(values: np.ndarray, start: float, maximum: float) -> np.ndarray:
-    """Values that move by at most `most` from one decision to the next."""
+    """Values that move by at most `maximum` from one decision to the next."""
     limited, last = np.empty_like(values), np.full(values.shape[1], start)
     for t, target in enumerate(values):
         limited[t] = last = np.clip(target, last - maximum, last + maximum)

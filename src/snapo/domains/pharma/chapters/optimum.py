@@ -64,7 +64,7 @@ class DecisionResult:
 
 @dataclass(frozen=True)
 class LimitResult:
-    """A limit of an attribute; `worth`: what the goal gains by one unit more room."""
+    """A limit of an attribute; `value`: what the goal gains by one unit more room."""
 
     attribute: str
     unit: str

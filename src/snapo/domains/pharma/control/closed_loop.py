@@ -55,8 +55,8 @@ def best_recipe(
 ) -> tuple[Feedback, Feedback]:
     """The best of several recipes, each trained; and it again, trained as long once more.
 
-    `own`: the case's recipe. The first is where a policy starts that is to be compared with the
-    second.
+    `feedback`: the case's recipe. The first is where a policy starts that is to be compared with
+    the second.
     """
 
     def tuned(recipe: Feedback, plan: TrainingPlan, subject: str) -> tuple[float, Feedback]:

@@ -27,7 +27,7 @@ class LoopConnection(NamedTuple):
     """How one PI controller is connected. An outer one stands before its inner one.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: numbers of the
-      features with its reading and with what was applied of `place`, the number in the action.
+      features with its reading and with what was applied of `position`, the number in the action.
     - `inner`: number of the loop whose setpoint it moves within `low` to `high`, in that one's
       reading; -1: it moves the control itself, within 0 to 1.
     """

@@ -37,7 +37,7 @@ class MatrixForms(NamedTuple):
 
 
 def table(case: PharmaCase, matrix: Matrix) -> MatrixForms:
-    """The three forms of `found`, whose entries are the case's parameters in order."""
+    """The three forms of `matrix`, whose entries are the case's parameters in order."""
     scale = np.array([parameter.scale for parameter in case.parameters])
     half = np.array([(item.normal_high - item.normal_low) / 2 for item in case.parameters])
     scaled = matrix.jacobian * half

@@ -60,8 +60,8 @@ def flow(
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """Runs every unit; with `record` tracks are kept. `ends`: {unit: its final y} of units that
-    were integrated elsewhere."""
+    """Runs every unit; with `record` tracks are kept. `endpoints`: {unit: its final y} of units
+    that were integrated elsewhere."""
     result = _through(case, case.units, inputs, record, endpoints or {})
     return result._replace(measures=result.measures | yields(case, result.streams))
 

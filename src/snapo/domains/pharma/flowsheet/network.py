@@ -84,7 +84,7 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
 
 
 def fastest_rate(network: Network, temperature: np.ndarray, maximum: np.ndarray) -> float:
-    """1/s: a bound on the norm of d r / d extents below concentrations `most` [S] in kmol/m3, at
+    """1/s: a bound on the norm of d r / d extents below concentrations `maximum` [S] in kmol/m3, at
     the given temperatures in K; infinite where an order lies between 0 and 1."""
     if ((network.order > 0) & (network.order < 1)).any():
         return np.inf

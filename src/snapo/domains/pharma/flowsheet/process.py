@@ -82,8 +82,8 @@ class Process:
     def attributes(
         self, inputs: dict[str, Array], along: bool = False, nominal_steps: bool = True
     ) -> Float[Array, " Q"]:
-        """The quality attributes in their owner's units; plain JAX, to be traced. `along` and `own`
-        as in `Numerics`."""
+        """The quality attributes in their owner's units; plain JAX, to be traced. `along` and
+        `nominal_steps` as in `Numerics`."""
         return self.of_measures(
             self.flow(inputs, along=along, nominal_steps=nominal_steps).measures
         )

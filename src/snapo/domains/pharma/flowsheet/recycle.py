@@ -35,7 +35,7 @@ Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
 
 class Closed(NamedTuple):
     """`change`: of the guess in one more turn, relative; `rounds` that it took; `worst`: which of
-    `labels` changes most; `good`: whether the change is within the tolerance."""
+    `labels` changes most; `converged`: whether the change is within the tolerance."""
 
     change: Float[Array, ""]
     rounds: Float[Array, ""]

@@ -25,7 +25,7 @@ class Point(NamedTuple):
     """What n draws say at one set point or more: leading axes are the points'.
 
     - `probability`: that all limits hold; `error`: its standard error.
-    - `each`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
+    - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
     - `binding`: the attribute that most often breaks its limits, -1 where none does.
     - `failed`: the share of runs without a finite result; they break every limit.
     - `low`, `high`: 95 % interval of the probability.
@@ -43,7 +43,7 @@ class Point(NamedTuple):
 
 class Map(NamedTuple):
     """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array;
-    `ends`: where the space ends along the lines of the map."""
+    `boundaries`: where the space ends along the lines of the map."""
 
     axes: tuple[str, ...]
     grid: tuple[np.ndarray, ...]

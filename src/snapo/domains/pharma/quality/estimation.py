@@ -47,7 +47,7 @@ class Fit:
       0 for numbers at a bound. `scale`: what (J^T J)^-1 was multiplied by.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
       of `freedom` = n - P degrees of freedom; `tail`: the chance of more, NaN where only the ratios
-      of errors are known. `measured`, `fitted`: [n].
+      of errors are known. `measured`, `fitted_values`: [n].
     - `condition`: largest over smallest singular value, variables scaled by their bounds.
     - `unidentified`: directions that the data do not narrow, in words; `converged` says why.
     - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from

@@ -25,10 +25,10 @@ class AcceptableRange:
     """A range in the owner's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
-    the studied range ends before any limit. `sure`: ends between which every point looked at does
-    even at the lower end of its 95 % interval; `possible`: up to the first point that does not even
-    at the upper; None where the set point is no such point. `holds_normal`, `sure_normal`: whether
-    the normal range lies inside, and inside what is sure.
+    the studied range ends before any limit. `certain`: ends between which every point looked at
+    does even at the lower end of its 95 % interval; `possible`: up to the first point that does not
+    even at the upper; None where the set point is no such point. `holds_normal`, `sure_normal`:
+    whether the normal range lies inside, and inside what is sure.
     """
 
     low: float | None

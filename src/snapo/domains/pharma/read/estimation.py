@@ -87,8 +87,8 @@ def read_estimation(
 def _experiment(
     file, raw, i: int, numbers: Numbers, available, endpoints: dict[str, Entry], fit, notes
 ) -> Experiment:
-    """`known`: {state: unit}; `ends`: where the duration of a unit stands; `fitted`: {number: its
-    lower bound}."""
+    """`available`: {state: unit}; `endpoints`: where the duration of a unit stands; `fit`: {number:
+    its lower bound}."""
     section = Section(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)
     settings = []

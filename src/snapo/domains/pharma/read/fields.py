@@ -16,7 +16,7 @@ Texts = Annotated[list[Text], Field(min_length=1)]
 
 
 def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a number with a unit, required without a default. `words`: its meaning."""
+    """A field for a number with a unit, required without a default. `meaning`: its meaning."""
     text = f"a quantity in quotation marks, such as {subject}"
     return Field(default, description=text, title=meaning)
 

@@ -117,7 +117,7 @@ def case_input(
 ) -> CaseInput:  # fmt: skip
     """Numbers of a case with all that is said about them; used in order unless `index` says else.
 
-    `own`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
+    `local`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
     size = float(np.max(np.abs(values), initial=0.0))
     return CaseInput(

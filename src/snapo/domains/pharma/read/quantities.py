@@ -122,7 +122,7 @@ def own_basis(name: str) -> str:
 
 
 def check_basis(unit: str, local: str) -> None:
-    """**Raises:** `UnitError` where a unit names another basis than the `own` of its number."""
+    """**Raises:** `UnitError` where a unit names another basis than the `local` of its number."""
     metadata = basis(unit)
     if not metadata or metadata == local:
         return
@@ -181,7 +181,8 @@ def _powers(result: Any) -> dict[str, float]:
 
 
 def _exact(unit: pint.Unit, domain: pint.Unit) -> pint.Unit:
-    """`own` with the exponents that `domain` asks for, where those are the same to three digits."""
+    """`unit` with the exponents that `domain` asks for, where those are the same to three
+    digits."""
     gaps = _gaps(unit, domain)
     parts = _powers(unit._units)
     if not gaps or not parts:

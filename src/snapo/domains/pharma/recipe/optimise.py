@@ -46,7 +46,7 @@ class Ramp(NamedTuple):
 
 class Optimum(NamedTuple):
     """`recipe`: x are the decisions, constraints those of `bounds` and then two of each of
-    `ramps`. `before`: the goal at the start; `ends`: the goal at the end from each start.
+    `ramps`. `before`: the goal at the start; `endpoints`: the goal at the end from each start.
     `mode`: how it was differentiated; `compiling`, `solving`: seconds.
     """
 

@@ -70,8 +70,8 @@ class Recipe(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """When an optimisation stops at the latest; `tell` takes its lines of progress, some seconds
-    apart (those of the run at hand without one)."""
+    """When an optimisation stops at the latest; `progress` takes its lines of progress, some
+    seconds apart (those of the run at hand without one)."""
 
     evaluations: int = 5000
     seconds: float = float("inf")

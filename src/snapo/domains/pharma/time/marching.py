@@ -53,8 +53,8 @@ def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, Schedule
 def _stiff(
     problem: Dynamics, numerics: Numerics, held: Float[np.ndarray, " n+1"]
 ) -> tuple[Callable, Schedule]:
-    """`piece`: [T]; `ends`: [T, 2] start and end of the step within the piece; `width`: [T] of the
-    step, a share of the duration. y is not a number after a step that is refused."""
+    """`piece`: [T]; `endpoints`: [T, 2] start and end of the step within the piece; `width`: [T] of
+    the step, a share of the duration. y is not a number after a step that is refused."""
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
     segments, steps = break_up(edges, None), steps_of(problem, held)
     endpoints = [segments.endpoints(*control) for control in problem.controls]

@@ -143,7 +143,7 @@ def rosenbrock(
 ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "m m"]]:
     """y after a step of `step` seconds, the estimate of its error, and df/dy where it began.
 
-    `rolled`: the stages are a loop, which compiles several times faster; the native engine takes
+    `scanned`: the stages are a loop, which compiles several times faster; the native engine takes
     them written out.
     """
     now = push.at[0]

@@ -26,7 +26,7 @@ class Chosen(NamedTuple):
 
 
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
-    """Steps of which each has an error of at most `tolerance`; `most` are tried.
+    """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
 
     Where they do not reach the end, the last is where they came to. Without derivatives.
     """
@@ -65,8 +65,9 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
 
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
-    """`most` steps for the problem at hand, in a trace; those that are not needed have no length.
-    Where they do not reach the end, one does that its error estimate refuses. No derivatives."""
+    """`maximum` steps for the problem at hand, in a trace; those that are not needed have no
+    length. Where they do not reach the end, one does that its error estimate refuses. No
+    derivatives."""
 
     def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end

@@ -66,7 +66,7 @@ def ahead(size: int) -> int:
 def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
     """The function that draws `size` normals for each of `count` steps from `first` on.
 
-    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `words` is as long, of 32 bits.
+    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `text` is as long, of 32 bits.
     """
     name = f"draw_{dtype}_{size}"
     if not module.first(name):

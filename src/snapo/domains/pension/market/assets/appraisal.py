@@ -19,7 +19,7 @@ def shown_now(case: PensionCase) -> Array | None:
 def appraised(
     case: PensionCase, smoothing: Array, log: Float[Array, " n"], displayed: Array | None
 ) -> tuple[Float[Array, " n"], Array | None]:
-    """Log returns as shown, and the next `shown`; `smoothing` [q] is a."""
+    """Log returns as shown, and the next `displayed`; `smoothing` [q] is a."""
     if displayed is None:
         return log, None
     # A copy: JAX remembers an array of the case in the type it met first, and training is in

@@ -2,7 +2,7 @@
 
 A kind is a subclass in a file of its own in this folder: its columns and their reader, its
 returns, its price today by the curves and spreads, and its words. Classes of one kind are
-handled together: the class methods take the positions `places` [k] of a case's classes.
+handled together: the class methods take the positions `positions` [k] of a case's classes.
 """
 
 import inspect
@@ -91,7 +91,7 @@ class AssetClass(ABC):
 
     A kind sets:
 
-    - `kind`: the word in the table; `words`: its meaning in one phrase, for the report.
+    - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
     - `part`: the part of an attribution that its return over cash belongs to.
     - `collateral`: the share that is eligible where the table is silent.

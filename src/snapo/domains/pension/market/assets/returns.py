@@ -32,9 +32,9 @@ class AssetSteps(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `shown` [q]
-    of the next step; `beneath` the bonds of each kind and of the swaps, None where log returns are
-    Gaussian themselves."""
+    """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `reported`
+    [q] of the next step; `beneath` the bonds of each kind and of the swaps, None where log returns
+    are Gaussian themselves."""
 
     log: Array
     swaps: Array | None

@@ -35,7 +35,8 @@ class ShortRate:
     - `mean_reversion`: index [F], above zero. `volatility`: index [T, F], constant in a step.
     - `price_of_risk`: index [F], 1/sqrt(year).
 
-    A model sets `kind`, the word in the table; `factors`, their names; and `words` for the report.
+    A model sets `kind`, the word in the table; `factors`, their names; and `description` for the
+    report.
     """
 
     kind: ClassVar[str]

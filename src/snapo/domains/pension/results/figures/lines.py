@@ -238,7 +238,7 @@ def _line(case: PensionCase, line: Line) -> str:
 
 
 def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line]:
-    """The lines of the reconciliation; `known`: the figures, where they are known already.
+    """The lines of the reconciliation; `available`: the figures, where they are known already.
 
     **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
     """

@@ -42,8 +42,8 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Line:
-    """One check: the model's `own` figure, the one `given` (None: nothing to meet), the relative
-    `error` and whether that is within the tolerance."""
+    """One check: the model's `computed` figure, the one `supplied` (None: nothing to meet), the
+    relative `error` and whether that is within the tolerance."""
 
     name: str
     computed: float
@@ -93,7 +93,7 @@ def check(
     case: PensionCase, inputs: dict[str, Any], available: Figures | None = None
 ) -> list[Line]:
     """The actuary's liability and duration against the model's, then the model against itself;
-    `known`: the figures, where they are known already."""
+    `available`: the figures, where they are known already."""
     result = available or figures(case, inputs)
     request = case.reconcile
     lines = [

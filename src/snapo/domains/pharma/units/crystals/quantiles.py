@@ -55,7 +55,7 @@ def quantiles(
 
 
 def _inverse(endpoints, requested: float) -> Float[Array, ""]:
-    """Where in 0 to 1 a rising cubic, of values and slopes at its `ends`, is as `wanted`.
+    """Where in 0 to 1 a rising cubic, of values and slopes at its `ends`, is as `requested`.
 
     By bisection without derivatives, then two Newton steps, which carry them.
     """

@@ -23,7 +23,8 @@ BY_MEAN = (
 
 
 class Lasting(NamedTuple):
-    """`whole`: [K] s that crystals of K sizes last; `share`: [K] of the volume that they have."""
+    """`complete`: [K] s that crystals of K sizes last; `share`: [K] of the volume that they
+    have."""
 
     complete: Float[Array, " K"]
     share: Float[Array, " K"]
@@ -66,8 +67,8 @@ def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[
 
 
 def gone(time, complete) -> Float[Array, ""]:
-    """The share of shrinking spheres that is dissolved after `time`, of which they take `whole` s:
-    1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
+    """The share of shrinking spheres that is dissolved after `time`, of which they take `complete`
+    s: 1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
     Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
     left = 1 - time / complete
     # The cube makes it twice differentiable at full dissolution.
