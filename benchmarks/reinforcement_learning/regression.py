@@ -72,7 +72,7 @@ def put(task, fitting: np.ndarray):
 def storage(task, fitting: np.ndarray):
     """One unit a day in or out, on whole units of inventory; empty at both ends."""
     simulator = task.problem.simulator
-    forward = task.problem.named[simulator.curve.name].value
+    forward = task.problem.inputs_by_name[simulator.curve.name].value
     days, levels, keep, shock = len(fitting), 101, 0.88, 365**-0.5
     spread = shock**2 * (1 - keep ** (2 * np.arange(days))) / (1 - keep**2)
 

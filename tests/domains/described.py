@@ -87,7 +87,7 @@ def wrong_keys(asked: commands.CaseRequest) -> Iterator[Wrong]:
         yield _changed(data, place, UNKNOWN, 1, "unknown", (UNKNOWN,))
         for key, field in place.table.model_fields.items():
             key = field.alias or key
-            here = inside(data, place.way, {})
+            here = inside(data, place.path, {})
             if field.is_required() and key in here:
                 yield _changed(data, place, key, ..., "missing", (key,))
             for mistake, value in _values(field):
@@ -104,7 +104,7 @@ def wrong_keys(asked: commands.CaseRequest) -> Iterator[Wrong]:
 def _changed(data, place: Place, key: str, value: Any, mistake: str, named) -> Wrong:
     changed = copy.deepcopy(data)
     here = changed
-    for each in place.way:
+    for each in place.path:
         here = here.setdefault(each, {}) if isinstance(here, dict) else here[each]
     if value is ...:
         del here[key]

@@ -215,7 +215,7 @@ def test_scenarios_are_kept_shown_compared_and_survive_a_killed_worker(page, ser
     assert value in row.inner_text()
     home(page)
 
-    os.kill(served.crew.process.pid, signal.SIGKILL)
+    os.kill(served.workers.process.pid, signal.SIGKILL)
     page.locator("#status", has_text="starting").wait_for()
     assert row.count() == 1
     row.locator("button", has_text="Show").click()

@@ -141,12 +141,12 @@ def test_both_entries_of_a_correlation_are_written(tmp_path):
 
 def test_a_curve_stays_monthly_where_its_months_are_flat(storage):
     curve = storage.inputs["forward_curve"]
-    files = storage.moved({"forward_curve": curve.value + 0.25}).files
+    files = storage.case_at({"forward_curve": curve.value + 0.25}).files
     sheet = files.sheets["curve.csv"]
     assert len(sheet.rows) == 13 and sheet.rows[0] == ["2021-04", "16.86"]
     bent = curve.value.copy()
     bent[3] += 1 / 3
-    moved = storage.moved({"forward_curve": bent})
+    moved = storage.case_at({"forward_curve": bent})
     assert np.array_equal(moved.case.market.forward_curve.values, bent)
     assert ["2021-04-28", repr(float(bent[3]))] in moved.files.sheets["curve.csv"].rows
 
@@ -158,7 +158,7 @@ def test_numbers_of_all_kinds_come_back_to_the_bits(storage):
         "injection_fuel": np.array([0.01]),  # a key that the case does not have
         "ratchet_injection": storage.inputs["ratchet_injection"].value * (1 - 1e-9),
     }
-    moved = storage.moved(wanted)
+    moved = storage.case_at(wanted)
     contract = moved.case.contract
     assert contract.inventory.values == wanted["inventory"]
     assert contract.injection_fuel.values == wanted["injection_fuel"]
@@ -177,11 +177,11 @@ def test_numbers_of_all_kinds_come_back_to_the_bits(storage):
 )
 def test_the_limits_are_those_of_the_case_format(storage, name, value, words):
     with pytest.raises(CaseError, match=words):
-        storage.moved({name: np.array([value])})
+        storage.case_at({name: np.array([value])})
 
 
 def test_a_written_case_is_a_case(storage, tmp_path):
-    files = storage.moved({"inventory": np.array([2000.0])}).files
+    files = storage.case_at({"inventory": np.array([2000.0])}).files
     files.write(tmp_path / "moved")
     loaded = commands.load(commands.CaseRequest(tmp_path / "moved"))
     assert loaded.case.contract.inventory.values == 2000.0

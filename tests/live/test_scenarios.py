@@ -48,7 +48,7 @@ def test_no_name_leads_out_of_the_folder(kept, tmp_path, name):
     made = [each for each in tmp_path.rglob("*") if each not in before]
     folder = tmp_path / "run" / FOLDER
     assert all(each.is_relative_to(folder) or each == folder for each in made)
-    assert kept.place(found).parent == folder
+    assert kept.folder_of(found).parent == folder
     kept.forget(found)
     assert kept.all() == []
 
@@ -56,7 +56,7 @@ def test_no_name_leads_out_of_the_folder(kept, tmp_path, name):
 @pytest.mark.parametrize("found", ["..", "../run", "", "/etc", "A B", "none", "a/../a"])
 def test_an_id_that_is_none_is_refused(kept, found):
     kept.keep("a", {}, {})
-    for ask in (kept.place, kept.forget, kept.zipped, kept.one):
+    for ask in (kept.folder_of, kept.forget, kept.zipped, kept.one):
         with pytest.raises(Refused):
             ask(found)
 

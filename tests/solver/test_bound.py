@@ -98,7 +98,7 @@ def table(rights: int) -> tuple[np.ndarray, np.ndarray]:
 class Rights:
     """The inner problem: which dates to use, all prices known; V by nested draws."""
 
-    terms, words = 1, "surprises of a lattice's value, its expectations from nested draws"
+    terms, description = 1, "surprises of a lattice's value, its expectations from nested draws"
 
     def __init__(self, rights: int, start: np.ndarray, draws: int = 16, error: float = 0.0):
         self.rights, self.start, self.draws, self.error = rights, start, draws, error
@@ -249,5 +249,5 @@ def test_a_wide_bound_says_that_it_says_little(gap, error, little):
 class Shown:
     """As much of a run as the sentence on its bound needs."""
 
-    def worth(self, value: float, error: None, places: int) -> str:
+    def value_text(self, value: float, error: None, places: int) -> str:
         return f"EUR {value:.{places}f}"

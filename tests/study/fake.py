@@ -28,7 +28,7 @@ class FakeCase:
 @dataclass(frozen=True)
 class Fake:
     kind: str = "fake"
-    words: str = "sums of numbers"
+    description: str = "sums of numbers"
     templates: dict[str, Any] = field(default_factory=dict)
 
     def read(self, file, data) -> FakeCase:

@@ -46,7 +46,7 @@ def test_a_domain_that_cannot_be_loaded(monkeypatch):
 
 def test_an_object_that_is_no_domain_says_what_it_lacks(monkeypatch):
     install(monkeypatch, wrong="tests.study.fake:FakeCase")
-    assert "is not a domain: it has no kind, words" in message("wrong", "case.toml")
+    assert "is not a domain: it has no kind, description" in message("wrong", "case.toml")
 
 
 def test_no_domain_at_all(monkeypatch):

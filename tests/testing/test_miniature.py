@@ -23,7 +23,7 @@ CASE = 'kind = "doubling"\ntitle = "Two of it"\n[numbers]\nfirst = 21.0\n'
 class Doubling:
     """A kind of case that doubles a number; nothing is trained."""
 
-    kind, words, templates = "doubling", "numbers, doubled", {}
+    kind, description, templates = "doubling", "numbers, doubled", {}
 
     def read(self, file, data):
         first = data.get("numbers", {}).get("first")

@@ -184,7 +184,9 @@ class Around(Simulator):
 
     def on_paths(self):
         local = self.inner.on_paths()
-        return self if local is self.inner else eqx.tree_at(lambda around: around.own, self, local)
+        return (
+            self if local is self.inner else eqx.tree_at(lambda around: around.inner, self, local)
+        )
 
     def initial(self, constants, noise):
         return self.inner.initial(constants, noise)

@@ -135,12 +135,12 @@ class RunFiles:
         """The unit of the value: its own, else the currency."""
         return str(self.get("unit", self.currency))
 
-    def money(self, value: Any, positions: int | None = None, sign: bool = False) -> str:
-        return money(value, self.currency, positions, sign)
+    def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
+        return money(value, self.currency, digits, sign)
 
-    def value_text(self, value: Any, error: Any, positions: int) -> str:
+    def value_text(self, value: Any, error: Any, digits: int) -> str:
         """A value with its standard error, "EUR 78,312 ± 41"."""
-        return f"{self.money(value, positions)} {plus_minus(error, positions)}".rstrip()
+        return f"{self.money(value, digits)} {plus_minus(error, digits)}".rstrip()
 
 
 def lookup(table: Any, path: str, default: Any = None) -> Any:

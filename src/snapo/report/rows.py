@@ -40,26 +40,22 @@ class Column(NamedTuple):
         of = self.of
         return [of(record) if callable(of) else getattr(record, of) for record in records]
 
-    def cells(
-        self, values: Sequence[Any], positions: Sequence[int] | None
-    ) -> list[tuple[Any, ...]]:
+    def cells(self, values: Sequence[Any], by_row: Sequence[int] | None) -> list[tuple[Any, ...]]:
         """The cells of each row: two for a number with an error, one for anything else.
 
-        `decimal_places`: decimals by row; None: those of the column.
+        `by_row`: decimals by row; None: those of the column.
         """
         if all(isinstance(x, str) for x in values):
             return [(x,) for x in values]
         if all(isinstance(x, bool) for x in values):
             return [(Mark(x, "holds" if x else "fails"),) for x in values]
         pairs = [x if isinstance(x, WithError) else WithError(x) for x in values]
-        if positions is None:
+        if by_row is None:
             digits = decimals([x.value for x in pairs], self.digits)
-            positions = [digits if self.decimal_places is None else self.decimal_places] * len(
-                pairs
-            )
+            by_row = [digits if self.decimal_places is None else self.decimal_places] * len(pairs)
         if any(isinstance(x, WithError) for x in values):
-            return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, positions)]
-        return [(number(x.value, n, self.sign),) for x, n in zip(pairs, positions)]
+            return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, by_row)]
+        return [(number(x.value, n, self.sign),) for x, n in zip(pairs, by_row)]
 
 
 def table(

@@ -97,7 +97,7 @@ class Bound:
         low = top - float(independent(gap.value - gap.low, half))
         high = top + float(independent(gap.high - gap.value, half))
         upper = Between(top, wide, low, high)
-        certain = objective.is_certain(value), objective.is_certain(top)
+        certain = objective.certainty_equivalent(value), objective.certainty_equivalent(top)
         return replace(self, lower=lower, upper=upper, sure=certain)
 
     def row(self) -> dict[str, Any]:
@@ -185,7 +185,10 @@ def bound(
     used: Penalty = penalty
     if not scale.any():
         used = "none"
-    certain = problem.objective.is_certain(below.value), problem.objective.is_certain(above.value)
+    certain = (
+        problem.objective.certainty_equivalent(below.value),
+        problem.objective.certainty_equivalent(above.value),
+    )
     between = Between(gap.value, gap.standard_error, max(gap.low, 0.0), gap.high)
     return Bound(below, above, between, used, text, tuple(scale.tolist()), paths, certain, gap.few)
 

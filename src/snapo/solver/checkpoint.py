@@ -47,7 +47,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "raced": progress.raced,
         "slowed": progress.slowed,
         "redrawn": progress.redrawn,
-        "alike": progress.unchanged,
+        "unchanged": progress.unchanged,
         "scale": progress.scale,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
@@ -77,7 +77,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
     summary = {"history": history, "growth": growth, "dual": dual, "raced": raced}
-    summary |= {**steps, "alike": int(state.get("alike", 0))}
+    summary |= {**steps, "unchanged": int(state.get("unchanged", 0))}
     return replace(like, **trees, **plain, **summary, scale=scale)
 
 

@@ -295,13 +295,16 @@ def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | Non
             ("moved", name): value.blocks for name, value in (sensitivities.moved or {}).items()
         }
         for name, item in (sensitivities.reported or {}).items():
-            arrays |= {(part, name): getattr(item, part) for part in REPORTED}
+            arrays |= {(key, name): getattr(item, part) for key, part in REPORTED.items()}
             arrays |= {("estimate", name): item.estimate.blocks}
             arrays |= {(part, name): getattr(item.curvature, part) for part in CURVATURE}
     return arrays
 
 
-REPORTED = ("by", "total", "unseen", "slopes", "others")
+# {key in the file: attribute of a reported derivative}; "total" is the key of an output's totals.
+REPORTED = {
+    "by": "by", "complete": "total", "unseen": "unseen", "slopes": "slopes", "others": "others"
+}  # fmt: skip
 CURVATURE = ("inverse", "covariance")
 
 
@@ -318,7 +321,7 @@ def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Re
         return None
     table = {}
     for name, (source, gap, sides) in stored.items():
-        parts = {part: arrays[part, name] for part in REPORTED}
+        parts = {part: arrays[key, name] for key, part in REPORTED.items()}
         curvature = Curvature(arrays["inverse", name], arrays["covariance", name], gap)
         estimate = Estimate(arrays["estimate", name])
         sides = sides and tuple(sides)

@@ -356,7 +356,7 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
         history = (*history[:-1], history[-1]._replace(**available))
     stale = 0 if better else progress.stale + 1
     same = progress.unchanged + 1 if idle.equal_on_all_paths(problem, totals) else 0
-    table = {"best": best, "best_value": best_value, "stale": stale, "alike": same}
+    table = {"best": best, "best_value": best_value, "stale": stale, "unchanged": same}
     return replace(progress, history=history, **table)
 
 

@@ -160,7 +160,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
     return domain
 
 
-_MEMBERS = ("kind", "words", "templates", "read", "check", "study", "report", "bench")
+_MEMBERS = ("kind", "description", "templates", "read", "check", "study", "report", "bench")
 
 
 class CaseRequest(NamedTuple):

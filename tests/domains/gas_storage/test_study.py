@@ -53,7 +53,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-def solve(folder, out, tell=lambda text: None, **options):
+def solve(folder, out, progress=lambda text: None, **options):
     """`snapo solve` of a case in a folder."""
     asked = commands.CaseRequest(folder, options.pop("assignments", ()))
     return commands.solve(asked, tell, out=out, **{"engine": "native"} | options)
@@ -289,7 +289,7 @@ def test_a_stopped_run_goes_on_bit_for_bit(whole, folder, tmp_path, how):
     done = len(table_of(out / "history.csv"))
     assert EVERY <= done < STEPS
     said = []
-    solve(folder, out, resume=True, reference=True, tell=said.append)
+    solve(folder, out, resume=True, reference=True, progress=said.append)
     assert any(text.startswith("resuming after step") for text in said)
     same_bits(whole[1], out)
 

@@ -22,7 +22,7 @@ def run_of(setup):
     """What the parts ask of a run."""
     solution = solve(setup.problem, policy=setup.policy, training=setup.training,
                      evaluation=EVALUATION, engine=setup.engines)  # fmt: skip
-    return SimpleNamespace(setup=setup, solution=solution, tell=lambda line: None)
+    return SimpleNamespace(setup=setup, solution=solution, progress=lambda line: None)
 
 
 def cost(lead: int) -> float:

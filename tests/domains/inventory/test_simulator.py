@@ -73,7 +73,7 @@ def test_both_engines_agree_and_the_adjoint_is_the_difference(small):
     assert values[0][0] == pytest.approx(values[1][0], rel=1e-10)
     for name, slope in values[0][1].inputs.items():
         assert slope == pytest.approx(values[1][1].inputs[name], rel=1e-8, abs=1e-12)
-    costs = [of.named[name] for name in ("holding_cost", "shortage_cost")]
+    costs = [of.inputs_by_name[name] for name in ("holding_cost", "shortage_cost")]
     for name, given in zip(("holding_cost", "shortage_cost"), costs):
         step, ends = 1e-4, []
         for way in (1, -1):
@@ -167,7 +167,7 @@ def test_moments_of_whole_demand_are_certified_in_the_mean(small):
     of, policy = small
     assert of.simulator.in_mean() == ("demand_mean",)
     found = {bump.input for bump in certify_derivatives(of, policy, paths=16)}
-    assert found == set(of.named) - {"demand_mean"}
+    assert found == set(of.inputs_by_name) - {"demand_mean"}
     near, far = (
         Verdict(source, (-0.05 - r, 0.0), (-0.05, 0.01), (r, 0.01), -0.05, -0.05, 0.01, 1.0, True)
         for source, r in (("held", 0.01), ("not known", 0.04))

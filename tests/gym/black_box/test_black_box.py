@@ -207,8 +207,8 @@ def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
     """However long episodes take; every round and the last policy play. Nothing is fitted."""
     policy = SimpleNamespace(network=SimpleNamespace(weights=[np.ones((1, 1))], biases=[0.0]))
     inside = SimpleNamespace(model=None, inputs=None, rows=1, fit=SimpleNamespace(raw=0, error=1))
-    for name in ("fitted", "begun", "improved"):
-        found = inside if name == "fitted" else policy
+    for name in ("fitted_model", "initial_policy", "improved"):
+        found = inside if name == "fitted_model" else policy
         monkeypatch.setattr(loop, name, lambda *given, found=found: found)
     monkeypatch.setattr(Units, "undone", lambda units, policy: policy)
     monkeypatch.setattr(rounds_, "Agent", lambda policy: lambda seen: np.zeros(2))

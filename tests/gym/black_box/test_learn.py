@@ -72,9 +72,11 @@ def _limited():
 
 @pytest.mark.prove
 def test_the_result_tells_both_values_and_their_gap(line):
-    assert line.steps <= 1200 and line.steps == line.rounds[-1].steps + 12 * line.found.episodes
+    assert (
+        line.steps <= 1200 and line.steps == line.rounds[-1].steps + 12 * line.comparison.episodes
+    )
     assert line.gap == pytest.approx(line.value - line.model_value)
-    assert abs(line.gap) < 4 * line.found.gap_error  # 10 episodes
+    assert abs(line.gap) < 4 * line.comparison.gap_error  # 10 episodes
     assert line.inputs["spread"] == pytest.approx(CHANCE, rel=0.3)  # of 62 rows held out
     assert "gap" in str(line) and "policy of round" in str(line)
     assert isinstance(line.policy, snapo.MLP)

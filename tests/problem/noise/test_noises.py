@@ -143,7 +143,7 @@ def test_gamma_quantiles_and_their_derivative_by_the_shape():
         (lambda: noise.Markov([[0.5, -0.5], [0.5, 0.5]]), "below 0"),
         (lambda: noise.Correlated([noise.Normal()], [0.1]), "1 noises"),
         (lambda: noise.Empirical(np.zeros((2, 2, 2))), "shape"),
-        (lambda: noise.Binomial(1.5), "chance is 1.5"),
+        (lambda: noise.Binomial(1.5), "probability is 1.5"),
         (lambda: noise.draw(noise.Normal(), np.zeros(3)), "noise_size = 1"),
     ],
 )

@@ -44,7 +44,7 @@ class Reads(snapo.Policy):
 
 
 def built(problem):
-    target = problem.named["target"].value
+    target = problem.inputs_by_name["target"].value
     return replace(problem, simulator=replace(problem.simulator, table=np.array([target**2])))
 
 

@@ -22,7 +22,7 @@ def moved(problem, policy, name: str, paths: int) -> tuple[float, float]:
 
     Paths of a stream of their own, which neither training nor the table has seen.
     """
-    by, value = one_percent(problem.named[name]), problem.named[name].value
+    by, value = one_percent(problem.inputs_by_name[name]), problem.inputs_by_name[name].value
     up, down = (Native("float64").bind(problem.at({name: value + s * by})) for s in (1, -1))
     source, differences = snapo.Pseudo(77), []
     for first in range(0, paths, CHUNK):

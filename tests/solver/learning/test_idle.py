@@ -68,7 +68,7 @@ def stands(step, alike, **more):
     policy = snapo.MLP(hidden=(4,)).for_problem(PROBLEM.interface, jax.random.key(0))
     line = Record(0, 0.0, 1.0, 0.02, 0, 0.0, 0.0, 0.0)
     history = tuple(line._replace(step=number + 1) for number in range(step))
-    found = {"step": step, "alike": alike, "history": history, **more}
+    found = {"step": step, "unchanged": alike, "history": history, **more}
     return replace(initial_progress(policy, PLAN, PROBLEM), **found)
 
 

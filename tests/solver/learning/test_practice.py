@@ -125,7 +125,7 @@ def test_the_derivative_of_an_exploring_decision_is_that_of_its_paths():
     ids=str,
 )  # fmt: skip
 def test_a_decision_that_explores_stays_in_its_set(action):
-    normals = np.random.default_rng(0).standard_normal((200, action.explores))
+    normals = np.random.default_rng(0).standard_normal((200, action.exploration_size))
     raw = np.random.default_rng(1).standard_normal((200, action.size)) * 4
     smooth, moved = Smooth(np.float32(0.02)), 0.0
     low, high = action.bounds()

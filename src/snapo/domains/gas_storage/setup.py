@@ -19,15 +19,15 @@ from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from .bounds.guide import fitted_marginal
-from .bounds.surprise import innovation_table
+from .bounds.innovation import innovation_table
 from .bounds.value_iteration import FittedValue, fit_guide
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, simulator_of
 from .policy.fitted_guide import FittedKnots
+from .policy.innovation import Innovations
 from .policy.network import StoragePolicy
-from .policy.surprise import Surprises
 from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
 from .references.marginal import marginal_values
@@ -91,18 +91,18 @@ def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
     # No hedge yet, but its place: what is compiled serves before and after.
-    adjacent = {"innovations": _surprises(problem, fit), "hedge": np.zeros(simulator.horizon)}
+    adjacent = {"innovations": _innovations(problem, fit), "hedge": np.zeros(simulator.horizon)}
     return replace(
         problem, simulator=replace(simulator, value_table=value_table(problem, fit), **adjacent)
     )
 
 
-def _surprises(problem: Problem, fit: FittedValue | None) -> Surprises | None:
+def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | None:
     """Those of the fitted value, where prices have no other risks than its factors'."""
     result = factors(problem)
     if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None
-    return Surprises.of(innovation_table(fit))
+    return Innovations.of(innovation_table(fit))
 
 
 def _hedged(setup: Setup) -> Setup:

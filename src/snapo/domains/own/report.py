@@ -38,7 +38,7 @@ def limits(run: RunFiles) -> Section:
 def _row(limit: LimitFound) -> tuple[Any, ...]:
     low, high = finite(limit.low), finite(limit.high)  # null in the file where it is not finite
     width = (high - low) / 2 if low is not None and high is not None else 0.0
-    positions = max(0, decimals([width], 2)) if width else None
+    digits = max(0, decimals([width], 2)) if width else None
     price, error = finite(limit.price), finite(limit.price_error)
     if price or error:
         value = measured(price, error, max(0, decimals([error], 2)) if error else 4)
@@ -48,8 +48,8 @@ def _row(limit: LimitFound) -> tuple[Any, ...]:
         limit.name,
         Mark(limit.met != "not met", limit.met),
         number(limit.level),
-        number(limit.value, positions),
-        f"{number(low, positions)}{SPACE}to{SPACE}{number(high, positions)}",
+        number(limit.value, digits),
+        f"{number(low, digits)}{SPACE}to{SPACE}{number(high, digits)}",
         *value,
     )
 

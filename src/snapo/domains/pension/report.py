@@ -73,7 +73,7 @@ def checks(run: PensionRun) -> list[tuple[str, bool]]:
     """(name of a check, whether it held) for every check with a verdict."""
     figures = RECONCILIATION.of(run)
     lines = figures.reconciliation.lines if figures else ()
-    tests = [(line.name, line.ok) for line in lines if line.supplied is not None]
+    tests = [(line.name, line.ok) for line in lines if line.given is not None]
     tests += [(test.name, test.ok) for test in CONSISTENCY.of(run) or ()]
     verdicts = [(name.replace("_", " "), ok) for name, ok in tests if ok is not None]
     return [*verdicts, *certified(run)]

@@ -75,14 +75,14 @@ class PensionRun(RunFiles):
         scale, letters = next((pair for pair in SIZES if largest >= pair[0]), (1.0, ""))
         return scale, f"{self.currency}{SPACE}{letters}".strip()
 
-    def large(self, value: Any, positions: int | None = None, sign: bool = False) -> str:
+    def large(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
         """An amount of money in millions or billions, three digits at least: "EUR m 26.2"."""
         available = finite(value)
         if available is None:
             return NONE
         scale, unit = self.size(available)
-        positions = max(1, decimals([available / scale], 3)) if positions is None else positions
-        return money(available / scale, unit, positions, sign)
+        digits = max(1, decimals([available / scale], 3)) if digits is None else digits
+        return money(available / scale, unit, digits, sign)
 
 
 def _each(value: Any) -> list[float]:

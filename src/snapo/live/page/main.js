@@ -267,7 +267,7 @@ function bounded({ n, table }) {
 
 function today(found) {
   at("today").hidden = false;
-  at("today-words").textContent = found.words;
+  at("today-words").textContent = found.description;
   at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
   const kind = (row, i) => (i && typeof row?.[i] === "string" ? "text" : "");
   const head = element("tr", {}, ...found.columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(found.rows[0], i) }, headed(name, unit))));
@@ -282,13 +282,13 @@ const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : na
 // The domain's own sections. A column of standard errors stands in the one before it.
 function sections(found) {
   const text = (each) => (typeof each === "string" ? each : shown(each));
-  at("sections").replaceChildren(...found.map(({ title, words, columns, rows }) => {
+  at("sections").replaceChildren(...found.map(({ title, description, columns, rows }) => {
     const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
     const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
     const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
     const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
     const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
-    return element("section", { className: "card" }, element("h2", {}, title), words ? element("p", { className: "quiet" }, words) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
+    return element("section", { className: "card" }, element("h2", {}, title), description ? element("p", { className: "quiet" }, description) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
   }));
 }
 

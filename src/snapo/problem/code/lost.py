@@ -34,7 +34,7 @@ class Reach(NamedTuple):
     by_path: bool = False
 
     def __or__(self, other: Any) -> "Reach":
-        moved, slope = self.bumped | other.moved, self.slope | other.slope
+        moved, slope = self.bumped | other.bumped, self.slope | other.slope
         return Reach(moved, slope, self.by_path or other.by_path)
 
 

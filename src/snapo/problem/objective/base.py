@@ -93,7 +93,7 @@ class Objective(abc.ABC):
         """[N]: numbers whose mean is the value and whose spread is its sampling error."""
         return functional.influence(self, self.used(totals))
 
-    def is_certain(self, value: float) -> float | None:
+    def certainty_equivalent(self, value: float) -> float | None:
         """The total that is worth as much when it is sure; None where nothing says so."""
         return None
 
@@ -319,15 +319,13 @@ class Limit:
     of: Objective | str
     level: float
     sign: ClassVar[int] = 1
-    describe: ClassVar[str] = ""
+    relation: ClassVar[str] = ""
 
     def __post_init__(self):
         kind, level = type(self).__name__, self.level
         if not isinstance(self.of, str | Objective):
-            message = (
-                'allowed is the name of an output or an objective, such as Probability("x", 0.0)'
-            )
-            raise ValueError(f"{kind}: of is {self.of!r}; {message}.")
+            allowed = 'the name of an output or an objective, such as Probability("x", 0.0)'
+            raise ValueError(f"{kind}: of is {self.of!r}; allowed is {allowed}.")
         if not (_number(level) and np.isfinite(level)):
             raise ValueError(f"{kind}: level is {level!r}; allowed is a finite number.")
         _ = self.measure  # which refuses a utility of a cost
@@ -344,7 +342,7 @@ class Limit:
     @property
     def name(self) -> str:
         """The limit in words: "mean of unserved at most 0.05"."""
-        return f"{self.measure.describe()} {self.describe} {self.level:g}"
+        return f"{self.measure.describe()} {self.relation} {self.level:g}"
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -370,13 +368,13 @@ class AtMost(Limit):
     AtMost(of=Mean(output='unserved'), level=0.05)
     """
 
-    describe = "at most"
+    relation = "at most"
 
 
 class AtLeast(Limit):
     """The same from below: `AtLeast("filled", 0.98)`, or `Mean("filled") >= 0.98`."""
 
-    sign, describe = -1, "at least"
+    sign, relation = -1, "at least"
 
 
 def as_objective(objective: Objective | str) -> Objective:
@@ -397,5 +395,5 @@ def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float
     """
     if not limits:
         return objective
-    terms = ((-limit.sign * price, limit.measure) for limit, price in zip(limits, prices))
-    return Weighted((1.0, objective), *terms)
+    pairs = zip(limits, prices)
+    return Weighted((1.0, objective), *((-x.sign * price, x.measure) for x, price in pairs))

@@ -166,7 +166,7 @@ class ExpectedUtility(ByPath):
         maximum = weight[alive].max() if alive.any() else 1 / weight.size
         return {self.output: np.where(alive, weight, maximum)}
 
-    def is_certain(self, value: float) -> float | None:
+    def certainty_equivalent(self, value: float) -> float | None:
         certainty_equivalent = self.utility.certainty_equivalent(value)
         return certainty_equivalent if np.isfinite(certainty_equivalent) else None
 

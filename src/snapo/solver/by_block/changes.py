@@ -74,7 +74,7 @@ def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> Plan:
     owners = np.searchsorted(endpoints, sample, side="right")
     parts, segments = _common(change, size, sample, value, owners)
     split = [dict(zip(names, piece)) for piece in segments]
-    return none._replace(sample=sample, pieces=split, parts=parts)
+    return none._replace(sample=sample, blocks=split, parts=parts)
 
 
 def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarray) -> np.ndarray:

@@ -197,7 +197,7 @@ def begin_again(
     if progress.scale is not None:
         policy = progress.scale.plain(policy)
     moved = _begun_with(problem, training, progress, policy, progress.step)
-    return replace(moved, halfway=policy, alike=0, redrawn=(*progress.redrawn, progress.step))
+    return replace(moved, halfway=policy, unchanged=0, redrawn=(*progress.redrawn, progress.step))
 
 
 def _begun_with(

@@ -119,5 +119,5 @@ def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
 
 
 def _with_error(value: float, error: float | None) -> str:
-    positions = max(0, decimals([error], 2)) if finite(error) else 4
-    return " ".join(measured(value, error, positions)).strip()
+    digits = max(0, decimals([error], 2)) if finite(error) else 4
+    return " ".join(measured(value, error, digits)).strip()

@@ -168,16 +168,16 @@ def describe(result: Mapping[str, Any]) -> str:
 
     rows, best = result["rows"], result["best"]
     sizes = [finite(result[name]) for name in ("deviation", "standard_error")]
-    positions = max(0, decimals([size for size in sizes if size] or [result["mean"]], 2))
-    endpoints = [number(result[name], positions) for name in ("worst", "highest", "mean")]
+    digits = max(0, decimals([size for size in sizes if size] or [result["mean"]], 2))
+    endpoints = [number(result[name], digits) for name in ("worst", "highest", "mean")]
     text = (
         f"Best of {len(rows)} seeds: {best}. On {result['paths']:,} common paths their values lie "
         f"between {endpoints[0]} and {endpoints[1]}, with the mean {endpoints[2]}"
     )
     if sizes[0] is not None and sizes[1] is not None:
         text += (
-            f" and the standard deviation {number(sizes[0], positions)} between seeds, beside a "
-            f"Monte Carlo error of {number(sizes[1], positions)} that all share"
+            f" and the standard deviation {number(sizes[0], digits)} between seeds, beside a "
+            f"Monte Carlo error of {number(sizes[1], digits)} that all share"
         )
     if result["standard_error"] == 0:  # nothing is random
         return f"{text}."

@@ -65,7 +65,7 @@ def test_the_surprises_have_no_derivative(setup):
     for leaf in jax.tree.leaves((found.policy, found.schedule)):
         assert not np.any(leaf)
     # Data in the schedule has a derivative all the same, and it is zero.
-    assert found.schedule.steps.surprise.now.coefficients.shape == (
+    assert found.schedule.steps.innovation.now.coefficients.shape == (
         problem.simulator.horizon,
         16,
         15,

@@ -132,7 +132,7 @@ def all_pass(bumps):
 @pytest.mark.prove
 def test_every_input_with_decisions_held(contract):
     bumps = check(contract)
-    numbers = sum(entry.value.size for entry in contract[0].named.values())
+    numbers = sum(entry.value.size for entry in contract[0].inputs_by_name.values())
     assert len(bumps) == numbers
     all_pass(bumps)
     # Forced flows start at zero: a kink by the contract's own terms. There are few others.

@@ -117,6 +117,8 @@ def test_a_store_earns_the_spikes():
         made = make_setup(case(jump_intensity=intensity), "native")
         assert made.problem.simulator.control_variates() == ("forward_hedge",)
         engine = made.engines.evaluate
-        values[intensity] = evaluate(made.problem, made.policy.guide, paths=4096, engine=engine)
+        values[intensity] = evaluate(
+            made.problem, made.policy.value_table, paths=4096, engine=engine
+        )
     calm, wild = values.values()
     assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

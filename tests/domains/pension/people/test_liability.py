@@ -178,10 +178,10 @@ def test_reconciliation_says_what_is_met_and_what_is_missed():
     asked = Reconcile(value * 1.0005, 5.0, 0.001)
     lines = {line.name: line for line in check(replace(case, reconcile=asked), inputs)}
     assert lines["liability"].ok and lines["liability"].error == pytest.approx(-5e-4, rel=1e-2)
-    assert not lines["duration"].ok and lines["duration"].supplied == 5.0
+    assert not lines["duration"].ok and lines["duration"].given == 5.0
     assert lines["liability on payment nodes"].ok and lines["sum of key rates"].ok
     unasked = {line.name: line for line in check(replace(case, held=("zero_rate",)), inputs)}
-    assert unasked["liability"].supplied is None and unasked["sum of key rates"].ok
+    assert unasked["liability"].given is None and unasked["sum of key rates"].ok
 
 
 @pytest.mark.prove

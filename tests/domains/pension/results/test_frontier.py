@@ -65,7 +65,7 @@ def test_points_are_in_order_within_their_errors():
     run = SimpleNamespace(
         setup=setup,
         solution=SimpleNamespace(policy=setup.policy, totals=totals),
-        tell=lambda text: None,
+        progress=lambda text: None,
     )
     points = frontier.measure(run).points  # pyright: ignore[reportArgumentType]
     for one, other in pairwise(points):

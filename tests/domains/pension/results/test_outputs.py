@@ -36,7 +36,7 @@ def run(tmp_path_factory):
     return SimpleNamespace(
         setup=setup,
         solution=solution,
-        tell=lambda text: None,
+        progress=lambda text: None,
         get={"reconciliation": {}, "liability": 95.0}.get,
         write_csv=write_csv,
         folder=folder,

@@ -24,8 +24,8 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
+from ..policy.innovation import Innovations, of_day, of_end
 from ..policy.observation import curve_ahead, observation
-from ..policy.surprise import Surprises, of_day, of_end
 from ..policy.value_table import ValueTable
 from ..prices.process import PriceProcess, use
 from .end import EndTerms
@@ -64,7 +64,7 @@ class StorageSimulator(Simulator):
     rate_scale: Float[np.ndarray, ""]
     value_table: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
-    innovations: Surprises | None = None
+    innovations: Innovations | None = None
     action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 2))
     fully_observed = True
 
@@ -133,18 +133,18 @@ class StorageSimulator(Simulator):
         return self._completed(Schedule(self._terms(inputs, prices.constants, last), steps))
 
     def prepared_apart(self):
-        return replace(self, guide=None, hedge=None, surprises=None), self._completed
+        return replace(self, value_table=None, hedge=None, innovations=None), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
         """With the guide, the hedge and the surprises, which no input makes here."""
-        guide, hedge, result = self.value_table, self.hedge, self.innovations
+        table, hedge, innovations = self.value_table, self.hedge, self.innovations
         steps = schedule.steps._replace(
-            guide=None if guide is None else guide.knots,
+            value_table=None if table is None else table.knots,
             hedge=np.zeros(self.horizon) if hedge is None else hedge,
-            surprise=None if result is None else result.days,
+            innovation=None if innovations is None else innovations.days,
         )
-        end = None if result is None else result.end
-        return Schedule(schedule.constants._replace(surprise=end), steps)
+        end = None if innovations is None else innovations.end
+        return Schedule(schedule.constants._replace(innovation=end), steps)
 
     def _days(self, inputs: dict[str, Any], prices) -> Day:
         contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)

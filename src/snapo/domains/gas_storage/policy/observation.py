@@ -44,13 +44,13 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
     scale, discount = terms.price_scale, now.gas_discount
     level = process.slow_level(terms.price, now.price, state.price)
     keep = flows.keep + flows.base
-    room_in, room_out = flows.most - flows.base, flows.base - flows.least
-    if now.guide is None:
+    room_in, room_out = flows.maximum - flows.base, flows.base - flows.minimum
+    if now.value_table is None:
         first_in = last_out = last_in = first_out = jnp.asarray(1.0)
     else:
         # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
         guide, sides = (
-            jax.lax.stop_gradient(now.guide),
+            jax.lax.stop_gradient(now.value_table),
             ((keep, keep - room_out), (keep + room_in, keep)),
         )
         result = guide.values(process, terms, now, state.price, *sides)

@@ -73,7 +73,7 @@ def echelon_rule(
     keeps = [selected if selected == ENDLESS else 0.0] * after + [selected] * len(case.moving(True))
     waits = [-ENDLESS] * len(case.fixed) if wait is None else wait
     values = tuple(jnp.asarray(x, jnp.float32) for x in (above, keeps, waits))
-    return eqx.tree_at(lambda x: (x.first, x.kept, x.wait), rule, values)
+    return eqx.tree_at(lambda x: (x.first, x.reserve, x.wait), rule, values)
 
 
 def best(setup: Setup, start: Numbers) -> Numbers:

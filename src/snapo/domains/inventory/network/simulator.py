@@ -226,7 +226,7 @@ class NetworkSimulator(Simulator):
             by_place["ordering"] = here["order"] * drawn.orders
         costs = {name: jnp.sum(weights.of(item)) for name, item in by_place.items()}
         together = sum(by_place.values())
-        result = jnp.sum(together) + weights.surprise(together)
+        result = jnp.sum(together) + weights.innovation(together)
         if moves:
             moved = jnp.stack([entry.cost for entry in moves]).sum()
             costs["transshipment"] = weights.of_all(moved)

@@ -173,11 +173,11 @@ def _capitalized(text: str) -> str:
 
 
 def _row(line: Line) -> tuple[Any, ...]:
-    name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.computed)
-    if line.supplied is None:
+    name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
+    if line.given is None:
         return name, "not given", local, number(None), ""
     verdict = Mark(bool(line.ok), "holds" if line.ok else "fails")
-    return name, verdict, local, number(line.supplied), power(line.error)
+    return name, verdict, local, number(line.given), power(line.error)
 
 
 def _durations(result: KeyRateDurations) -> Table:

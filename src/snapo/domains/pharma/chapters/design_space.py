@@ -82,9 +82,10 @@ def space_map(process: Process, seed: int) -> SpaceMap:
     assert space is not None
     axes = [design_space.parameter(case, name) for name in space.axes]
     here = [float(in_case_unit(p, ranges.set_point(process, p))) for p in axes]
+    point = result.at._asdict()
     return SpaceMap(
         axes=tuple(result.axes), units=tuple(p.unit for p in axes), grid=tuple(result.grid),
-        **result.at._asdict(), samples=result.samples, levels=tuple(space.levels),
+        each=point.pop("by_attribute"), **point, samples=result.samples, levels=tuple(space.levels),
         required=space.required, nominal=tuple(here),
         normal=tuple((in_case_unit(p, p.normal_low), in_case_unit(p, p.normal_high)) for p in axes),
         box=design_space.largest_box(result, here, space.required), ends=tuple(result.boundaries),

@@ -220,8 +220,8 @@ def filtration(read, pressure: str) -> dict[str, Any]:
         "medium_resistance": read.number("medium_resistance", "1/m", NOT_NEGATIVE),
         "porosity": read.number("porosity", "1", POROSITY),
         "saturation": read.number("saturation", "1", SHARE),
-        "resistance": read.perhaps("resistance", "m/kg", POSITIVE),
+        "resistance": read.optional("resistance", "m/kg", POSITIVE),
         "wash_ratio": read.number("wash_ratio", "1", NOT_NEGATIVE),
-        "efficiency": read.perhaps("efficiency", "1", NOT_NEGATIVE),
-        "peclet": read.perhaps("peclet", "1", POSITIVE),
+        "efficiency": read.optional("efficiency", "1", NOT_NEGATIVE),
+        "peclet": read.optional("peclet", "1", POSITIVE),
     }

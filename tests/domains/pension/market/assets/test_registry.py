@@ -42,7 +42,7 @@ def test_an_incomplete_kind_is_an_error():
 def test_a_kind_says_what_its_regulator_sees_in_it():
     """Shares of a new kind without a word on it were charged nothing; what follows the curve says
     by which payments."""
-    tokens = {"kind": "token", "words": "tokens"}
+    tokens = {"kind": "token", "description": "tokens"}
     with pytest.raises(TypeError, match="Token: a kind of asset class needs risk"):
         register(type("Token", (Priced,), tokens))
     with pytest.raises(TypeError, match="Token: there is no risk 'unheard': developed, emerging"):
@@ -60,5 +60,5 @@ def test_a_kind_says_what_its_regulator_sees_in_it():
 def test_a_kind_without_returns_is_an_error():
     from snapo.domains.pension.market.assets.bond import Maturing
 
-    with pytest.raises(TypeError, match=r"needs kind, words, columns.*risk.*log_return"):
+    with pytest.raises(TypeError, match=r"needs kind, description, columns.*risk.*log_return"):
         register(type("Half", (Maturing,), {}))

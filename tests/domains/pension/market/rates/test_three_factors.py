@@ -24,7 +24,7 @@ class G3(ShortRate):
 
     kind: ClassVar[str] = "g3++"
     factors: ClassVar[tuple[str, ...]] = ("rate", "rate 2", "rate 3")
-    words: ClassVar[str] = "G3++, three factors"
+    description: ClassVar[str] = "G3++, three factors"
 
 
 A, S = (0.05, 0.4, 1.2), (0.009, 0.006, 0.004)
@@ -36,7 +36,7 @@ def test_a_model_is_known_by_its_word_once(monkeypatch):
     assert short_rate.MODELS["g3++"] is G3
     with pytest.raises(TypeError, match="'g3\\+\\+' already"):
         register(G3)
-    with pytest.raises(TypeError, match="needs kind, factors, words"):
+    with pytest.raises(TypeError, match="needs kind, factors, description"):
         register(type("Nameless", (ShortRate,), {}))
 
 

@@ -69,7 +69,7 @@ def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> R
     held = list(zip(by_kind(case), terms.kinds, now.assets.kinds))
     parts = [kind.log_return(case, at, term, step, observed) for (kind, at), term, step in held]
     beneath = [kind.mixture(case, at, term, step, observed) for (kind, at), term, step in held]
-    log, displayed = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
+    log, displayed = appraised(case, terms.smoothing, in_order(case, parts), market.reported)
     swaps = None
     if case.buckets:
         beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, observed))

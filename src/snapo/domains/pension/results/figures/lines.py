@@ -231,10 +231,8 @@ def _line(case: PensionCase, line: Line) -> str:
     def text(value: float) -> str:
         return readable(value, case.currency) if money else f"{value:,.6g}"
 
-    available = (
-        "" if line.supplied is None else f", given {text(line.supplied)} ({line.error:+.1e})"
-    )
-    return f"{line.name}: {text(line.computed)}{available}"
+    available = "" if line.given is None else f", given {text(line.given)} ({line.error:+.1e})"
+    return f"{line.name}: {text(line.own)}{available}"
 
 
 def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line]:
@@ -244,11 +242,11 @@ def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line
     """
     result = check(case, plain(pension_inputs(case)), available)
     for line in result:
-        if not line.ok and line.supplied is not None and case.reconcile is not None:
+        if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
             message = (
-                f"this model's own figure is {line.computed:.8g}, which differs by "
+                f"this model's own figure is {line.own:.8g}, which differs by "
                 f"{line.error:.3g}; the tolerance is {tolerance:g}"
             )
-            raise CaseError(str(case.file), f"reconcile.{line.name}", line.supplied, message)
+            raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)
     return result

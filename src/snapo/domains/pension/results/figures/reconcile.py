@@ -42,12 +42,12 @@ class Figures(NamedTuple):
 
 @dataclass(frozen=True)
 class Line:
-    """One check: the model's `computed` figure, the one `supplied` (None: nothing to meet), the
+    """One check: the model's `own` figure, the one `given` (None: nothing to meet), the
     relative `error` and whether that is within the tolerance."""
 
     name: str
-    computed: float
-    supplied: float | None
+    own: float
+    given: float | None
     error: float | None
     ok: bool | None
 

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..bounds.surprise import SurpriseTable
+from ..bounds.innovation import InnovationTable
 from .fitted_guide import functions
 from .value_table import between
 
 
 class DateValues(NamedTuple):
-    """The value on one date: `bounds.surprise.SurpriseTable`."""
+    """The value on one date: bounds.innovation.InnovationTable`."""
 
     low: Array
     high: Array
@@ -45,14 +45,14 @@ class SurpriseEnd(NamedTuple):
     first: Array
 
 
-class Surprises(eqx.Module):
+class Innovations(eqx.Module):
     """`days` has leaves with a leading axis of days."""
 
     days: Any
     end: Any
 
     @classmethod
-    def of(cls, result: SurpriseTable) -> "Surprises":
+    def of(cls, result: InnovationTable) -> "Innovations":
         position = DateValues(result.low, result.high, result.now)  # pyright: ignore
         reading = Reading(result.whiten, result.common, result.shift)  # pyright: ignore
         first = DateValues(*(item[:-1] for item in position))

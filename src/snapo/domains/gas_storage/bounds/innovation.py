@@ -16,7 +16,7 @@ from .value_iteration import FittedValue
 LEVELS = 16
 
 
-class SurpriseTable(NamedTuple):
+class InnovationTable(NamedTuple):
     """The value on T days and on the end date, as functions of inventory and price factors.
 
     - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; beyond it the ends hold.
@@ -36,7 +36,7 @@ class SurpriseTable(NamedTuple):
     shift: np.ndarray
 
 
-def innovation_table(fitted_value: FittedValue, levels: int = LEVELS) -> SurpriseTable:
+def innovation_table(fitted_value: FittedValue, levels: int = LEVELS) -> InnovationTable:
     """The table of a fitted value."""
     basis, dates, available = (
         fitted_value.basis,
@@ -53,4 +53,4 @@ def innovation_table(fitted_value: FittedValue, levels: int = LEVELS) -> Surpris
     ahead = basis.expected_coefficients(now[1:])
     constant = np.all(basis.powers == 0, axis=1).astype(float)
     mean = np.append(constant, 1.0) if basis.common else constant
-    return SurpriseTable(low, high, now, ahead, float(now[0, 0] @ mean), *basis.linear())
+    return InnovationTable(low, high, now, ahead, float(now[0, 0] @ mean), *basis.linear())
