@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from snapo.gym.dynamics import Dynamics
+from snapo.gym.dynamics import GymDynamics
 
 from .tasks import Task
 
@@ -22,7 +22,7 @@ class Paths(VecEnv):
 
     def __init__(self, task: Task, count: int, seed: int, options: bool):
         self.task, self.options = task, options
-        self.dynamics = Dynamics(task.played or task.problem, task.endless)
+        self.dynamics = GymDynamics(task.played or task.problem, task.endless)
         seen = gymnasium.spaces.Box(-np.inf, np.inf, (self.dynamics.features,), np.float32)
         chosen = gymnasium.spaces.Box(-1.0, 1.0, (task.size,), np.float32)
         super().__init__(

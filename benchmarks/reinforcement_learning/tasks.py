@@ -20,7 +20,7 @@ from snapo.domains.inventory.read.case import read_case as read_inventory
 from snapo.domains.inventory.setup import make_setup as inventory_setup
 from snapo.domains.pension import DOMAIN as PENSION
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.limits import Limits, present
+from snapo.domains.pension.policies.limits import AllocationLimits, present
 from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.read.case import read_case as read_fund
 from snapo.domains.pension.records.inputs import pension_inputs
@@ -147,7 +147,7 @@ def fund(seed: int) -> Task:
     simulator = Fund(case)  # pyright: ignore[reportCallIssue]
     problem = snapo.Problem(simulator, pension_inputs(case), snapo.Mean("utility"))
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(seed))
-    limits, start = Limits(case), np.asarray(present(case), np.float32)
+    limits, start = AllocationLimits(case), np.asarray(present(case), np.float32)
     training = snapo.Training(
         steps=60, paths=128, window=None, validation_paths=256, validation_every=10, seed=seed
     )

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo.gym
-from snapo.gym.dynamics import Dynamics
+from snapo.gym.dynamics import GymDynamics
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
@@ -19,7 +19,7 @@ class Yardstick:
     """`paths` paths of a problem, half of them the antithetic ones of the others."""
 
     def __init__(self, problem: Problem, paths: int, decode: Callable | None = None):
-        self.dynamics, self.paths = Dynamics(problem), paths
+        self.dynamics, self.paths = GymDynamics(problem), paths
         self._decode = decode or (lambda raw: raw)
         self._first = jax.jit(jax.vmap(self.dynamics.first))
         self._step = jax.jit(jax.vmap(self._moved, in_axes=(None, 0, 0, 0)))

@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 from sphinx.util.docutils import SphinxDirective
 
 from snapo.case.meaning import conditions
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 
 class CaseTables(SphinxDirective):
@@ -31,7 +31,7 @@ class CaseTables(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 
 
-def tables(package: str) -> Iterator[type[Table]]:
+def tables(package: str) -> Iterator[type[CaseTable]]:
     """The tables that a package, or a module, defines."""
     top = importlib.import_module(package)
     names = [
@@ -42,11 +42,11 @@ def tables(package: str) -> Iterator[type[Table]]:
             continue
         module = importlib.import_module(name)
         for found in vars(module).values():
-            if inspect.isclass(found) and issubclass(found, Table) and found.__module__ == name:
+            if inspect.isclass(found) and issubclass(found, CaseTable) and found.__module__ == name:
                 yield found
 
 
-def described(table: type[Table]) -> Iterator[str]:
+def described(table: type[CaseTable]) -> Iterator[str]:
     """Title, sentence and keys of one table, as Markdown."""
     title, _, words = _flat(inspect.getdoc(table) or table.__name__).partition(": ")
     yield from (f"## {title}", "", words[:1].upper() + words[1:], "")
@@ -76,7 +76,7 @@ def _kind(annotation: Any) -> str:
     inner = [each for each in get_args(annotation) if each is not type(None)]
     for each in [annotation, *inner]:
         if isinstance(each, type):
-            if issubclass(each, Table):
+            if issubclass(each, CaseTable):
                 return "a table"
             words = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
             words |= {list: "a list", dict: "a table"}
@@ -90,7 +90,7 @@ def _default(field) -> str:
     if field.is_required():
         return "must be given"
     value = field.default
-    if value is PydanticUndefined or value is None or value == () or isinstance(value, Table):
+    if value is PydanticUndefined or value is None or value == () or isinstance(value, CaseTable):
         return ""
     shown = str(value).lower() if isinstance(value, bool) else value
     return f'`"{shown}"`' if isinstance(value, str) else f"`{shown}`"

@@ -18,7 +18,7 @@ from snapo.engine import Xla as Xla
 from snapo.gym.black_box.learn import learn as learn
 from snapo.gym.black_box.learned import Compared as Compared
 from snapo.gym.black_box.learned import Learned as Learned
-from snapo.gym.black_box.learned import Round as Round
+from snapo.gym.black_box.learned import LearningRound as LearningRound
 from snapo.problem.actions import Actions as Actions
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice
@@ -31,7 +31,7 @@ from snapo.problem.angle import wrap_angle as wrap_angle
 from snapo.problem.carry.export import to_onnx as to_onnx
 from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.carry.save import load_policy as load_policy
-from snapo.problem.carry.table import Decisions as Decisions
+from snapo.problem.carry.table import TableDecisions as TableDecisions
 from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.families.family import Family as Family
@@ -103,8 +103,8 @@ from snapo.solver.limits.found import LimitFound as LimitFound
 from snapo.solver.relaxations.known import Relaxation as Relaxation
 from snapo.solver.seeds import Seeds as Seeds
 from snapo.solver.seeds import solve_seeds as solve_seeds
-from snapo.solver.sensitivity import Row as Row
 from snapo.solver.sensitivity import Sensitivities as Sensitivities
+from snapo.solver.sensitivity import SensitivityRow as SensitivityRow
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.show.figures import Figures as Figures

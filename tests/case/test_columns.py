@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import snapo
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 DAYS = st.dates(datetime.date(1950, 1, 1), datetime.date(2150, 1, 1))
 PRICES = st.floats(-1e9, 1e9, allow_subnormal=False)
@@ -24,7 +24,7 @@ COLUMNS = ("date", "price", "name")
 
 
 def read(folder: Path, name: str) -> list[tuple]:
-    section = Section(folder / "case.toml", "market", [])
+    section = TableContext(folder / "case.toml", "market", [])
     rows = read_rows(FileReference(section, "curve", name), COLUMNS)
     return [(row.day("date"), row.number("price"), row.cells["name"]) for row in rows]
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 
 def rows_of(folder: Path, text: str) -> tuple[list[Row], list[str]]:
     """The rows of a file with the columns date and price, and the notes of the case."""
     (folder / "curve.csv").write_bytes(text.encode("utf-8"))
     notes: list[str] = []
-    section = Section(folder / "case.toml", "market", notes)
+    section = TableContext(folder / "case.toml", "market", notes)
     return read_rows(FileReference(section, "curve", "curve.csv"), ("date", "price")), notes
 
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.parts import Names, known_parts, names_of_parts
-from snapo.case.table import Table, parse
+from snapo.case.parts import PartNames, known_parts, names_of_parts
+from snapo.case.table import CaseTable, parse
 
 FILE, KNOWN = Path("case.toml"), ("training", "today", "frontier")
 
 
-class ReportTable(Table):
-    parts: Names = names_of_parts("today")
+class ReportTable(CaseTable):
+    parts: PartNames = names_of_parts("today")
 
 
 def test_known_parts_are_taken_as_they_are_named():

@@ -24,7 +24,7 @@ from snapo.case.quantity import (
     quantity_of,
     stacked,
 )
-from snapo.case.table import Table, parse
+from snapo.case.table import CaseTable, parse
 
 ENDS = ("[]", "[)", "(]", "()")
 NUMBERS = st.floats(-1e6, 1e6)
@@ -32,7 +32,7 @@ COST = Quantity("{money}/{volume}", group="cost", move=0.01, by="date", before=0
 SHARE = Quantity("1", BELOW_ONE, limits=Range(0.0, 0.9))
 
 
-class Example(Table):
+class Example(CaseTable):
     """A table with a number of each kind."""
 
     volume: str = "MWh"
@@ -141,7 +141,7 @@ def test_a_csv_gives_a_number_for_each_date_and_its_cell(tmp_path):
 def test_numbers_that_begin_too_late_are_refused_where_nothing_holds_before(tmp_path):
     (tmp_path / "level.csv").write_text("date,value\n2024-01-03,1.5\n")
 
-    class Dated(Table):
+    class Dated(CaseTable):
         level: CaseInput = Quantity("MWh", by="date")("a level")
 
     table = parse(Dated, {"level": "level.csv"}, str(tmp_path / "case.toml"), "table")

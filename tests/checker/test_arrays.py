@@ -15,9 +15,9 @@ from snapo.checker.arrays.moving import moving_indices
 from snapo.checker.arrays.slices import outside, short_slices
 from snapo.checker.arrays.tables import tables
 from snapo.checker.check import check
-from snapo.checker.findings import Notes, Stop
+from snapo.checker.findings import Notes, StopCheck
 from snapo.checker.program.methods import Method
-from snapo.checker.program.points import Points
+from snapo.checker.program.points import SamplePoints
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Schedule
 
@@ -66,7 +66,7 @@ class Tabled(Good):
 
 def tabled(simulator) -> Notes:
     notes = Notes(simulator)
-    with suppress(Stop):
+    with suppress(StopCheck):
         tables(notes, simulator, prepare(simulator, inputs()))
     return notes
 
@@ -236,5 +236,5 @@ def test_an_index_is_named_exactly_where_numpy_would_refuse_it(indices):
     notes = Notes(None)
     with jax.enable_x64(True):
         at = jnp.asarray(np.array(indices, float)[:, None])
-        moving_indices(notes, Points(method, {"noise": at}, 1))
+        moving_indices(notes, SamplePoints(method, {"noise": at}, 1))
     assert bool(notes.items) == any(not -4 <= k < 4 for k in indices)

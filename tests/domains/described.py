@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from snapo.case import table as tables
 from snapo.case.quantity import quantity_of
-from snapo.case.table import Table, load
+from snapo.case.table import CaseTable, load
 from snapo.study import commands
 
 CASE, UNKNOWN = "case.toml", "a_key_that_nobody_knows"
@@ -40,7 +40,7 @@ class Wrong(NamedTuple):
 class Place(NamedTuple):
     """A table of a good case: its description, its way from the top, and its name in messages."""
 
-    table: type[Table]
+    table: type[CaseTable]
     way: tuple[str | int, ...]
     name: str
 
@@ -51,7 +51,7 @@ def places(asked: commands.CaseRequest) -> list[Place]:
     commands.load(asked)  # so that all modules are imported
     with _listening() as heard:
         commands.load(asked)
-    found: dict[type[Table], Place] = {}
+    found: dict[type[CaseTable], Place] = {}
     for table, name in heard:
         way = tuple(
             int(each) if each.isdigit() else each for each in re.findall(r"[^.\[\]]+", name)
@@ -62,7 +62,7 @@ def places(asked: commands.CaseRequest) -> list[Place]:
 
 
 @contextmanager
-def _listening() -> Iterator[list[tuple[type[Table], str]]]:
+def _listening() -> Iterator[list[tuple[type[CaseTable], str]]]:
     """(table, name) of every call of `parse`, under whatever module it is known."""
     heard, true = [], tables.parse
 
@@ -190,7 +190,7 @@ def allowed_types(annotation: Any) -> set[Any]:
     if origin in (list, dict):
         return {origin}
     if isinstance(annotation, type):
-        if issubclass(annotation, Table):
+        if issubclass(annotation, CaseTable):
             return {dict}
         return {int, float} if annotation is float else {annotation}
     if not inner:

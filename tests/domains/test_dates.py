@@ -13,10 +13,10 @@ from tests.domains.gas_storage.storage_cases import CASES, changed
 from tests.domains.pension.read.test_cash_plan import plan
 
 from snapo.case.csv import FileReference, read_rows
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 from snapo.domains.inventory.read.season import read_season
 from snapo.domains.own.inputs import read_inputs
-from snapo.domains.pension.read.cells import Grid
+from snapo.domains.pension.read.cells import TimeGrid
 from snapo.domains.pension.read.scenarios import _step
 
 # How a day is written, and how a month is: every line is promised by docs/files.md.
@@ -120,9 +120,9 @@ def test_dates_of_scenarios_are_steps(name, tmp_path):
     text = "path,date\n1,2025-01-17\n1,2025-02-03\n1,2025-03-28\n"
     (tmp_path / "paths.csv").write_text(other(text, name))
     rows = read_rows(
-        FileReference(Section(tmp_path / "case.toml", "", []), "training", "paths.csv"), ()
+        FileReference(TableContext(tmp_path / "case.toml", "", []), "training", "paths.csv"), ()
     )
-    grid = Grid(36, 1 / 12, "GBP")
+    grid = TimeGrid(36, 1 / 12, "GBP")
     assert [_step(row, grid, "2024-12-31") for row in rows] == [0, 1, 2]
 
 
@@ -131,7 +131,7 @@ def test_days_and_months_as_labels_are_those_of_the_calendar(name, tmp_path):
     """Labels of one's own inputs and of a season: the same text in whatever way it was written."""
     text = "period,factor\n2025-01-01,1\n2025-01-17,2\n2025-02,3\n"
     (tmp_path / "season.csv").write_text(other(text, name))
-    section = Section(tmp_path / "case.toml", "season", [])
+    section = TableContext(tmp_path / "case.toml", "season", [])
     assert read_season(section, {"file": "season.csv"}).labels == PERIODS
     table = {"file": "season.csv", "column": "factor", "label": "period"}
     assert read_inputs({"factor": table}, section.file, [])[0]["factor"].labels == PERIODS
@@ -139,5 +139,5 @@ def test_days_and_months_as_labels_are_those_of_the_calendar(name, tmp_path):
 
 def test_a_label_that_could_be_two_days_stays_as_it_is(tmp_path):
     (tmp_path / "season.csv").write_text("period,factor\n04/05/2025,1\n05/05/2025,2\n")
-    section = Section(tmp_path / "case.toml", "season", [])
+    section = TableContext(tmp_path / "case.toml", "season", [])
     assert read_season(section, {"file": "season.csv"}).labels == ("04/05/2025", "05/05/2025")

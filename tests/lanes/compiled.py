@@ -9,9 +9,9 @@ from snapo.lanes.body import operations
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.module import Module
 from snapo.lanes.emit.storage import Layout
-from snapo.lanes.emit.values import Values, Workspace
+from snapo.lanes.emit.values import EmittedValues, Workspace
 from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import Memory
+from snapo.lanes.machine.memory import KernelMemory
 from snapo.lanes.machine.pipeline import object_code
 from snapo.lanes.machine.processor import host
 from snapo.lanes.program.flatten import flatten
@@ -30,7 +30,7 @@ def text(function, shapes, dtype: str = "float32"):
         found.add(i, value.shape, value.dtype)
     module = Module(lanes, host().register)
     code = Code(lanes, module)
-    values = Values(code, Workspace("%work"))
+    values = EmittedValues(code, Workspace("%work"))
     for value in program.inputs:
         values.bind(value, given.address(value, "%given"))
     operations.write(values, program.ops, program.outputs)
@@ -46,7 +46,7 @@ def run(function, *arrays: np.ndarray) -> list[np.ndarray]:
     dtype = arrays[0].dtype.name
     written, given, found, work = text(function, [a.shape[1:] for a in arrays], dtype)
     machine = Linked(object_code(written), {"run": 0})
-    memory = Memory({"given": given.stride, "found": found.stride, "work": work})
+    memory = KernelMemory({"given": given.stride, "found": found.stride, "work": work})
     for key, array in zip(given.fields, arrays):
         given.view(memory["given"], key)[...] = np.moveaxis(array, 0, -1)
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3)

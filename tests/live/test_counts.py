@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from snapo.live.counts import ENOUGH, FEWEST, MAXIMUM, Counts
+from snapo.live.counts import ENOUGH, FEWEST, MAXIMUM, PathCounts
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ from snapo.live.counts import ENOUGH, FEWEST, MAXIMUM, Counts
 def test_paths_of_the_value(error, paths, wanted):
     solution = SimpleNamespace(value=-2.0, standard_error=2.0 * error)
     evaluation = SimpleNamespace(paths=paths, sensitivity_paths=min(paths, 768))
-    found = Counts.enough(solution, evaluation)
+    found = PathCounts.enough(solution, evaluation)
     assert found.value == wanted and found.deltas == min(paths, 768)
     if FEWEST < found.value < MAXIMUM:
         assert error * (paths / found.value) ** 0.5 <= ENOUGH
@@ -33,9 +33,9 @@ def test_paths_of_the_value(error, paths, wanted):
 def test_a_long_and_wide_course_has_fewer_paths(numbers, wanted):
     solution = SimpleNamespace(value=1.0, standard_error=0.1)
     evaluation = SimpleNamespace(paths=65536, sensitivity_paths=16384)
-    assert Counts.enough(solution, evaluation, numbers).value == wanted
+    assert PathCounts.enough(solution, evaluation, numbers).value == wanted
 
 
 def test_paths_that_are_asked_for_are_taken():
-    assert Counts.of(65536).value == 65536
-    assert Counts.of(100) == (100, 100, 100)
+    assert PathCounts.of(65536).value == 65536
+    assert PathCounts.of(100) == (100, 100, 100)

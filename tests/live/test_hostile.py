@@ -13,7 +13,7 @@ aiohttp = pytest.importorskip("aiohttp", reason="the page needs the extra `live`
 from tests.live.test_server import connected, heard, served  # noqa: E402
 from yarl import URL  # noqa: E402
 
-from snapo.live.scenarios import FOLDER, Scenarios  # noqa: E402
+from snapo.live.scenarios import FOLDER, SavedScenarios  # noqa: E402
 from snapo.live.server import LONGEST  # noqa: E402
 
 MARKUP = "<script>alert(1)</script>"
@@ -144,7 +144,7 @@ def test_a_message_that_is_too_long_ends_its_page_alone(tmp_path):
 @pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
 def test_a_name(tmp_path, name):
     """It is kept as a text; its folder is plain, and no spreadsheet takes it for a formula."""
-    kept = Scenarios(tmp_path)
+    kept = SavedScenarios(tmp_path)
     found = kept.keep(name, {name: [1.0]}, {"value": {"value": 1.0}})
     assert kept.folder_of(found).parent == tmp_path / FOLDER and found.isascii()
     for text in (kept.table(), kept.one(found)):

@@ -16,7 +16,7 @@ from snapo.live.moves import WhatIf
 from snapo.live.recalculation import Recalculation
 from snapo.live.valuation import Valuation
 from snapo.live.worker import open_run
-from snapo.solver.measure.measure import Run, measure
+from snapo.solver.measure.measure import MeasuredRun, measure
 from snapo.solver.train import initial_progress
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -83,7 +83,7 @@ def as_solved(valuation, values, folder):
 
     asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
     state = replace(initial_progress(policy, setup.training), best=policy)
-    return measure(Run(setup.problem, policy, state, setup.training, asked, setup.engines))
+    return measure(MeasuredRun(setup.problem, policy, state, setup.training, asked, setup.engines))
 
 
 @pytest.mark.prove

@@ -9,7 +9,7 @@ import pytest
 
 from snapo.case.error import CaseError
 from snapo.live.case.refusals import no_value, stopped
-from snapo.live.counts import Counts
+from snapo.live.counts import PathCounts
 from snapo.live.valuation import Valuation
 from snapo.live.worker import in_words, open_run
 from snapo.problem.inputs import Input
@@ -55,7 +55,7 @@ def test_a_mistake_of_the_users_code_is_told_as_theirs_and_ours_as_ours():
 @pytest.fixture
 def valuation(solved, tmp_path):
     shutil.copytree(solved("own") / "run", tmp_path / "run")
-    found = open_run(tmp_path / "run", ("simulator", "Reservoir"), "auto", Counts.of(64))
+    found = open_run(tmp_path / "run", ("simulator", "Reservoir"), "auto", PathCounts.of(64))
     yield found
     sys.modules.pop("simulator", None)
 
@@ -92,7 +92,7 @@ def test_the_users_own_refusal_is_heard_in_its_words(solved, tmp_path):
 """
     text = code.read_text()
     code.write_text(text.replace("    horizon = WEEKS", check + "\n    horizon = WEEKS", 1))
-    found = open_run(run, ("simulator", "Reservoir"), "auto", Counts.of(64))
+    found = open_run(run, ("simulator", "Reservoir"), "auto", PathCounts.of(64))
     with pytest.raises(CaseError) as caught:
         next(found.stages({"capacity": np.array([-1e6])}))
     words = in_words(caught.value)

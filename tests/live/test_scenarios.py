@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from snapo.live.scenarios import FOLDER, MAXIMUM, Refused, Scenarios, slug
+from snapo.live.scenarios import FOLDER, MAXIMUM, Refused, SavedScenarios, slug
 
 VALUE = {"value": 12.5, "standard_error": 0.5, "change": 1.0, "change_error": 0.1}
 HOSTILE = (
@@ -19,7 +19,7 @@ HOSTILE = (
 @pytest.fixture
 def kept(tmp_path):
     (tmp_path / "run").mkdir()
-    return Scenarios(tmp_path / "run")
+    return SavedScenarios(tmp_path / "run")
 
 
 def test_a_scenario_comes_back_as_it_was(kept):

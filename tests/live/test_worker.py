@@ -11,7 +11,7 @@ import pytest
 from tests.miniatures import MINIATURES
 
 from snapo.live.terms import Deltas, derivatives
-from snapo.solver.measure.measure import Run, measure
+from snapo.solver.measure.measure import MeasuredRun, measure
 from snapo.solver.solution import Solution
 from snapo.solver.train import initial_progress
 from snapo.study import commands
@@ -114,7 +114,7 @@ def measured(worker, kind, run, values, folder):
     state = replace(initial_progress(solution.policy, setup.training), best=solution.policy)
     # The figures of the page alone: no smooth derivatives and no moves that judge.
     asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
-    of = Run(setup.problem, solution.policy, state, setup.training, asked, setup.engines)
+    of = MeasuredRun(setup.problem, solution.policy, state, setup.training, asked, setup.engines)
     return solution, setup, measure(of)
 
 

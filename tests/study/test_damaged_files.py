@@ -17,7 +17,7 @@ from tests.miniatures import MINIATURES
 
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 from snapo.cli.main import main
 from snapo.problem.actions import Box
 from snapo.problem.policy import MLP
@@ -122,7 +122,7 @@ def test_damaged_arrays_beside_a_case(tmp_path):
     files = 0
     whole = {name: (tmp_path / name).read_bytes() for name in ("p.npy", "p.parquet")}
     for name, other in (("p.npy", "p.parquet"), ("p.parquet", "p.npy")):
-        mention = FileReference(Section(tmp_path / "case.toml", "model", []), "paths", name)
+        mention = FileReference(TableContext(tmp_path / "case.toml", "model", []), "paths", name)
         assert np.array_equal(read_array(mention, 3, "prices"), paths)
         wrong = [each for kind, each in damages(whole[name], whole[other]) if "bit" not in kind]
         wrong = [each for each in wrong if len(each) != len(whole[name]) or not any(each)]

@@ -205,7 +205,11 @@ def test_without_other_paths_the_choice_is_told(two):
 
 
 def test_seeds_without_a_value_are_told():
-    row = dict.fromkeys(table_of.Row._fields) | {"seed": 3, "seconds": 1.0, "status": "diverged"}
-    found = dict.fromkeys(table_of.Comparison._fields) | {"rows": [row], "best": 3, "paths": 4}
+    row = dict.fromkeys(table_of.SeedRow._fields) | {
+        "seed": 3,
+        "seconds": 1.0,
+        "status": "diverged",
+    }
+    found = dict.fromkeys(table_of.SeedComparison._fields) | {"rows": [row], "best": 3, "paths": 4}
     assert "none" in "\n".join(by_seed(found)) and "diverged" in by_seed(found)[1]
     assert "Best of 1 seeds" in table_of.describe(found)

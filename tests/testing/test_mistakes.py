@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.table import Table, load, parse
+from snapo.case.table import CaseTable, load, parse
 from snapo.testing.mistakes import UNKNOWN, refusals, spoilt_files, spoilt_keys
 
 CASE = """kind = "toy"
@@ -19,7 +19,7 @@ prices = "prices.csv"
 PRICES = "# invented\ndate,price\n2025-01,1.5\n2025-02,-2\n"
 
 
-class Tank(Table):
+class Tank(CaseTable):
     volume: float
     stages: int
     open: bool
@@ -27,7 +27,7 @@ class Tank(Table):
     prices: str
 
 
-class Toy(Table):
+class Toy(CaseTable):
     kind: str
     tank: dict
 

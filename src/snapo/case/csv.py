@@ -19,7 +19,7 @@ from .columns import PARQUET, parquet_lines
 from .dialect import AmbiguousFormat, Dialect, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .given import SheetCell
-from .table import LARGEST, TOO_LARGE, Section, not_utf8
+from .table import LARGEST, TOO_LARGE, TableContext, not_utf8
 
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 MONTH = re.compile(r"(\d{4})-(\d{2})", re.ASCII)
@@ -30,7 +30,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 class FileReference:
     """Where a case names a file: the table, the key, and the name that stands there."""
 
-    section: Section
+    section: TableContext
     key: str
     name: str
 

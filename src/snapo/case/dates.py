@@ -8,7 +8,7 @@ import numpy as np
 
 from .csv import FileReference, Row, read_rows
 from .given import CaseInput
-from .table import Section
+from .table import TableContext
 
 
 def single(name: str, value: float, unit: str) -> CaseInput:
@@ -22,7 +22,7 @@ def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
 
 
 def dated(
-    section: Section,
+    section: TableContext,
     key: str,
     inputs: float | str,
     unit: str,

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from .error import CaseError, nearest
 
-Names = list[Annotated[str, Field(min_length=1)]]
+PartNames = list[Annotated[str, Field(min_length=1)]]
 
 
 def names_of_parts(example: str) -> Any:

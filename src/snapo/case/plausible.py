@@ -24,7 +24,7 @@ import numpy as np
 from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
 from .given import Copies, FilePosition, SheetCell
-from .table import Section
+from .table import TableContext
 
 AROUND = 4  # neighbours along a curve with which a number is compared
 FRACTION = "fractions are meant, 0.02 is 2 %"
@@ -288,7 +288,7 @@ class CaseFiles:
 
     def _table(self, name: str, path: tuple[str, ...]) -> Iterator[Cell]:
         """The cells of a CSV that the case names; none where it cannot be read as one."""
-        section = Section(self.file, ".".join(path[:-1]), [])
+        section = TableContext(self.file, ".".join(path[:-1]), [])
         try:
             if (self.file.parent / name).stat().st_size > LARGEST:
                 yield Cell(name, _terms(".".join(path)), (), math.nan)

@@ -27,7 +27,7 @@ from .dates import ordinals, rising_dates
 from .error import CaseError
 from .given import CaseInput
 from .plausible import Plausible
-from .table import LARGEST, TOO_LARGE, Section, Table
+from .table import LARGEST, TOO_LARGE, CaseTable, TableContext
 
 
 class Range(NamedTuple):
@@ -202,7 +202,7 @@ OUTSIDE = "no market has this; allowed is"
 class KeyContext(NamedTuple):
     """A key while it is read: its table, its name, and the values of the keys before it."""
 
-    table: Section
+    table: TableContext
     name: str
     values: Mapping[str, Any]
 
@@ -273,13 +273,13 @@ def _validator(read: ReadKey) -> core_schema.CoreSchema:
         if isinstance(raw, CaseInput):
             return raw
         table = info.context
-        assert isinstance(table, Section)
+        assert isinstance(table, TableContext)
         return read(raw, KeyContext(table, str(info.field_name), info.data))
 
     return core_schema.with_info_plain_validator_function(validated)
 
 
-def on_dates(table: Table, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
+def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
     """{key: numbers} of a table; those that may change with time are laid on rising dates."""
     numbers = {key: value for key, value in table if isinstance(value, CaseInput)}
     return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field
 
 from .error import CaseError
-from .table import Count, Positive, Table, parse
+from .table import CaseTable, Count, Positive, parse
 
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
@@ -14,7 +14,7 @@ PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
 AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
 
 
-class TrainingTable(Table):
+class TrainingTable(CaseTable):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
     steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] = Field(
@@ -90,7 +90,7 @@ class FollowingTable(TrainingTable):
 AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 
 
-class EvaluationTable(Table):
+class EvaluationTable(CaseTable):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured.
 
     `judge_paths`: of the bumps that the derivatives are tested by; `search_paths`: of the search
@@ -108,7 +108,7 @@ class EvaluationTable(Table):
     )
 
 
-class ObjectiveTable(Table):
+class ObjectiveTable(CaseTable):
     """`[objective]`: the figure to maximise; `kind` says which of the other keys apply.
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of

@@ -30,7 +30,7 @@ TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
 @dataclass(frozen=True)
-class Section:
+class TableContext:
     """A table of a case while it is read: names the place of a mistake, collects remarks.
 
     `path`: the keys that lead to it, where its name in messages does not say them.
@@ -59,7 +59,7 @@ def keys_of(name: str) -> tuple[str | int, ...]:
     return tuple(int(row) if row else key for row, key in parts)
 
 
-class Table(pydantic.BaseModel):
+class CaseTable(pydantic.BaseModel):
     """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers."""
 
     model_config = pydantic.ConfigDict(
@@ -69,15 +69,16 @@ class Table(pydantic.BaseModel):
 
 # {name of a table: its format, or several of which a case has one}. "" is the whole file, "place[]"
 # an array of tables, "units.*" a table of tables, "place[].demand" a table in each of an array.
-Formats = Mapping[str, type[Table] | Sequence[type[Table]]]
+Formats = Mapping[str, type[CaseTable] | Sequence[type[CaseTable]]]
 
 Title = Annotated[str, Field(max_length=200)]
 TITLE = "a text of at most 200 characters in quotation marks"
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 
 
-AnyTable = TypeVar("AnyTable", bound=Table)
+AnyTable = TypeVar("AnyTable", bound=CaseTable)
 
 
 def load(path: Path) -> tuple[Path, dict[str, Any]]:
@@ -188,7 +189,7 @@ def parse(
 ) -> AnyTable:
     """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
 
-    `notes`, `path`: as of a `Section`, for the readers of its keys.
+    `notes`, `path`: as of a `TableContext`, for the readers of its keys.
     """
     if (tables := _tables_read.get()) is not None:
         fields = {field.alias or key: field for key, field in table.model_fields.items()}
@@ -197,7 +198,7 @@ def parse(
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:
-        section = Section(Path(file), name, [] if notes is None else notes, path=path)
+        section = TableContext(Path(file), name, [] if notes is None else notes, path=path)
         read = table.model_validate(dict(data), context=section)
         _check_sizes(read, file, name)
         return read
@@ -215,7 +216,7 @@ def parse(
     raise CaseError(first.file, first.where, first.value, first.allowed, rest)
 
 
-def _check_sizes(table: Table, file: str, name: str) -> None:
+def _check_sizes(table: CaseTable, file: str, name: str) -> None:
     """Numbers that could only overflow, and texts that nobody reads, are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key

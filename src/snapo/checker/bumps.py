@@ -19,7 +19,7 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from .derivatives import NOT_DIFFERENTIABLE
 from .findings import Notes
-from .rollout import ENGINE, Run
+from .rollout import ENGINE, CheckedRollout
 
 TOLERANCE = 1e-4  # of the larger of adjoint and difference; round-off is added to it
 SMALLER = (1.0, 1 / 8, 1 / 64)  # bumps, in steps: a path on a corner or a jump may spoil one
@@ -27,7 +27,9 @@ WIDE = (1e3, 3e4)  # wide bumps, which find steps that a small one does not cros
 ENTRIES = 3  # numbers of one input that are bumped alone, besides all of them together
 
 
-def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], seed: int) -> None:
+def bumped(
+    notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[CheckedRollout], seed: int
+) -> None:
     """Every input: the adjoint against central differences, decisions and paths held."""
     gradients: list[dict[str, np.ndarray]] = []
 
@@ -62,7 +64,7 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
                 break
 
 
-def _gradients(simulator: Simulator, inputs: PyTree, run: Run) -> dict[str, np.ndarray]:
+def _gradients(simulator: Simulator, inputs: PyTree, run: CheckedRollout) -> dict[str, np.ndarray]:
     """{input: [outputs, *shape]}, the derivatives of every output's mean."""
     result = ENGINE.adjoint(
         simulator, None, run.schedule, run.draws, run.smooth, run.each_output(), actions=run.actions
@@ -92,7 +94,9 @@ class _Comparison:
     Every number moves by its own step; derivatives are by the largest of these moves.
     """
 
-    def __init__(self, simulator, inputs, run: Run, entry: inputs_.NamedInput, direction, gradient):
+    def __init__(
+        self, simulator, inputs, run: CheckedRollout, entry: inputs_.NamedInput, direction, gradient
+    ):
         self.simulator, self.inputs, self.run, self.entry = simulator, inputs, run, entry
         moved = entry.input.step() * direction
         self.bump = float(np.max(np.abs(moved)))

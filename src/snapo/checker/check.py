@@ -29,18 +29,18 @@ from .arrays.slices import short_slices
 from .arrays.tables import TABLE, tables
 from .bumps import bumped
 from .effects import reached, stopped_once, used
-from .findings import Findings, Notes, Stop
+from .findings import Findings, Notes, StopCheck
 from .jumps import jumps
 from .loops import loops
 from .lost import lost_derivatives
 from .program.points import moments
 from .repeatable import repeatable
-from .rollout import Run, observed, rollouts
+from .rollout import CheckedRollout, observed, rollouts
 from .shapes import declared, one_step, prepared
 from .wanted import require
 
 
-def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
+def both_precisions(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
     """Rolls two of the paths in float32, then in float64, as training and evaluation do."""
     draws = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
     weights = {name: np.full(2, 0.5) for name in run.totals}
@@ -128,7 +128,7 @@ def _checked(
         aim = objective or Weighted(*((1.0, Mean(name)) for name in shapes.outputs))
         result = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
         looked = " ".join(filter(None, [looked, note(result)]))
-    except Stop:
+    except StopCheck:
         looked = "Stopped at the first error that hides the rest."
     except Exception as error:
         notes.exception(error, "check")

@@ -9,8 +9,8 @@ import numpy as np
 
 from snapo.problem.simulator import Simulator
 
-from .findings import Notes, Stop
-from .rollout import Run
+from .findings import Notes, StopCheck
+from .rollout import CheckedRollout
 
 NOT_DIFFERENTIABLE = (
     "A root, logarithm, power or division at zero has no derivative, even inside a branch that "
@@ -18,7 +18,7 @@ NOT_DIFFERENTIABLE = (
 )
 
 
-def locate(notes: Notes, simulator: Simulator, run: Run) -> NoReturn:
+def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
     """Names the method and step at which a derivative is not finite, and stops.
 
     The reverse sweep starts at the end, so the last bad step is the one met first.
@@ -76,4 +76,4 @@ def locate(notes: Notes, simulator: Simulator, run: Run) -> NoReturn:
             "A derivative is not finite.",
             NOT_DIFFERENTIABLE,
         )
-    raise Stop
+    raise StopCheck

@@ -12,12 +12,12 @@ from snapo.problem.simulator import Simulator
 
 from .derivatives import locate
 from .findings import Notes
-from .rollout import ENGINE, Run
+from .rollout import ENGINE, CheckedRollout
 
 RIGHTS = 3  # of a `Stop`, at most: every right takes a rollout
 
 
-def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
+def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: int) -> list[int]:
     """The components of the action that change an output in any of the runs.
 
     Components of the action or of the noise that change none in any run are findings.
@@ -25,12 +25,12 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
     moving = []
     fresh = _fresh_actions(simulator, runs[0], seed)
 
-    def other_action(run: Run, group: list[int]) -> dict[str, Any]:
+    def other_action(run: CheckedRollout, group: list[int]) -> dict[str, Any]:
         actions = np.array(run.actions)
         actions[..., group] = fresh[..., group]
         return {"actions": actions}
 
-    def other_noise(run: Run, component: int) -> dict[str, Any]:
+    def other_noise(run: CheckedRollout, component: int) -> dict[str, Any]:
         # Paths swap their numbers: the same law, other scenarios.
         noise = np.array(run.draws.step_noise)
         noise[..., component] = np.roll(noise[..., component], 1, axis=1)
@@ -59,7 +59,7 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
     return moving
 
 
-def _fresh_actions(simulator: Simulator, run: Run, seed: int) -> np.ndarray:
+def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.ndarray:
     """Random actions anywhere in the set: [T, paths, size]."""
     raw = np.random.default_rng(seed + 1).normal(size=run.actions.shape) * 2
     with jax.enable_x64(True):
@@ -74,14 +74,18 @@ def _numbered(group: list[int], size: int) -> str:
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
 
 
-def _matters(simulator: Simulator, runs: list[Run], change, which, held: bool = True) -> bool:
+def _matters(
+    simulator: Simulator, runs: list[CheckedRollout], change, which, held: bool = True
+) -> bool:
     """Whether a change of one component, or of a group, changes an output of any run."""
     return any(
         not run.same(run.totals, run.values(simulator, held, **change(run, which))) for run in runs
     )
 
 
-def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[int]) -> None:
+def reached(
+    notes: Notes, simulator: Simulator, runs: list[CheckedRollout], moving: list[int]
+) -> None:
     """Whether a finite derivative reaches, in any run, every action that moves an output."""
     left = set(moving)
     for k, run in enumerate(runs):
@@ -104,7 +108,7 @@ def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[in
         )
 
 
-def stopped_once(notes: Notes, simulator: Simulator, run: Run) -> None:
+def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
     """Whether a `Stop` is used up: where all steps stop, only so many of them count as there are
     rights, so that of one part of the steps more at least one does not."""
     action = simulator.action

@@ -70,7 +70,7 @@ def _count(items, name: str) -> str:
     return f"{len(items)} {name}{'' if len(items) == 1 else 's'}"
 
 
-class Stop(Exception):
+class StopCheck(Exception):
     """An error that makes every later examination impossible."""
 
 
@@ -89,18 +89,18 @@ class Notes:
 
     def stop_on_errors(self) -> None:
         if any(item.severity == "error" for item in self.items):
-            raise Stop
+            raise StopCheck
 
     @contextmanager
     def during(self, method: str):
         """Turns any exception of the simulator's code into a finding, and stops."""
         try:
             yield
-        except Stop:
+        except StopCheck:
             raise
         except Exception as error:
             self.exception(error, method)
-            raise Stop from error
+            raise StopCheck from error
 
     def exception(self, error: Exception, method: str) -> None:
         """An exception as one finding with file:line."""

@@ -20,7 +20,7 @@ from snapo.problem.smooth import Exact
 from .arrays.indices import within
 from .arrays.slices import short_slices
 from .arrays.tables import tables
-from .findings import Findings, Notes, Stop
+from .findings import Findings, Notes, StopCheck
 from .loops import loops
 from .lost import lost_derivatives
 from .repeatable import repeatable
@@ -83,7 +83,7 @@ def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None])
     try:
         with read_context(all_versions(simulator, inputs)):
             look(notes)
-    except Stop:
+    except StopCheck:
         pass
     except Exception as error:
         notes.exception(error, "check")

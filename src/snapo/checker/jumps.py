@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from .findings import Notes
-from .program.points import Points
+from .program.points import SamplePoints
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 MINIMUM = 1e-4  # a jump, of the largest value of its result
@@ -25,7 +25,7 @@ class Jump(NamedTuple):
     size: float
 
 
-def jumps(notes: Notes, points: Points) -> None:
+def jumps(notes: Notes, points: SamplePoints) -> None:
     """Comparisons of a step or an end that make an output or the state jump, as warnings."""
     monitored, summary = points.recorder, set()
     request = [
@@ -80,7 +80,7 @@ def _sides(truth: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def _largest(points: Points, number: int, first, second, held, results) -> Jump | None:
+def _largest(points: SamplePoints, number: int, first, second, held, results) -> Jump | None:
     """The largest jump of any result at the threshold, if there is one."""
     near, far = points.some(first), points.some(second)
     far = [x if stays else y for x, y, stays in zip(near, far, held)]
@@ -108,7 +108,7 @@ def _chosen(new: Any, old: Any, take: np.ndarray) -> Any:
     return np.where(take.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
 
 
-def _of_results(points: Points, sides, results):
+def _of_results(points: SamplePoints, sides, results):
     """(size relative to the result, jump) of every result that jumps."""
     for name, one, other, all_values in zip(_names(points), *sides, results):
         if one.dtype.kind != "f":
@@ -119,7 +119,7 @@ def _of_results(points: Points, sides, results):
             yield size / finite.max(initial=size), Jump(name, float(size))
 
 
-def _names(points: Points) -> list[str]:
+def _names(points: SamplePoints) -> list[str]:
     """The results of a method: "state water", "output cash"."""
     made = jax.eval_shape(points.method.function, *points.method.arguments.values())
     parts = [("state", made[0]), ("output", made[1])] if isinstance(made, tuple) else []

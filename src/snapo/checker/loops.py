@@ -12,7 +12,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Smooth
 
 from .findings import Notes
-from .program.methods import Line, Method, line_of, methods, preparation
+from .program.methods import CodeLine, Method, line_of, methods, preparation
 
 
 def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
@@ -37,7 +37,7 @@ def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule
     notes.stop_on_errors()
 
 
-def _while_loops(jaxpr: Any, caller: Line | None) -> Iterator[Line | None]:
+def _while_loops(jaxpr: Any, caller: CodeLine | None) -> Iterator[CodeLine | None]:
     """The lines of all loops of this kind in a program."""
     for eqn in jaxpr.eqns:
         line = line_of(eqn) or caller

@@ -19,7 +19,7 @@ from snapo.problem.policy import Policy, as_observation
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import EXACT, Smooth
 
-from .findings import Notes, Stop
+from .findings import Notes, StopCheck
 
 ENGINE = Xla(precision="float64")
 LARGE, SMALL = 30.0, 0.01  # an observed feature whose largest value is outside is badly scaled
@@ -39,7 +39,7 @@ class _Probe(Policy):
         return self.action.squash(self.offset + self.gain @ jnp.tanh(observation), smooth)
 
 
-class Run(eqx.Module):
+class CheckedRollout(eqx.Module):
     """One rollout, shared by the later examinations."""
 
     schedule: Schedule
@@ -93,7 +93,7 @@ LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high acti
 
 def rollouts(
     notes: Notes, simulator, schedule, observation, scenarios, paths, smooth, seed
-) -> list[Run]:
+) -> list[CheckedRollout]:
     """The random policy's rollout, then those near low, middle and high actions that are finite.
 
     The first number of the random one that is not finite is an error.
@@ -107,7 +107,7 @@ def rollouts(
         draws = scenarios.draws(np.arange(paths), simulator)
         if not isinstance(draws, Stored):
             notes.error("scenarios", "They are drawn.", "Give Supplied or Sobol, or leave it out.")
-            raise Stop
+            raise StopCheck
     features = observation.shape[0]
     gain = rng.normal(size=(size, features)) / np.sqrt(max(features, 1))
     random = _Probe(rng.normal(size=size) * 0.5, gain, simulator.action)  # pyright: ignore
@@ -122,12 +122,12 @@ def rollouts(
     return runs
 
 
-def _run(notes: Notes, simulator, policy, schedule, draws, smooth) -> tuple[Run, Any]:
+def _run(notes: Notes, simulator, policy, schedule, draws, smooth) -> tuple[CheckedRollout, Any]:
     record = ("state", "action", "outputs")
     with notes.during("rollout"):
         out = ENGINE.values(simulator, policy, schedule, draws, smooth, record=record)
     selected = out.record["action"], out.record["state"], out.totals
-    return Run(schedule, draws, policy, smooth, *selected), out
+    return CheckedRollout(schedule, draws, policy, smooth, *selected), out
 
 
 def _finite(notes: Notes, out, kinds) -> None:
@@ -159,7 +159,7 @@ def _finite(notes: Notes, out, kinds) -> None:
     notes.stop_on_errors()
 
 
-def observed(notes: Notes, simulator: Simulator, run: Run) -> None:
+def observed(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
     """Observations that are not finite or far from order one."""
     with jax.enable_x64(True):
         over_paths = jax.vmap(simulator.observe, (None, None, 0))
@@ -174,7 +174,7 @@ def observed(notes: Notes, simulator: Simulator, run: Run) -> None:
             f"Feature {feature} is not finite at step {step} (path {path}).",
             "Look for a division or logarithm at zero.",
         )
-        raise Stop
+        raise StopCheck
     for feature, largest in enumerate(np.abs(visited).max((0, 1))):
         if largest > LARGE or 0 < largest < SMALL:
             notes.warning(

@@ -12,7 +12,7 @@ from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
 
-from .findings import Notes, Stop
+from .findings import Notes, StopCheck
 
 KEEP = "Keep its shape and type; start a floating number as 0.0, not as 0."
 COMPONENTS = "Outputs are single real numbers; sum it, or return one output a component."
@@ -24,7 +24,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
     if isinstance(simulator, type):
         name = simulator.__name__
         notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
-        raise Stop
+        raise StopCheck
     for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < minimum:
@@ -54,7 +54,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
             f"It returns a {type(made).__name__}.",
             "Return snapo.Schedule(constants, steps).",
         )
-        raise Stop
+        raise StopCheck
     with notes.during("prepare"):
         schedule = prepare(simulator, inputs)
     for path, leaf in jax.tree_util.tree_flatten_with_path(schedule)[0]:
@@ -126,7 +126,7 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
             "There are no outputs, so there is nothing to value.",
             'Return them beside the state: return state, {"cash": cash}.',
         )
-        raise Stop
+        raise StopCheck
     if names[0] != names[1]:
         differ = sorted((names[0][0] ^ names[1][0]) | (names[0][1] ^ names[1][1]))
         notes.error(

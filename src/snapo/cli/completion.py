@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from snapo.case.error import CaseError
 
 if TYPE_CHECKING:
-    from snapo.case.table import Formats, Table
+    from snapo.case.table import CaseTable, Formats
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KINDS = ("gas-storage", "pension", "pharma", "inventory", "control", "own")
@@ -122,7 +122,7 @@ def json_schema(kind: str, formats: "Formats") -> dict[str, Any]:
     names = {model: references[model, "validation"]["$ref"] for model in models}
     definitions = parts["$defs"]
 
-    def properties(table: "type[Table]") -> dict[str, Any]:
+    def properties(table: "type[CaseTable]") -> dict[str, Any]:
         return definitions[names[table].rpartition("/")[2]].setdefault("properties", {})
 
     for name, tables in lists.items():

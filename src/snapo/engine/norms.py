@@ -16,7 +16,7 @@ from snapo.problem.quickly import compiled_sooner
 
 from .packing import Packing
 from .totals import add, zero
-from .xla import Call, Xla
+from .xla import Xla, XlaCall
 
 BLOCK = 64  # paths at once
 
@@ -63,14 +63,14 @@ def adjoint_norms(
 
 
 @compiled_sooner  # it runs a few times: in a pension fund compiling took 13 s of processor time
-def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: Array):
+def _norms(engine: Xla, call: XlaCall, weights: dict[str, Array], memory: Array):
     def of_path(draws, local):
         return _of_path(engine, call, draws, local, memory)
 
     return jax.vmap(of_path, (call.draws.axes(), 0))(call.draws, weights)
 
 
-def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: Array):
+def _of_path(engine: Xla, call: XlaCall, draws, weights: dict[str, Array], memory: Array):
     """[T] of one path, and of every leaf: derivatives by a nudge of the state before each step."""
     simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
     initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))

@@ -100,7 +100,7 @@ class Xla(Engine):
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
-    ) -> "Call":
+    ) -> "XlaCall":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
@@ -112,7 +112,7 @@ class Xla(Engine):
         start, actions, draws = jax.tree.map(jnp.asarray, (start, actions, draws))
         first = jnp.asarray(window.first, jnp.int32)
         smooth = cast(smooth, self.dtype)
-        return Call(
+        return XlaCall(
             simulator,
             policy,
             schedule,
@@ -125,12 +125,12 @@ class Xla(Engine):
             endpoints,
         )
 
-    def traced(self, call: "Call", record: tuple[str, ...] = ()) -> Rollout:
+    def traced(self, call: "XlaCall", record: tuple[str, ...] = ()) -> Rollout:
         """The rollout as plain JAX, for callers that differentiate it themselves."""
         return _rollout(self, call, record, None)
 
 
-class Call(eqx.Module):
+class XlaCall(eqx.Module):
     """Everything a rollout needs, in the engine's precision."""
 
     simulator: Simulator
@@ -148,7 +148,7 @@ class Call(eqx.Module):
         """The context of every compiled call: it follows what the user's code reads now."""
         return read_context(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
-    def axes(self) -> "Call":
+    def axes(self) -> "XlaCall":
         """The axis of paths of every array, None where it has none."""
         none = jax.tree.map(lambda leaf: None, self)
         start = jax.tree.map(lambda leaf: 0, self.start)
@@ -162,7 +162,7 @@ class _Carry(NamedTuple):
 
 
 @eqx.filter_jit
-def _values(engine: Xla, call: Call, record: tuple[str, ...]) -> Rollout:
+def _values(engine: Xla, call: XlaCall, record: tuple[str, ...]) -> Rollout:
     def some(call):
         return _rollout(engine, call, record, None)
 
@@ -171,7 +171,11 @@ def _values(engine: Xla, call: Call, record: tuple[str, ...]) -> Rollout:
 
 @eqx.filter_jit
 def _adjoint(
-    engine: Xla, call: Call, weights: dict[str, Array], bounds: Array | None, wrt: tuple[str, ...]
+    engine: Xla,
+    call: XlaCall,
+    weights: dict[str, Array],
+    bounds: Array | None,
+    wrt: tuple[str, ...],
 ) -> Adjoint:
     def some(call, weights, bounds):
         return _pulled_back(engine, call, weights, bounds, wrt)
@@ -211,7 +215,7 @@ def _over_devices(engine: Xla, work, values, axes, out):
     )
 
 
-def _pulled_back(engine: Xla, call: Call, weights, bounds: Array | None, wrt) -> Adjoint:
+def _pulled_back(engine: Xla, call: XlaCall, weights, bounds: Array | None, wrt) -> Adjoint:
     """Totals, and the gradient of their weighted sum."""
     moving, fixed = eqx.partition({name: getattr(call, name) for name in wrt}, eqx.is_inexact_array)
 
@@ -227,7 +231,7 @@ def _pulled_back(engine: Xla, call: Call, weights, bounds: Array | None, wrt) ->
     return Adjoint(totals, *(gradient.get(name) for name in ("policy", "schedule", "start")))
 
 
-def _rollout(engine: Xla, call: Call, record, bounds) -> Rollout:
+def _rollout(engine: Xla, call: XlaCall, record, bounds) -> Rollout:
     """All paths at once: `_path` mapped over the paths' own arrays."""
 
     noise = _noise(engine, call)
@@ -244,7 +248,7 @@ def _rollout(engine: Xla, call: Call, record, bounds) -> Rollout:
     return jax.vmap(one, in_axes=axes, out_axes=out)(*values)
 
 
-def _noise(engine: Xla, call: Call) -> Array | None:
+def _noise(engine: Xla, call: XlaCall) -> Array | None:
     """All noise [length, N, K] drawn in one go, unless it is too large to keep.
 
     XLA draws it several times faster that way than inside the scan; the numbers are the same.
@@ -264,7 +268,7 @@ def _noise(engine: Xla, call: Call) -> Array | None:
 
 
 def _path(
-    engine: Xla, call: Call, draws, noise, start, actions, record, clip: Array | None
+    engine: Xla, call: XlaCall, draws, noise, start, actions, record, clip: Array | None
 ) -> Rollout:
     """One path through the window."""
     simulator, policy, schedule, smooth = call.simulator, call.policy, call.schedule, call.smooth

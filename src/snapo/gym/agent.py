@@ -15,7 +15,7 @@ from snapo.problem.smooth import Exact
 
 from .spaces import element, space_of, writer
 
-Map = Callable[[np.ndarray], Any]
+AgentMap = Callable[[np.ndarray], Any]
 
 
 class Agent:
@@ -32,7 +32,10 @@ class Agent:
     """
 
     def __init__(
-        self, policy: Policy, features: Map | None = None, action: "Map | Actions | Any" = None
+        self,
+        policy: Policy,
+        features: AgentMap | None = None,
+        action: "AgentMap | Actions | Any" = None,
     ) -> None:
         self.policy, self._features = policy, features
         self.memory: np.ndarray | None = None
@@ -80,7 +83,7 @@ def _decided(policy: Policy, observed):
     return jax.vmap(lambda item: policy(item, Exact()))(observed)
 
 
-def _writer(policy: Policy, values: Any) -> Map:
+def _writer(policy: Policy, values: Any) -> AgentMap:
     """From decisions to elements of the space given, of the set given, or of the policy's set."""
     action = values if isinstance(values, Actions) else set_of(policy)
     if values is not None and values is not action:

@@ -13,7 +13,7 @@ from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import flat_weights
 
-Outputs = dict[str, Float[Array, ""]]
+OutputsOf = dict[str, Float[Array, ""]]
 
 
 @runtime_checkable
@@ -37,7 +37,7 @@ class NextState(NamedTuple):
     state: PyTree
     observation: Float[Array, " features"]
     reward: Float[Array, ""]
-    outputs: Outputs
+    outputs: OutputsOf
     ended: Bool[Array, ""]
     late: Bool[Array, ""]
 
@@ -47,7 +47,7 @@ class NextState(NamedTuple):
         return self.ended | self.late
 
 
-class Dynamics:
+class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the last state come with
@@ -114,7 +114,7 @@ class Dynamics:
         zero = jnp.zeros((), jnp.float32)
         return sum((w * outputs[k] for k, w in self.weights.items() if k in outputs), zero)
 
-    def _told(self, outputs: Outputs, last: Outputs, ended: Array) -> Outputs:
+    def _told(self, outputs: OutputsOf, last: OutputsOf, ended: Array) -> OutputsOf:
         """The outputs of a step joined with those of the last state, by the kind of total."""
         summary = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
         for name, value in last.items():
@@ -130,7 +130,7 @@ class Dynamics:
 class Compiled(NamedTuple):
     """The dynamics with its two compiled functions, of one path."""
 
-    dynamics: Dynamics
+    dynamics: GymDynamics
     first: Any
     step: Any
 
@@ -142,7 +142,7 @@ def compiled(problem: Problem, endless: bool) -> Compiled:
     """Compiled once for all environments of a problem: `play` makes one for every start."""
     made, key = _known.setdefault(problem, {}), (endless, problem.version)
     if key not in made:
-        dynamics = Dynamics(problem, endless)
+        dynamics = GymDynamics(problem, endless)
         both = (followed(jax.jit(f), problem.version) for f in (dynamics.first, dynamics.step))
         made[key] = Compiled(dynamics, *both)
     return made[key]

@@ -15,11 +15,11 @@ from .installed import gymnasium
 
 Space = Any  # of Gymnasium, which has no types of its own for all of them
 Elements = Any  # N of a space
-Reader = Callable[[Elements], np.ndarray]  # to [N, size] of the set
+SpaceReader = Callable[[Elements], np.ndarray]  # to [N, size] of the set
 Writer = Callable[[np.ndarray], Elements]  # and back
 
 
-def space_of(action: Actions) -> tuple[Space, Reader]:
+def space_of(action: Actions) -> tuple[Space, SpaceReader]:
     """The space of a set of actions, and the function from its elements to the exact set.
 
     A `Choice` is `Discrete`, a `Product` a `Dict` of its sets by name; of a `Simplex` any numbers

@@ -9,7 +9,7 @@ import numpy as np
 from snapo.problem.code.version import followed
 from snapo.problem.problem import Problem
 
-from .dynamics import Dynamics, NextState
+from .dynamics import GymDynamics, NextState
 from .installed import gymnasium
 from .spaces import space_of
 
@@ -23,7 +23,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
     """
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
-        self.dynamics, self.endless = Dynamics(problem, endless), endless
+        self.dynamics, self.endless = GymDynamics(problem, endless), endless
         self.num_envs = num_envs
         mode = gymnasium.vector.AutoresetMode.NEXT_STEP
         self.metadata = {"render_modes": [], "autoreset_mode": mode}

@@ -12,7 +12,7 @@ DELTA_PATHS, FAN_PATHS = 1024, 1024
 MAX_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
 
 
-class Counts(NamedTuple):
+class PathCounts(NamedTuple):
     """Paths: of the value, of the derivatives, of the fans; the first is the greatest."""
 
     value: int = MAXIMUM
@@ -20,12 +20,12 @@ class Counts(NamedTuple):
     fans: int = FAN_PATHS
 
     @classmethod
-    def of(cls, paths: int, deltas: int | None = None) -> "Counts":
+    def of(cls, paths: int, deltas: int | None = None) -> "PathCounts":
         """So many paths for the value, and no more for anything else."""
         return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
 
     @classmethod
-    def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "Counts":
+    def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
         """As many paths as a run's own error says that the value needs, and no more than it had.
 
         `numbers`: of the course of one path; a wide one has fewer paths, so that an answer comes

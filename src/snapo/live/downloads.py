@@ -13,7 +13,7 @@ from snapo.study.run_folder import REPORT
 
 from .crew import WorkerProcess
 from .export import csv_of, page_rows, zipped
-from .scenarios import Refused, Scenarios
+from .scenarios import Refused, SavedScenarios
 
 PATIENCE = 120  # seconds that a download waits for the worker
 XLSX = "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"
@@ -24,7 +24,7 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 class Downloads:
     """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
 
-    def __init__(self, run: Path, scenarios: Scenarios, workers: WorkerProcess, last: Last):
+    def __init__(self, run: Path, scenarios: SavedScenarios, workers: WorkerProcess, last: Last):
         self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last
         self._numbers = count(1)
         self._writing: dict[int, asyncio.Future] = {}  # those that wait for the worker

@@ -11,16 +11,16 @@ from snapo.case.error import CaseError
 from snapo.problem.inputs import Input
 from snapo.study.study import Study
 
-from .case.choices import Choice, choices
+from .case.choices import MenuChoice, choices
 from .case.choices import case_with as put
 from .case.files import Files
 from .case.places import ChangedCase, InputPositions
 from .terms import described
 
-Values = Mapping[str, np.ndarray]
-Chosen = Mapping[str, str | bool]  # {key: another value}
+InputValues = Mapping[str, np.ndarray]
+SelectedChoices = Mapping[str, str | bool]  # {key: another value}
 Rebuild = Callable[[Any], Study]
-NONE: Chosen = {}
+NONE: SelectedChoices = {}
 
 
 class WhatIf:
@@ -42,7 +42,9 @@ class WhatIf:
         self.slopes: dict[str, np.ndarray] = {}
 
     @abstractmethod
-    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> Iterator[tuple[str, Any]]:
         """(name, table) one after another, of what is shown at these numbers and choices.
 
         **Raises:** `CaseError` where the case's own reader refuses them.
@@ -53,11 +55,11 @@ class WhatIf:
         yield from ()
 
     @cached_property
-    def choices(self) -> list[Choice]:
+    def choices(self) -> list[MenuChoice]:
         """The keys of the case with a list of allowed values."""
         return choices(self.positions.files, self.positions.reread)
 
-    def case_at(self, values: Values, selected: Chosen = NONE) -> ChangedCase:
+    def case_at(self, values: InputValues, selected: SelectedChoices = NONE) -> ChangedCase:
         """The case with these numbers and choices."""
         files = put(self.positions.files, self.choices, selected) if selected else None
         return self.positions.case_at(self.changed(values), files)
@@ -87,7 +89,7 @@ class WhatIf:
         available = dict(units) if isinstance(units, Mapping) else {}
         return {"unit": about.get("value_unit", ""), "units": available}
 
-    def changed(self, values: Values) -> dict[str, np.ndarray]:
+    def changed(self, values: InputValues) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.
 
         **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
@@ -106,7 +108,7 @@ class WhatIf:
                 news[name] = new
         return news
 
-    def files(self, values: Values, selected: Chosen = NONE) -> Files:
+    def files(self, values: InputValues, selected: SelectedChoices = NONE) -> Files:
         """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
         files = self.case_at(values, selected).files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {})) | self.settings()

@@ -9,7 +9,7 @@ from snapo.solver import statistics
 from snapo.study.study import Recalculated, Study
 
 from .case.places import InputPositions
-from .moves import NONE, Chosen, Rebuild, Values, WhatIf
+from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
 from .terms import handles
 
 EXACT = {"low": None, "high": None}  # a derivative without noise has no interval
@@ -32,7 +32,9 @@ class Recalculation(WhatIf):
     def settings(self) -> dict[str, Any]:
         return {}
 
-    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> Iterator[tuple[str, Any]]:
         """Those of the domain, the value with its change against the run."""
         if self._base is None and (values or selected):
             next(self.stages({}))
@@ -45,7 +47,7 @@ class Recalculation(WhatIf):
             else:
                 yield name, table
 
-    def _of(self, case: Any, selected: Chosen) -> Recalculated:
+    def _of(self, case: Any, selected: SelectedChoices) -> Recalculated:
         """What calculates at these choices: made once for each."""
         if not selected:
             return self.values

@@ -15,7 +15,7 @@ from snapo.solver.evaluate import path_totals
 from snapo.study.chapters.profile import KINDS
 from snapo.study.study import Setup
 
-from .counts import Counts
+from .counts import PathCounts
 
 MAX_RECORDED = 2048  # paths of one call of the engine: their course is held at once
 
@@ -33,7 +33,7 @@ class Simulated(NamedTuple):
     tables: dict[str, Any]
 
 
-def simulate(setup: Setup, policy: Policy, counts: Counts) -> Simulated:
+def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
     """Every path once, where its totals have the same bits whatever is recorded; else apart.
 
     All of a path's course is recorded whoever asks: another record would be compiled anew.
@@ -82,4 +82,4 @@ def numbers_of_a_path(problem: Problem) -> int:
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
     """{output: [paths]} of a policy, by the code that rolls a move."""
-    return simulate(setup, policy, Counts(paths, 1, 1)).totals
+    return simulate(setup, policy, PathCounts(paths, 1, 1)).totals

@@ -26,7 +26,7 @@ class Refused(ValueError):
     """Something that the page asked for and does not get; the message says why."""
 
 
-class Scenarios:
+class SavedScenarios:
     """The scenarios of a run."""
 
     def __init__(self, run: Path):

@@ -14,7 +14,7 @@ from aiohttp import WSMsgType, web
 
 from .crew import WorkerProcess
 from .downloads import Downloads
-from .scenarios import CASE, Refused, Scenarios
+from .scenarios import CASE, Refused, SavedScenarios
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
@@ -77,7 +77,7 @@ class Server:
 
     def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
         self.token, self.port = new_token(), 0
-        self.about, self.scenarios = dict(about), Scenarios(run)
+        self.about, self.scenarios = dict(about), SavedScenarios(run)
         self.workers = WorkerProcess(worker, self.hear)
         self.pages: dict[str, web.WebSocketResponse] = {}
         self._numbers = count(1)

@@ -30,8 +30,8 @@ from snapo.study.study import PathTotals, Setup, Study
 
 from .case.places import InputPositions
 from .case.refusals import MAXIMUM, no_value
-from .counts import Counts
-from .moves import NONE, Chosen, Rebuild, Values, WhatIf
+from .counts import PathCounts
+from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
 from .rolled import Simulated, simulate, totals_of
 from .terms import Deltas, derivatives, slopes
 
@@ -47,7 +47,7 @@ class Valuation(WhatIf):
         study: Study,
         solution: Solution,
         positions: InputPositions,
-        counts: Counts,
+        counts: PathCounts,
         rebuilt: Rebuild,
     ):
         assert study.setup is not None
@@ -71,7 +71,9 @@ class Valuation(WhatIf):
     def settings(self) -> dict[str, Any]:
         return {"paths": self.counts.value, "sensitivity_paths": self.counts.deltas}
 
-    def stages(self, values: Values, selected: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+    def stages(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> Iterator[tuple[str, Any]]:
         """Value, the domain's own sections, deltas, today, fans."""
         changed = self.changed(values)
         study, setup = self._at(values, selected)
@@ -97,7 +99,10 @@ class Valuation(WhatIf):
         yield "health", self._health(self._last)
 
     def train_again(
-        self, values: Values, summary: Callable[[int, int], None], selected: Chosen = NONE
+        self,
+        values: InputValues,
+        summary: Callable[[int, int], None],
+        selected: SelectedChoices = NONE,
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and what that gains on the same paths.
 
@@ -131,7 +136,7 @@ class Valuation(WhatIf):
         """Whether the domain bounds the best policy's value from above."""
         return not isinstance(self.study.relaxation, str)
 
-    def bound_here(self, values: Values, selected: Chosen = NONE) -> dict[str, Any]:
+    def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
         """The value between two bounds at these inputs: how much the best policy could gain.
 
         **Raises:** `CaseError` where the domain has no bound here; it says why.
@@ -146,7 +151,7 @@ class Valuation(WhatIf):
             setup.problem, policy, relaxation=relaxation(), paths=BOUND_PATHS, engine=engine
         ).row()
 
-    def _at(self, values: Values, selected: Chosen = NONE) -> tuple[Study, Setup]:
+    def _at(self, values: InputValues, selected: SelectedChoices = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""
         changed, moved = self.changed(values), self.case_at(values, selected)
         study, setup = self._variant(selected) if selected else (self.study, self.setup)
@@ -155,7 +160,7 @@ class Valuation(WhatIf):
         assert study.setup_at is not None
         return study, study.setup_at(setup, moved.case)
 
-    def _variant(self, selected: Chosen) -> tuple[Study, Setup]:
+    def _variant(self, selected: SelectedChoices) -> tuple[Study, Setup]:
         """The study of other choices: made and compiled once for each.
 
         **Raises:** `CaseError` where the run's policy does not fit it.
@@ -171,7 +176,7 @@ class Valuation(WhatIf):
             self._variants[key] = study, study.setup()
         return self._variants[key]
 
-    def _no_value(self, changed: Values, selected: Chosen, invalid: int) -> CaseError:
+    def _no_value(self, changed: InputValues, selected: SelectedChoices, invalid: int) -> CaseError:
         """The refusal of numbers without a value; of several, those that have none alone."""
         wrong, policy = dict(changed), self.solution.policy
         assert policy is not None
@@ -186,7 +191,7 @@ class Valuation(WhatIf):
         )
 
     def _value(
-        self, setup: Setup, rollout: Simulated, changed: Values, differs: bool
+        self, setup: Setup, rollout: Simulated, changed: InputValues, differs: bool
     ) -> dict[str, Any]:
         groups, result = _worth(setup, rollout.totals)
         if self._base is None:

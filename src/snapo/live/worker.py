@@ -28,7 +28,7 @@ from snapo.study.study import Study
 from .case.files import read_files
 from .case.places import InputPositions
 from .case.refusals import stopped
-from .counts import Counts
+from .counts import PathCounts
 from .moves import WhatIf
 from .recalculation import Recalculation
 from .rolled import numbers_of_a_path
@@ -39,7 +39,7 @@ def open_run(
     run: Path,
     simulator: tuple[str, str] | None = None,
     engine: str = "auto",
-    counts: Counts | None = None,
+    counts: PathCounts | None = None,
 ) -> WhatIf:
     """The run in a folder.
 
@@ -69,7 +69,7 @@ def open_run(
     solution = Solution.load(run, like=setup.policy)
     positions = InputPositions(domain.read, files, setup.problem.inputs_by_name, study.inputs, case)
     if counts is None:
-        counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
+        counts = PathCounts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
     return Valuation(study, solution, positions, counts, rebuild)
 
 
@@ -223,7 +223,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None
-    counts = None if options.paths is None else Counts.of(options.paths)
+    counts = None if options.paths is None else PathCounts.of(options.paths)
     try:
         valuation = open_run(options.run, code, options.engine, counts)  # pyright: ignore
     except CaseError as error:

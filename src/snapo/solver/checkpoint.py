@@ -14,7 +14,7 @@ from jaxtyping import PyTree
 from snapo.problem.carry import archive
 from snapo.problem.carry.describe import described, difference
 
-from .learning.features import Scale
+from .learning.features import FeatureScale
 from .learning.growth import Growth
 from .learning.progress import Progress, Record, Round
 from .limits.dual import Dual
@@ -71,7 +71,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
         raced = tuple(map(Round.read, state.get("raced", ())))
         steps = {name: tuple(map(int, state.get(name, ()))) for name in ("slowed", "redrawn")}
-        scale = Scale.read(state.get("scale"))
+        scale = FeatureScale.read(state.get("scale"))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):

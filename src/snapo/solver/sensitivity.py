@@ -39,7 +39,7 @@ from .show.frame import frame
 from .statistics import Estimate
 
 
-class Row(NamedTuple):
+class SensitivityRow(NamedTuple):
     """One line of a sensitivity table: derivatives per one `unit` of the input.
 
     - `value`, `low`, `high`: the reported derivative and its 95 % interval, of whose half-width
@@ -123,7 +123,7 @@ class Sensitivities(NamedTuple):
         capped = {name: item.capped(gap) for name, item in self.reported.items()}
         return self._replace(reported=capped)
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[SensitivityRow]:
         """Every number of every input, in the order of the inputs."""
         for name, values in self.inputs.items():
             columns = [
@@ -135,7 +135,7 @@ class Sensitivities(NamedTuple):
             numbers = zip(*(nothing if column is None else column for column in columns))
             derivative = self.of(name)
             for label, interval, row in zip(values.names(), derivative.numbers(), numbers):
-                yield Row(
+                yield SensitivityRow(
                     name, label, values.unit, *interval, derivative.source, *map(float, row)
                 )  # fmt: skip
 
@@ -146,14 +146,15 @@ class Sensitivities(NamedTuple):
             from pandas import DataFrame  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError:
             return rows
-        return DataFrame(rows, columns=list(Row._fields))
+        return DataFrame(rows, columns=list(SensitivityRow._fields))
 
     def frame(self, backend: str = "pandas") -> Any:
         """The rows as a data frame of "pandas", "polars" or "pyarrow", a column for each field of
-        a `Row`."""
+        a `SensitivityRow`."""
         rows = list(self.rows())
         return frame(
-            {name: [row[i] for row in rows] for i, name in enumerate(Row._fields)}, backend
+            {name: [row[i] for row in rows] for i, name in enumerate(SensitivityRow._fields)},
+            backend,
         )
 
     def __str__(self) -> str:

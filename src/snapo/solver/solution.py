@@ -19,7 +19,7 @@ from .files import write_csv, write_text
 from .learning.growth import Growth
 from .learning.progress import Record
 from .limits.found import LimitFound
-from .sensitivity import Row, Sensitivities
+from .sensitivity import Sensitivities, SensitivityRow
 from .show import html
 from .show.figures import Figures
 from .show.frame import frame
@@ -194,7 +194,7 @@ class Solution:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / RESULT, json.dumps(self.summary() | self._beside(), indent=1))
         if self.sensitivities is not None:
-            write_csv(folder / SENSITIVITIES, Row._fields, self.sensitivities.rows())
+            write_csv(folder / SENSITIVITIES, SensitivityRow._fields, self.sensitivities.rows())
             verdicts = (self.sensitivities.verdicts or {}).items()
             write_csv(folder / VERDICTS, COLUMNS, (item.row(name) for name, item in verdicts))
         write_csv(folder / HISTORY, Record._fields, self.history)

@@ -30,7 +30,7 @@ from .learning.following import resolve_auto
 from .learning.settings import TrainingPlan
 from .learning.starts import others, race
 from .learning.told import recorded
-from .measure.measure import Run, measure
+from .measure.measure import MeasuredRun, measure
 from .measure.settings import Evaluation as Evaluation
 from .provenance.clock import Clock
 from .provenance.versions import versions
@@ -105,7 +105,7 @@ def solve(
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
-        run = Run(problem, start, progress, plan, evaluation, engines)
+        run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
         measured = measure(run)
         measured["notes"] = (*result, *measured["notes"])
         timer.stage("evaluate")

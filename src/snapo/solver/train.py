@@ -45,7 +45,7 @@ DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the 
 Callback = Callable[[Progress], object]  # one that returns True stops the training
 
 
-class Loop(NamedTuple):
+class TrainingLoop(NamedTuple):
     """All that one step of training needs; `update` is the compiled step of the optimiser.
 
     - `problem`, `bound_engine`: what a step climbs on; with a `spread` or `exploration` they
@@ -93,7 +93,7 @@ def train(
             # An interrupt must not leave a step whose validation is due and not done.
             moved = _advance(loop, progress) if progress.step < plan.steps else progress
             if moved.slowed != progress.slowed:
-                loop = Loop(*loop[:5], *_updaters(plan, moved))
+                loop = TrainingLoop(*loop[:5], *_updaters(plan, moved))
             due = _due(moved, plan) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
@@ -111,7 +111,7 @@ def train(
     return progress
 
 
-def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> Loop:
+def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> TrainingLoop:
     """That of a training as it stands: one that did nothing draws a part of its decisions."""
     local = remembering(problem, progress.policy)
     perturbed = perturbed_problem(
@@ -120,7 +120,7 @@ def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engi
     observed = local if perturbed is problem else remembering(perturbed, progress.policy)
     bound = engine.bind(observed, controls=False)
     exact = bound if observed is local else engine.bind(local, controls=False)
-    return Loop(observed, plan, bound, local, exact, *_updaters(plan, progress))
+    return TrainingLoop(observed, plan, bound, local, exact, *_updaters(plan, progress))
 
 
 def _updaters(training: TrainingPlan, progress: Progress) -> tuple[Callable, Callable]:
@@ -136,7 +136,7 @@ def _due(progress: Progress, training: TrainingPlan) -> bool:
     return over or progress.step % training.validation_every == 0
 
 
-def _advance(loop: Loop, progress: Progress) -> Progress:
+def _advance(loop: TrainingLoop, progress: Progress) -> Progress:
     """One step: fresh paths, one adjoint pass, one update."""
     step, training, problem = progress.step, loop.training, loop.problem
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
@@ -177,7 +177,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     )
 
 
-def _dual(loop: Loop, progress: Progress, smooth: Smooth) -> Dual:
+def _dual(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Dual:
     """The prices of the limits for this step, from its exact paths."""
     problem, training, dual = loop.inner, loop.training, progress.dual
     if not problem.constraints:
@@ -201,7 +201,9 @@ class StepResult(NamedTuple):
     critic: Learner | None = None
 
 
-def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[StepResult, float, int]:
+def _climbed(
+    loop: TrainingLoop, progress: Progress, draws, smooth
+) -> tuple[StepResult, float, int]:
     """One update over the whole horizon; its objective, and the number of bad paths."""
     policy, objective = progress.policy, loop.problem.objective
     options = _options(progress)
@@ -215,7 +217,7 @@ def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[StepResult,
 
 
 def _climbed_by_windows(
-    loop: Loop, progress: Progress, draws, smooth, length: int
+    loop: TrainingLoop, progress: Progress, draws, smooth, length: int
 ) -> tuple[StepResult, float, int]:
     """Updates on several windows of one sweep, whose objective is that of the whole horizon."""
     assert progress.critic is not None
@@ -248,7 +250,7 @@ def most_dropped(training: TrainingPlan) -> float:
     return DROPPED * training.steps * training.paths
 
 
-def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
     """With the window and the bound of this step: none until gradients are erratic or explode."""
     norms = [record.gradient_norm for record in progress.history]
     if progress.window is not None or not norms:
@@ -286,7 +288,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
 
 
 def _may_window(
-    loop: Loop, progress: Progress, norms: list[float], apart: bool, wild: bool
+    loop: TrainingLoop, progress: Progress, norms: list[float], apart: bool, wild: bool
 ) -> bool:
     """Whether gradients of these norms, of which the last may be far apart, may be chaos."""
     if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
@@ -297,7 +299,7 @@ def _may_window(
     return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
 
 
-def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+def _clipped(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
     """With a bound as adjoints are now, or without one where they grow no more."""
     step = progress.step
     if progress.growth is None or progress.clip is not None:
@@ -310,7 +312,7 @@ def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     return replace(progress, clip=clipping.clip_level(norms) or progress.clip)
 
 
-def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
+def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
     """On windows of a length from here on, with a critic that knows nothing yet."""
     training = loop.training
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
@@ -337,7 +339,7 @@ def stopped(progress: Progress) -> Progress:
     return replace(progress, status="stopped early") if going else progress
 
 
-def _validate(loop: Loop, progress: Progress) -> Progress:
+def _validate(loop: TrainingLoop, progress: Progress) -> Progress:
     """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
     problem, source = loop.inner, loop.inner.sources.validation
     paths = np.arange(source.available(loop.training.validation_paths))
@@ -360,7 +362,7 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
     return replace(progress, history=history, **table)
 
 
-def _conclude(loop: Loop, progress: Progress, seconds: float) -> Progress:
+def _conclude(loop: TrainingLoop, progress: Progress, seconds: float) -> Progress:
     """The clock of the last record, and whether the run is over."""
     status, training = progress.status, loop.training
     if status == "training" and progress.step >= training.steps:

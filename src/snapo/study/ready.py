@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from snapo.case.error import CaseError
 from snapo.engine import EngineName, Engines, choose
 from snapo.problem import inputs as inputs_
-from snapo.problem.code.program import Text, text
+from snapo.problem.code.program import ProgramText, text
 from snapo.problem.code.version import of_preparation
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -40,7 +40,7 @@ def same_program(problem: Problem, other: Simulator) -> bool:
         return available[1] == _traced(problem, other)
 
 
-def _traced(problem: Problem, simulator: Simulator) -> Text:
+def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
     """The program of one path as text, and its constants."""
     values = [jnp.asarray(value) for value in inputs_.values(problem.inputs)]
     noise = jnp.zeros(simulator.noise_size), jnp.zeros(simulator.initial_noise_size)

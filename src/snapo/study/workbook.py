@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from snapo.case.csv import NUMBER
 from snapo.solver.show.tables import TRAINING, flat, sensitivities
-from snapo.solver.show.workbook import MAX_NAME, Picture, Table, write_tables
+from snapo.solver.show.workbook import MAX_NAME, Picture, SheetTable, write_tables
 
 from . import run_folder
 
@@ -29,21 +29,21 @@ DEEPEST = 8
 def write_run(run: Path) -> Path:
     """Writes a run's workbook; returns its path."""
     result = run_folder.read_table(run / run_folder.RESULT) or {}
-    tables = {"result": Table(("what", "value"), list(flat(result)))}
+    tables = {"result": SheetTable(("what", "value"), list(flat(result)))}
     positions = {"result": run_folder.RESULT}
     for file in sorted(run.glob("*.csv")):
         header, *rows = list(_rows(file)) or [[]]
         if header:
-            tables[file.stem] = Table(header, rows, _picture(file.stem, header, rows))
+            tables[file.stem] = SheetTable(header, rows, _picture(file.stem, header, rows))
             positions[file.stem] = file.name
     for file in sorted((run / run_folder.PARTS).glob("*.json")):
         for results in tables_in(run_folder.read_table(file) or {}):
             name = _name(results.path or (file.stem,), tables)
             single = results.header == SINGLE  # values that have nothing in common
             picture = None if single else _picture(name, results.header, _floats(results.rows))
-            tables[name] = Table(results.header, results.rows, picture)
+            tables[name] = SheetTable(results.header, results.rows, picture)
             positions[name] = ", ".join((f"parts/{file.name}", *results.path))
-    contents = Table(("sheet", "of"), list(positions.items()))
+    contents = SheetTable(("sheet", "of"), list(positions.items()))
     write_tables(run / run_folder.TABLES, {"contents": contents, **tables})
     return run / run_folder.TABLES
 
@@ -95,7 +95,7 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
     return Picture("line", header[0], selected)
 
 
-class Part(NamedTuple):
+class SheetPart(NamedTuple):
     """A table, and the way to it in the part's data."""
 
     path: tuple[str, ...]
@@ -103,11 +103,11 @@ class Part(NamedTuple):
     rows: Sequence[Sequence[Any]]
 
 
-def tables_in(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[Part]:
+def tables_in(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[SheetPart]:
     """Every table in nested plain data, the outer ones first."""
     single = {key: entry for key, entry in data.items() if not isinstance(entry, Mapping | list)}
     if single:
-        yield Part(path, SINGLE, list(single.items()))
+        yield SheetPart(path, SINGLE, list(single.items()))
     lists = {key: value for key, value in data.items() if isinstance(value, list) and value}
     yield from _side_by_side(lists, path)
     for key, item in lists.items():
@@ -132,7 +132,7 @@ def _record(item: Mapping[str, Any]) -> bool:
     return bool(item) and not any(isinstance(value, Mapping | list) for value in item.values())
 
 
-def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[Part]:
+def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[SheetPart]:
     """Lists of single values, those of one length in one table."""
     by_length: dict[int, list[str]] = {}
     for key, item in lists.items():
@@ -145,15 +145,15 @@ def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[
             columns = [list(range(1, length + 1)), *columns]
         header = tuple(keys) if labelled else (ROW, *keys)
         by_name = (*path, keys[0]) if len(by_length) > 1 and len(keys) == 1 else path
-        yield Part(by_name, header, list(zip(*columns)))
+        yield SheetPart(by_name, header, list(zip(*columns)))
 
 
-def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[Part]:
+def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[SheetPart]:
     """Records as rows; of records that hold arrays, these are tables of their own."""
     header = list(dict.fromkeys(key for row in rows for key in _plain(row)))
     if header:
         values: list[Sequence[Any]] = [[_plain(row).get(key) for key in header] for row in rows]
-        yield Part(path, tuple(header), values)
+        yield SheetPart(path, tuple(header), values)
     if len(path) >= DEEPEST:
         return
     for i, row in enumerate(rows, 1):
@@ -175,13 +175,13 @@ def _in_words(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
 
 
-def _matrix(rows: list, path: tuple[str, ...]) -> Iterator[Part]:
+def _matrix(rows: list, path: tuple[str, ...]) -> Iterator[SheetPart]:
     """A list of lists of single values; deeper ones layer by layer."""
     rows = [entry if isinstance(entry, list) else [entry] for entry in rows]
     if all(_flat(row) for row in rows):
         wide = max(map(len, rows))
         header = (ROW, *map(str, range(1, wide + 1)))
-        yield Part(path, header, [[i, *row] for i, row in enumerate(rows, 1)])
+        yield SheetPart(path, header, [[i, *row] for i, row in enumerate(rows, 1)])
     elif len(path) < DEEPEST:
         for i, item in enumerate(rows, 1):
             yield from tables_in({str(i): item}, path)

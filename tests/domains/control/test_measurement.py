@@ -12,7 +12,13 @@ from snapo.domains.control import DOMAIN
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.double_integrator import DoubleIntegrator
 from snapo.domains.control.plants.linear import LinearQuadratic
-from snapo.domains.control.regulator import Linear, estimation_cost, expected_cost, optimum, riccati
+from snapo.domains.control.regulator import (
+    Linearised,
+    estimation_cost,
+    expected_cost,
+    optimum,
+    riccati,
+)
 from snapo.domains.control.study import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.inputs import plain
@@ -32,7 +38,7 @@ def best(of) -> float:
     return found
 
 
-def filtered(linear: Linear, mean, start, shake, errors, steps: int, paths: int) -> np.ndarray:
+def filtered(linear: Linearised, mean, start, shake, errors, steps: int, paths: int) -> np.ndarray:
     """[paths] the cost of Kalman's filter with Riccati's gains, simulated."""
     rng, size = np.random.default_rng(1), len(mean)
     gains = riccati(linear, steps).K
@@ -54,7 +60,7 @@ def test_the_closed_form_is_what_kalmans_filter_costs():
     """Simulated apart, on a hundred thousand paths."""
     A, B = np.array([[1.0, 0.2], [0.0, 1.0]]), np.array([[0.0], [0.2]])
     Q = np.diag([1.0, 0.1])
-    linear = Linear(A, B, Q, 0.1 * np.eye(1), np.zeros((2, 1)), Q)
+    linear = Linearised(A, B, Q, 0.1 * np.eye(1), np.zeros((2, 1)), Q)
     mean, start = np.array([1.0, 0.0]), np.array([0.25, 0.25])
     shake, errors = np.array([0.02, 0.1]), np.array([0.3, 0.5])
     found, cost = riccati(linear, 40), filtered(linear, mean, start, shake, errors, 40, 100_000)

@@ -6,7 +6,7 @@ import pytest
 import snapo
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.linear import LinearQuadratic
-from snapo.domains.control.regulator import Linear, optimum, riccati, solved
+from snapo.domains.control.regulator import Linearised, optimum, riccati, solved
 from snapo.domains.control.rules import classical_rules
 from snapo.problem.inputs import named_inputs, plain
 
@@ -16,7 +16,7 @@ STEPS = 12
 
 def test_the_stationary_double_integrator():
     """Q = I, R = 1 (shared case C1); 60 steps are as good as infinitely many."""
-    found = riccati(Linear(A, B, np.eye(2), np.eye(1), np.zeros((2, 1)), np.eye(2)), 60)
+    found = riccati(Linearised(A, B, np.eye(2), np.eye(1), np.zeros((2, 1)), np.eye(2)), 60)
     assert np.allclose(found.P[0], [[2.94712, 2.36921], [2.36921, 4.61313]], atol=1e-5)
     assert np.allclose(found.K[0], [[0.42208, 1.24393]], atol=1e-5)
 
@@ -24,7 +24,7 @@ def test_the_stationary_double_integrator():
 def test_a_scalar_with_the_golden_ratio():
     """a = b = q = r = 1: P = 1.6180340 solves P^2 = P + 1, and K = 0.6180340."""
     one = np.eye(1)
-    found = riccati(Linear(one, one, one, one, np.zeros((1, 1)), one), 60)
+    found = riccati(Linearised(one, one, one, one, np.zeros((1, 1)), one), 60)
     assert found.P[0, 0, 0] == pytest.approx(1.6180340, abs=1e-7)
     assert found.K[0, 0, 0] == pytest.approx(0.6180340, abs=1e-7)
 

@@ -10,7 +10,7 @@ from tests.domains.inventory.network_cases import network
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.estimates import first_batches
-from snapo.domains.inventory.network.rules import Numbers, best, echelon_rule
+from snapo.domains.inventory.network.rules import RuleNumbers, best, echelon_rule
 from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.scenarios import Sources
@@ -143,14 +143,14 @@ def test_both_engines_agree(tmp_path):
         assert slope == pytest.approx(other.inputs[name], rel=1e-7, abs=1e-10), name
 
 
-def compared(case, numbers: Numbers | None = None):
+def compared(case, numbers: RuleNumbers | None = None):
     """(cost of the trained rule, cost of (s, S) of the echelons, paired error of the difference)."""
     setup = make_setup(case)
     alone = Evaluation(65536, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
     found = solve(setup.problem, policy=setup.policy, training=setup.training, evaluation=alone,
                   engine=setup.engines)  # fmt: skip
     batch, wait = (tuple(float(x) for x in each) for each in first_batches(case))
-    rule = echelon_rule(setup, *best(setup, Numbers(batch, wait=wait)))
+    rule = echelon_rule(setup, *best(setup, RuleNumbers(batch, wait=wait)))
     objective, source = setup.problem.objective, setup.problem.sources.evaluation
     totals = path_totals(setup.problem, rule, 65536, engine=setup.engines.evaluate)
     shares = [value_of_groups(objective, each, source) for each in (found.totals, totals)]

@@ -15,11 +15,17 @@ from snapo.domains.pension.market.assets.property import Property
 from snapo.domains.pension.market.rates.g2 import G2
 from snapo.domains.pension.market.rates.hull_white import HullWhite
 from snapo.domains.pension.market.rates.short_rate import ShortRate
-from snapo.domains.pension.records.assets import Assets, Group, Overlay
+from snapo.domains.pension.records.assets import AssetGroup, Assets, Overlay
 from snapo.domains.pension.records.case import ObjectiveTerm, PensionCase
-from snapo.domains.pension.records.market import Correlation, Credit, Currencies, Curve, Inflation
+from snapo.domains.pension.records.market import (
+    Correlation,
+    Credit,
+    Currencies,
+    Inflation,
+    MarketCurve,
+)
 from snapo.domains.pension.records.people import CashFlows
-from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, Plan
+from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, PensionPlan
 
 
 def given(name: str, values, index=None, unit="1") -> CaseInput:
@@ -43,8 +49,8 @@ def none(name: str, *shape: int) -> CaseInput:
     return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, int))
 
 
-def curve(name: str, tenor, rate, quote="zero") -> Curve:
-    return Curve(
+def curve(name: str, tenor, rate, quote="zero") -> MarketCurve:
+    return MarketCurve(
         np.asarray(tenor, float), given(name, rate), quote, "flat-forward", none(f"{name}_far")
     )
 
@@ -115,8 +121,8 @@ def assets(
 CASH, EQUITY = Cash("Cash", eligible=1.0), Equity("Equity")
 
 
-def plan(timing="arrears", indexation="none", **changes) -> Plan:
-    base = Plan(
+def plan(timing="arrears", indexation="none", **changes) -> PensionPlan:
+    base = PensionPlan(
         timing=timing,
         retirement_age=67.0,
         accrual_rate=given("accrual_rate", 0.0),
@@ -236,7 +242,7 @@ def full(steps: int = 6, **changes) -> PensionCase:
             volatility=[0.18, 0.2, 0.12],
             weight=[0.05, 0.2, 0.15, 0.1, 0.2, 0.2, 0.1],
             high=[0.5, 0.4, 0.3, 0.2, 0.5, 0.4, 0.3],
-            groups=(Group("growth", (1, 2, 3), 0.2, 0.6),),
+            groups=(AssetGroup("growth", (1, 2, 3), 0.2, 0.6),),
             mean_kind="arithmetic",
             cost=[0.0, 0.001, 0.0012, 0.01, 0.0005, 0.002, 0.0025],
             fee=[0.0, 0.001, 0.002, 0.005, 0.001, 0.002, 0.002],

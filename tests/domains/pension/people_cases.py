@@ -11,7 +11,13 @@ from snapo.domains.pension.market.assets.cash import Cash
 from snapo.domains.pension.market.rates.hull_white import HullWhite
 from snapo.domains.pension.records.assets import Assets
 from snapo.domains.pension.records.case import PensionCase
-from snapo.domains.pension.records.market import Correlation, Credit, Currencies, Curve, Inflation
+from snapo.domains.pension.records.market import (
+    Correlation,
+    Credit,
+    Currencies,
+    Inflation,
+    MarketCurve,
+)
 from snapo.domains.pension.records.people import (
     ACTIVE,
     DEFERRED,
@@ -20,11 +26,11 @@ from snapo.domains.pension.records.people import (
     PENSIONER,
     SPOUSE,
     CashFlows,
+    FundMembers,
     LeeCarter,
-    Members,
     Mortality,
 )
-from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, Plan
+from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, PensionPlan
 
 FIRST_AGE, AGES = 20, 91
 # Gompertz fit to the US period life table 2017, ages 60 to 95: alpha, beta, and no Makeham term.
@@ -78,7 +84,7 @@ def lee_carter() -> LeeCarter:
     )
 
 
-def members(**changes: Any) -> Members:
+def members(**changes: Any) -> FundMembers:
     fields: dict[str, Any] = {
         "names": ("young", "old", "deferred", "pensioner", "widow"),
         "status": np.array([ACTIVE, ACTIVE, DEFERRED, PENSIONER, SPOUSE]),
@@ -90,7 +96,7 @@ def members(**changes: Any) -> Members:
         "salary": given("salary", [40.0, 45.0], [0, 1, 0, 0, 0]),
         "service": np.array([6.0, 25.0, 12.0, 30.0, 0.0]),
     }
-    return Members(**(fields | changes))
+    return FundMembers(**(fields | changes))
 
 
 def cash_flows(amounts: Any, steps: Any, normal_cost: float = 0.0, salary: float = 0.0):
@@ -134,7 +140,7 @@ def contributing(kind: Any = "spread", **changes: Any) -> Contribution:
     return Contribution(kind, **(fields | changes))
 
 
-def plan(**changes: Any) -> Plan:
+def plan(**changes: Any) -> PensionPlan:
     fields: dict[str, Any] = {
         "timing": "advance",
         "retirement_age": 67.0,
@@ -153,12 +159,12 @@ def plan(**changes: Any) -> Plan:
         "indexation": indexing(),
         "contribution": contributing(),
     }
-    return Plan(**(fields | changes))
+    return PensionPlan(**(fields | changes))
 
 
-def _curve(name: str, rates: Any) -> Curve:
+def _curve(name: str, rates: Any) -> MarketCurve:
     tenor = np.array([1.0, 5.0, 10.0, 20.0, 30.0])
-    return Curve(tenor, given(name, rates), "zero", "flat-forward", nothing("ultimate"))
+    return MarketCurve(tenor, given(name, rates), "zero", "flat-forward", nothing("ultimate"))
 
 
 def _assets() -> Assets:

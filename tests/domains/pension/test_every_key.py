@@ -48,7 +48,7 @@ TABLES = {
     "pots": tables.PotsTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
-    "report": tables.ReportTable,
+    "report": tables.FundReportTable,
     "training": TrainingTable,
     "evaluation": EvaluationTable,
 }

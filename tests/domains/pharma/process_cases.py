@@ -11,7 +11,7 @@ from snapo.case.settings import EvaluationTable, TrainingTable
 from snapo.domains.pharma.control.records import Goal
 from snapo.domains.pharma.flowsheet.case import Connection, PharmaCase
 from snapo.domains.pharma.flowsheet.feed import Feed
-from snapo.domains.pharma.flowsheet.network import Network
+from snapo.domains.pharma.flowsheet.network import FlowNetwork
 from snapo.domains.pharma.quality.records import Attribute, Distribution, Parameter, Uncertainty
 from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.time.profile import Profile
@@ -62,7 +62,7 @@ def network(**fields):
         "heat": series("kinetics.heat", [0.0, 0.0], "J/mol"),
         "reference": None,
     }
-    return Network(**(found | fields))
+    return FlowNetwork(**(found | fields))
 
 
 def feed(concentration=(0.33, 0.33, 0.0, 0.0), volume=0.06, duration=None, name="charge"):

@@ -28,7 +28,7 @@ from snapo.domains.pharma.derivatives.convergence import Convergence, Convergenc
 from snapo.domains.pharma.flowsheet.possible import smallest
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.capability import Capability
-from snapo.domains.pharma.quality.limits import Limits
+from snapo.domains.pharma.quality.limits import AttributeLimits
 from snapo.domains.pharma.read.case import resolve
 
 FIXED = {"method": "mesh", "refine": False}
@@ -69,7 +69,7 @@ def test_what_cannot_be_is_a_status_and_keeps_no_limit():
 
 
 def test_a_limit_is_not_kept_by_what_cannot_be():
-    limits = Limits.of(resolve(TEMPLATE, tomllib.loads(TEMPLATE.read_text("utf-8"))))
+    limits = AttributeLimits.of(resolve(TEMPLATE, tomllib.loads(TEMPLATE.read_text("utf-8"))))
     good = np.array([27.0, 80.0, 0.1, 500.0, 80.0, 200.0])
     assert limits.hold(good).all()
     assert limits.hold(np.where(np.arange(6) == 5, -20.9, good)).tolist() == [True] * 5 + [False]

@@ -88,7 +88,7 @@ def _runners():
     return call._runners
 
 
-def _captured(simulator) -> runtime.Inputs:
+def _captured(simulator) -> runtime.KernelInputs:
     """The inputs of one run of the kernel used last."""
     kept = []
     original = runtime.Runner.run

@@ -15,8 +15,8 @@ from snapo.gym.black_box import loop  # noqa: E402
 from snapo.gym.black_box import rounds as rounds_  # noqa: E402
 from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
 from snapo.gym.black_box.known import Known, Units  # noqa: E402
-from snapo.gym.black_box.learned import Compared, Learned, Round  # noqa: E402
-from snapo.gym.black_box.real import Held, Real  # noqa: E402
+from snapo.gym.black_box.learned import Compared, Learned, LearningRound  # noqa: E402
+from snapo.gym.black_box.real import HeldAction, Real  # noqa: E402
 from snapo.gym.black_box.transitions import circles, scale_of  # noqa: E402
 
 
@@ -166,8 +166,10 @@ def test_a_result_prints_itself():
     """Rounds are compared on the starts that all of them played."""
     errors = np.array([0.01, 0.2, 0.0])
     rounds = [
-        Round(500, 300, errors, Compared.of(np.array([-10.0, -20.0, -90.0]), np.zeros(3)), 1.0),
-        Round(800, 500, errors, Compared.of(np.array([-10.0, -18.0]), np.zeros(2)), 1.0),
+        LearningRound(
+            500, 300, errors, Compared.of(np.array([-10.0, -20.0, -90.0]), np.zeros(3)), 1.0
+        ),
+        LearningRound(800, 500, errors, Compared.of(np.array([-10.0, -18.0]), np.zeros(2)), 1.0),
     ]
     learned = Learned(
         policy=snapo.MLP(), comparison=rounds[1].comparison, steps=1000, hold=1, limit=100,
@@ -255,7 +257,7 @@ def test_middle_rounds_train_half_of_the_steps(monkeypatch):
 
 
 def test_a_held_environment_is_one_of_gymnasium():
-    held = Held(Counter(last=5), 2, 100)
+    held = HeldAction(Counter(last=5), 2, 100)
     held.reset(seed=0)
     steps = [held.step(np.zeros(2))[1:4] for _ in range(3)]
     assert steps == [(3.0, False, False), (7.0, False, False), (5.0, True, False)]

@@ -12,7 +12,7 @@ from snapo.lanes.curves.catalogue import CURVES
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.module import Module
 from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import Memory
+from snapo.lanes.machine.memory import KernelMemory
 from snapo.lanes.machine.pipeline import object_code
 from snapo.lanes.machine.processor import host
 
@@ -55,7 +55,7 @@ def build(name: str, dtype: str):
     def call(*arrays):
         assert machine is not None  # the code lives as long as this function
         count = -(-arrays[0].size // lanes)
-        memory = Memory({k: count * size for k in ("x0", "x1", "y")})
+        memory = KernelMemory({k: count * size for k in ("x0", "x1", "y")})
         for k, array in enumerate(arrays):
             padded = memory[f"x{k}"].view(dtype)
             padded[: array.size], padded[array.size :] = array, 1

@@ -11,7 +11,7 @@ from examples import american_put, max_call
 
 import snapo
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.features import Scale, fixed, scale_of, undrawn
+from snapo.solver.learning.features import FeatureScale, fixed, scale_of, undrawn
 from snapo.solver.learning.following import resolve_auto
 
 HORIZON, LEVEL, SPREAD = 12, 60.0, 15.0
@@ -60,7 +60,7 @@ def test_the_price_and_the_time_are_put_on_one_scale_and_the_stock_is_left():
     assert not mean[[1, 2, 3, 5]].any() and (deviation[[1, 2, 3, 5]] == 1).all()
 
 
-SCALE = Scale((LEVEL, 0.0, 0.0, 0.0, 5.5, 0.0), (SPREAD, 1.0, 1.0, 1.0, 3.5, 1.0))
+SCALE = FeatureScale((LEVEL, 0.0, 0.0, 0.0, 5.5, 0.0), (SPREAD, 1.0, 1.0, 1.0, 3.5, 1.0))
 SEEN = jnp.array([70.0, 2.0, 1.0, 140.0, 3.0, 3.0], jnp.float32)
 
 
@@ -126,7 +126,10 @@ def test_only_a_policy_that_is_not_drawn_is_a_recipe():
 
 
 def test_a_scale_is_read_again_from_plain_data():
-    assert Scale.read(json.loads(json.dumps(SCALE))) == SCALE and Scale.read(None) is None
+    assert (
+        FeatureScale.read(json.loads(json.dumps(SCALE))) == SCALE
+        and FeatureScale.read(None) is None
+    )
 
 
 class Blind(Store):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.sensitivity import Row, Sensitivities
+from snapo.solver.sensitivity import Sensitivities, SensitivityRow
 from snapo.solver.show.frame import frame
 from snapo.solver.statistics import Estimate
 
@@ -19,7 +19,7 @@ def test_sensitivities_come_in_every_library(backend):
     found = FOUND.frame(backend)
     if backend == "pyarrow":
         found = found.to_pandas()
-    assert list(found.columns) == list(Row._fields)
+    assert list(found.columns) == list(SensitivityRow._fields)
     assert list(found["label"]) == ["May", "June"] and list(found["held"]) == [2.0, 4.0]
     assert np.isnan(found["smooth"][0])
 

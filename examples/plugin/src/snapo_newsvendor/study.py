@@ -11,7 +11,7 @@ from scipy.stats import lognorm
 
 import snapo
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
-from snapo.case.table import Count, Positive, Table, parse
+from snapo.case.table import CaseTable, Count, Positive, parse
 from snapo.engine import choose
 from snapo.report.folder import RunFiles
 from snapo.report.sections.proof import history, making
@@ -27,7 +27,7 @@ from snapo.study.training import TRAINING, trained
 from .shop import Shop
 
 
-class ShopTable(Table):
+class ShopTable(CaseTable):
     """`[shop]`; a key that is not here is an error with its name."""
 
     days: Count = Field(description="a whole number, 1 or more")
@@ -40,7 +40,7 @@ class ShopTable(Table):
     shortage: Positive = Field(description="a number above 0, EUR a piece and day")
 
 
-class CaseTable(Table):
+class CaseTable(CaseTable):
     """The whole file."""
 
     kind: str

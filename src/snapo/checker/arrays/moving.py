@@ -3,15 +3,15 @@
 import numpy as np
 
 from ..findings import Notes
-from ..program.points import Points
-from ..program.watch import Site
+from ..program.points import SamplePoints
+from ..program.watch import CodeSite
 from .indices import CORRECT
 
 MEANT = "jnp.clip(index, 0, length - 1) says that the nearest entry is meant."
 FEW = 32  # points outside at which the entry that is read is looked at
 
 
-def moving_indices(notes: Notes, points: Points) -> None:
+def moving_indices(notes: Notes, points: SamplePoints) -> None:
     """Reads past an end that move a result, and writes past it, which JAX drops."""
     monitored, summary = points.recorder, set()
     if not monitored.reads:
@@ -29,7 +29,7 @@ def moving_indices(notes: Notes, points: Points) -> None:
             _write(notes, points.method.name, site, _said(met, length, size))
 
 
-def _matters(points: Points, number: int, which: np.ndarray) -> bool:
+def _matters(points: SamplePoints, number: int, which: np.ndarray) -> bool:
     """Whether the entry that is read outside moves a result: `jnp.where` may leave it out."""
     which = which[np.unique(np.linspace(0, len(which) - 1, min(len(which), FEW)).astype(int))]
     arguments = points.some(which)
@@ -45,7 +45,7 @@ def _matters(points: Points, number: int, which: np.ndarray) -> bool:
     )
 
 
-def _met(site: Site, index: np.ndarray, axis: np.ndarray) -> tuple[int, int, int]:
+def _met(site: CodeSite, index: np.ndarray, axis: np.ndarray) -> tuple[int, int, int]:
     """The index farthest outside, as it was written, the length and the size of the part."""
     ranges = np.array(site.ranges)[axis]
     k = int(np.argmax(np.where(index < 0, -index, index - ranges[:, 0] + ranges[:, 1])))
@@ -60,7 +60,7 @@ def _said(met: int, length: int, size: int) -> str:
     return f"an index is {met} and the array has {length} entries"
 
 
-def _write(notes: Notes, method: str, site: Site, metadata: str) -> None:
+def _write(notes: Notes, method: str, site: CodeSite, metadata: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
     met = "With these inputs" if method == "prepare" else "On a path"

@@ -19,7 +19,7 @@ from jaxtyping import PyTree
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..findings import Notes
-from ..program.methods import Line, line_among, methods, preparation
+from ..program.methods import CodeLine, line_among, methods, preparation
 
 
 class Short(NamedTuple):
@@ -27,7 +27,7 @@ class Short(NamedTuple):
 
     requested: str
     length: int
-    line: Line
+    line: CodeLine
 
 
 def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
@@ -63,7 +63,7 @@ def _asked() -> Iterator[list[Short]]:
         Tracer.__getitem__ = before
 
 
-def _users_line(frame: Any) -> Line | None:
+def _users_line(frame: Any) -> CodeLine | None:
     """The line of a user's code that takes a slice itself; none in libraries and in snapo."""
     line = line_among([(frame.f_code.co_filename, frame.f_lineno)])
     return None if line is None or line.user_code else line

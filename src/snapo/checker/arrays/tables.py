@@ -15,7 +15,7 @@ import numpy as np
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..findings import Notes
-from ..program.methods import Line, line_of, methods
+from ..program.methods import CodeLine, line_of, methods
 
 TABLE = (
     "A NumPy table that is used inside a method keeps the precision in which JAX met it first: "
@@ -24,12 +24,12 @@ TABLE = (
 )
 
 
-class Table(NamedTuple):
+class TraceTable(NamedTuple):
     """An array of a program that has another precision, and the line that first uses it."""
 
     shape: tuple[int, ...]
     dtype: str
-    line: Line | None
+    line: CodeLine | None
 
 
 def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
@@ -52,7 +52,7 @@ def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
         notes.stop_on_errors()
 
 
-def _write(notes: Notes, method: str, result: Table, precision: str) -> None:
+def _write(notes: Notes, method: str, result: TraceTable, precision: str) -> None:
     where = f"{method}, {result.line}" if result.line else notes.method(method)
     text = f" In: {result.line.text}" if result.line else ""
     notes.error(
@@ -62,7 +62,7 @@ def _write(notes: Notes, method: str, result: Table, precision: str) -> None:
     )
 
 
-def _others(closed: Any, dtype: np.dtype, caller: Line | None = None) -> Iterator[Table]:
+def _others(closed: Any, dtype: np.dtype, caller: CodeLine | None = None) -> Iterator[TraceTable]:
     """The floating tables of a program, and of those inside it, of another type than `dtype`."""
     for var in closed.jaxpr.constvars:
         kind = np.dtype(var.aval.dtype)
@@ -70,7 +70,7 @@ def _others(closed: Any, dtype: np.dtype, caller: Line | None = None) -> Iterato
             users = (eqn for eqn in closed.jaxpr.eqns if any(x is var for x in eqn.invars))
             user = next(users, None)
             line = line_of(user) if user is not None else None
-            yield Table(tuple(var.aval.shape), kind.name, line or caller)
+            yield TraceTable(tuple(var.aval.shape), kind.name, line or caller)
     for eqn in closed.jaxpr.eqns:
         for inner in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_program):
             if _is_program(inner):

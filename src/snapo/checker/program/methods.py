@@ -96,7 +96,7 @@ def preparation(simulator: Simulator, inputs: PyTree) -> Method:
     )
 
 
-class Line(NamedTuple):
+class CodeLine(NamedTuple):
     """A line of a user's code; `user_code` says that it is one of snapo's."""
 
     file: str
@@ -108,7 +108,7 @@ class Line(NamedTuple):
         return f"{short(self.file)}:{self.number}"
 
 
-def line_of(eqn) -> Line | None:
+def line_of(eqn) -> CodeLine | None:
     """The line that an equation came from."""
     frames = source_info_util.user_frames(eqn.source_info.traceback)
     return line_among([(frame.file_name, frame.start_line) for frame in frames])
@@ -124,7 +124,7 @@ def said_by_user(eqn) -> bool:
     return any(code.co_name == "get" and "jax" in code.co_filename for code in codes)
 
 
-def line_among(frames: list[tuple[str, int]]) -> Line | None:
+def line_among(frames: list[tuple[str, int]]) -> CodeLine | None:
     """Of frames from the innermost one out, the user's; snapo's first one if there is none."""
     frames = [(file, number) for file, number in frames if _LIBRARIES not in file]
     users = [frame for frame in frames if not frame[0].startswith(_OWN)]
@@ -132,4 +132,4 @@ def line_among(frames: list[tuple[str, int]]) -> Line | None:
         return None
     file, number = (users or frames)[0]
     local = frames[0][0].startswith(_OWN)
-    return Line(file, number, linecache.getline(file, number).strip(), local)
+    return CodeLine(file, number, linecache.getline(file, number).strip(), local)

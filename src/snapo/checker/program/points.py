@@ -12,14 +12,14 @@ from jaxtyping import PyTree
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
 
-from ..rollout import Run
+from ..rollout import CheckedRollout
 from .methods import Method, methods, preparation
-from .watch import Change, Seen, Watched, tainted_by
+from .watch import Change, Observed, Watched, tainted_by
 
 POINTS, PATHS, STEPS = 2048, 8, 256  # at most; paths of each run
 
 
-class Points:
+class SamplePoints:
     """A method's program, and its arguments at [steps * paths] points in order of the steps.
 
     - `moving`: of each argument, whether it differs from point to point.
@@ -48,11 +48,11 @@ class Points:
         self.compiled = jax.jit(jax.vmap(self.recorder, (axes, changed)))
 
     @cached_property
-    def met(self) -> Seen:
+    def met(self) -> Observed:
         """All that is met at all points."""
         return self.observe(self.arguments)
 
-    def observe(self, arguments: Sequence[Any], change: Change | None = None) -> Seen:
+    def observe(self, arguments: Sequence[Any], change: Change | None = None) -> Observed:
         """All that is met at these arguments; the truths of a change have an entry a point."""
         if change is None:
             many = next(len(x) for x, moves in zip(arguments, self.moving) if moves)
@@ -64,17 +64,19 @@ class Points:
         return [x[which] if moves else x for x, moves in zip(self.arguments, self.moving)]
 
 
-def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterator[Points]:
+def moments(
+    simulator: Simulator, inputs: PyTree, runs: Sequence[CheckedRollout]
+) -> Iterator[SamplePoints]:
     """Every method at the inputs and at moments of the runs."""
     run, times = runs[0], _times(simulator.horizon)
     paths = min(PATHS, run.draws.size, max(2, POINTS // (len(runs) * len(times))))
     made = preparation(simulator, inputs)
     alone = jax.tree.map(lambda x: jnp.asarray(x)[None], made.arguments)
-    yield Points(made, alone, 1)
+    yield SamplePoints(made, alone, 1)
 
     smooth = Smooth(jnp.asarray(run.smooth.temperature, float))
     initial, observe, step, terminal = methods(simulator, run.schedule, smooth)
-    yield Points(initial, {"noise": jnp.asarray(run.draws.initial_noise[:paths])}, 1)
+    yield SamplePoints(initial, {"noise": jnp.asarray(run.draws.initial_noise[:paths])}, 1)
 
     by_inputs = _tainted(made, run.schedule)
     recorded = {
@@ -85,15 +87,15 @@ def moments(simulator: Simulator, inputs: PyTree, runs: Sequence[Run]) -> Iterat
             lambda x: jnp.repeat(jnp.asarray(x)[times], len(runs) * paths, 0), run.schedule.steps
         ),
     }
-    yield Points(observe, {name: recorded[name] for name in ("now", "state")}, len(times))
-    stepped = Points(step, recorded, len(times), by_inputs)
+    yield SamplePoints(observe, {name: recorded[name] for name in ("now", "state")}, len(times))
+    stepped = SamplePoints(step, recorded, len(times), by_inputs)
     yield stepped
     # The state after the last step is not recorded: it is made again.
     last = np.arange((len(times) - 1) * len(runs) * paths, len(times) * len(runs) * paths)
     leaves, tree = jax.tree.flatten(step.arguments["state"])
     after = stepped.observe(stepped.some(last)).results
     endpoints = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
-    yield Points(terminal, {"state": endpoints}, 1, by_inputs)
+    yield SamplePoints(terminal, {"state": endpoints}, 1, by_inputs)
 
 
 def _tainted(made: Method, schedule: Any) -> dict[str, list[bool]]:

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from snapo.lanes import jax_private
 
-from .methods import Line, line_of, said_by_user
+from .methods import CodeLine, line_of, said_by_user
 
 COMPARISONS = ("lt", "gt", "le", "ge")
 _CALLS = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2")
@@ -24,12 +24,12 @@ NONE = -1  # no site is changed
 KNOWN, GIVEN, TAINTED = range(3)
 
 
-class Site(NamedTuple):
+class CodeSite(NamedTuple):
     """An equation that is watched: its primitive, its line, and of every axis that it indexes the
     length and the size of a part."""
 
     kind: str
-    line: Line | None
+    line: CodeLine | None
     ranges: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -37,7 +37,7 @@ class Site(NamedTuple):
         return self.kind.startswith("scatter") or self.kind == "dynamic_update_slice"
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """Numbers of one call: its results, the truth of every comparison, and of every read the
     first index outside (0 where none is), its axis and whether there is one."""
 
@@ -65,11 +65,11 @@ class Watched:
 
     def __init__(self, closed, tainted: Sequence[bool]):
         self.closed, self.tainted = closed, tainted
-        self.comparisons: list[Site] = []
-        self.reads: list[Site] = []
+        self.comparisons: list[CodeSite] = []
+        self.reads: list[CodeSite] = []
         self.shapes = jax.eval_shape(self._unchanged, *closed.in_avals)
 
-    def _unchanged(self, *arguments) -> Seen:
+    def _unchanged(self, *arguments) -> Observed:
         return self(arguments, None)
 
     def nothing(self, many: int) -> Change:
@@ -77,12 +77,12 @@ class Watched:
         truths = [np.zeros((many, *x.shape), bool) for x in self.shapes.truths]
         return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
 
-    def __call__(self, arguments: Sequence[Any], change: Change | None) -> Seen:
+    def __call__(self, arguments: Sequence[Any], change: Change | None) -> Observed:
         walk = _Walk(change)
         marks = [TAINTED if item else GIVEN for item in self.tainted]
         results, _ = walk.run(self.closed.jaxpr, self.closed.consts, arguments, marks, None)
         self.comparisons, self.reads = walk.comparisons, walk.reads
-        return Seen(results, walk.truths, walk.outside)
+        return Observed(results, walk.truths, walk.outside)
 
 
 class _Walk:
@@ -90,12 +90,12 @@ class _Walk:
 
     def __init__(self, change: Change | None):
         self.change = change
-        self.comparisons: list[Site] = []
-        self.reads: list[Site] = []
+        self.comparisons: list[CodeSite] = []
+        self.reads: list[CodeSite] = []
         self.truths: list[Array] = []
         self.outside: list[tuple[Array, Array, Array]] = []
 
-    def run(self, jaxpr, consts, arguments, given_marks, caller: Line | None):
+    def run(self, jaxpr, consts, arguments, given_marks, caller: CodeLine | None):
         """The results of a program, and the mark of each."""
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments]))
         marks = dict(zip(jaxpr.invars, given_marks))
@@ -128,7 +128,7 @@ class _Walk:
             and jnp.issubdtype(values[0].dtype, jnp.floating)
         ):
             number = len(self.comparisons)
-            self.comparisons.append(Site(kind, line))
+            self.comparisons.append(CodeSite(kind, line))
             if self.change is not None:
                 here = self.change.comparison == number
                 results = [jnp.where(here, self.change.truths[number], results[0])]
@@ -136,7 +136,7 @@ class _Walk:
         elif (indices := _indices(eqn, values, dirty)) is not None and not said_by_user(eqn):
             index, ranges = indices
             number = len(self.reads)
-            self.reads.append(Site(kind, line, tuple(ranges)))
+            self.reads.append(CodeSite(kind, line, tuple(ranges)))
             self.outside.append(_first_outside(index, ranges))
             if self.change is not None and not self.reads[-1].writes:
                 here = (self.change.read == number) & self.outside[-1][2]

@@ -7,9 +7,9 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 
-from .plants.plant import MEASURED, Parameter, Plant, Variable
+from .plants.plant import MEASURED, Plant, PlantParameter, Variable
 
-Inputs = dict[str, dict[str, Any]]
+PlantInputs = dict[str, dict[str, Any]]
 START_WORDS = {
     "at": "first {}", "low": "lowest first {}", "high": "highest first {}",
     "mean": "mean first {}", "deviation": "standard deviation of the first {}",
@@ -23,7 +23,7 @@ def make_inputs(
     start: Mapping[str, Mapping[str, Any]] | None = None,
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
-) -> Inputs:
+) -> PlantInputs:
     """{"plant", "cost", "start", "noise", "measurement"} of a plant, its own numbers where none are
     given.
 
@@ -51,7 +51,9 @@ def make_inputs(
     }
 
 
-def _each(plant: str, parameters: Mapping[str, Parameter], inputs: Mapping[str, Any], group: str):
+def _each(
+    plant: str, parameters: Mapping[str, PlantParameter], inputs: Mapping[str, Any], group: str
+):
     if unknown := set(inputs) - set(parameters):
         raise KeyError(f"{plant}: no {sorted(unknown)}; there are {list(parameters)}.")
     missing = [

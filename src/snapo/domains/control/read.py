@@ -28,7 +28,15 @@ from .plants.plant import Plant
 from .plants.registry import TYPES
 from .records import ControlCase
 from .starts import read_measurement, read_noise, read_starts
-from .tables import At, CaseTable, Normal, PolicyTable, Uniform, cost_table, plant_table
+from .tables import (
+    At,
+    ControlFile,
+    ControlPolicyTable,
+    NormalStart,
+    UniformStart,
+    cost_table,
+    plant_table,
+)
 
 WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
 RANGES = (  # outside of which a number is likely to be in another unit
@@ -49,11 +57,11 @@ def formats() -> dict[str, Any]:
     """The tables of a case by name; those of the plants are made from their descriptions."""
     plants = TYPES.values()
     return {
-        "": CaseTable,
+        "": ControlFile,
         "plant": [plant_table(plant) for plant in plants],
         "cost": [cost_table(plant) for plant in plants],
-        "start.*": (At, Uniform, Normal),
-        "policy": PolicyTable,
+        "start.*": (At, UniformStart, NormalStart),
+        "policy": ControlPolicyTable,
         "training": FollowingTable,
         "evaluation": EvaluationTable,
     }
@@ -61,7 +69,7 @@ def formats() -> dict[str, Any]:
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     """Reads all tables, then looks whether their numbers fit together."""
-    table, name = parse(CaseTable, data, str(file), ""), str(file)
+    table, name = parse(ControlFile, data, str(file), ""), str(file)
     plant = _plant(table.plant, name)
     selected = parse(plant_table(plant), table.plant, name, "plant")
     cost = parse(cost_table(plant), table.cost, name, "cost")
@@ -69,7 +77,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     evaluation = read_evaluation(table.evaluation, name)
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
-    recipe = _recipe(parse(PolicyTable, table.policy, name, "policy"), name)
+    recipe = _recipe(parse(ControlPolicyTable, table.policy, name, "policy"), name)
     parameters = {key: getattr(selected, key) for key in plant.parameters}
     weights = {key: getattr(cost, key) for key in plant.weights}
     starts = read_starts(plant, table.start, name)
@@ -124,7 +132,7 @@ def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield key, entry
 
 
-def _recipe(table: PolicyTable, name: str) -> Policy:
+def _recipe(table: ControlPolicyTable, name: str) -> Policy:
     """The policy of `[policy]`, with or without a memory."""
     hidden = None if table.hidden is None else tuple(table.hidden)
     if table.steps is not None and table.memory != "Recent":

@@ -9,7 +9,7 @@ from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 
-from .inputs import Inputs
+from .inputs import PlantInputs
 from .plants.plant import Plant
 
 
@@ -25,7 +25,7 @@ class ControlCase:
     notes: tuple[str, ...]
     title: str
     plant: Plant
-    inputs: Inputs
+    inputs: PlantInputs
     objective: Objective
     objective_words: str
     recipe: Policy

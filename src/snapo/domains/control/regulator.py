@@ -18,10 +18,10 @@ from jaxtyping import Float
 from snapo.problem.smooth import Exact
 
 from .plants.linear import LinearQuadratic
-from .plants.plant import MEASURED, Plant, Values
+from .plants.plant import MEASURED, Plant, PlantValues
 
 
-class Linear(NamedTuple):
+class Linearised(NamedTuple):
     """A plant around its target, with state deviations x and action deviations u."""
 
     A: np.ndarray
@@ -39,7 +39,7 @@ class Riccati(NamedTuple):
     P: Float[np.ndarray, "T+1 n n"]
 
 
-def riccati(plant: Linear, steps: int) -> Riccati:
+def riccati(plant: Linearised, steps: int) -> Riccati:
     """The recursion, from the end."""
     A, B, Q, R, N, last = plant
     costs, gains = [last], []
@@ -60,7 +60,7 @@ def expected_cost(costs: Riccati, mean, covariance, shocks) -> float:
     return float(start + np.sum(costs.P[1:] * np.broadcast_to(shocks, costs.P[1:].shape)))
 
 
-def linearised(plant: Plant, p: Values, w: Values) -> Linear:
+def linearised(plant: Plant, p: PlantValues, w: PlantValues) -> Linearised:
     """The plant around its target and the action that holds it, in float64.
 
     States in the order of their names, as a vector.
@@ -85,11 +85,11 @@ def linearised(plant: Plant, p: Values, w: Values) -> Linear:
         A, B = jax.jacobian(move, (0, 1))(*zero)
         (Q, N), (_, R) = jax.hessian(cost, (0, 1))(*zero)
         result = (A, B, Q / 2, R / 2, N / 2, jax.hessian(last)(zero[0]) / 2)
-        return Linear(*(np.asarray(item) for item in result))
+        return Linearised(*(np.asarray(item) for item in result))
 
 
 def estimation_cost(
-    plant: Linear,
+    plant: Linearised,
     result: Riccati,
     start: Float[np.ndarray, "n n"],
     shocks: Float[np.ndarray, "*T n n"],

@@ -11,11 +11,11 @@ from snapo.problem.inputs import Frozen, plain
 from snapo.problem.policy import Constant, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
-from .plants.plant import Plant, Values
+from .plants.plant import Plant, PlantValues
 from .regulator import linearised, riccati
 
 
-class Feedback(Policy):
+class LinearFeedback(Policy):
     """u = rest - K (state - target), clipped to the plant's limits.
 
     - `gains`: [T, m, n] with one matrix for each step where the observation shows the time that is
@@ -32,7 +32,7 @@ class Feedback(Policy):
     rest: Frozen
     clipped: bool = eqx.field(static=True)
 
-    def __init__(self, plant: Plant, p: Values, gains: np.ndarray):
+    def __init__(self, plant: Plant, p: PlantValues, gains: np.ndarray):
         zero, one = np.zeros(plant.action.size), np.ones(plant.action.size)
         middle = np.asarray(plant.drive(p, zero), np.float64)
         target = jax.flatten_util.ravel_pytree(plant.target_at(p))[0]
@@ -67,17 +67,17 @@ def classical_rules(plant: Plant, inputs) -> dict[str, Policy]:
     if not plant.rests:
         return {"no action": Constant(np.zeros(plant.action.size, np.float32)), **policies}
     size = sum(n for _, n in plant.sizes)
-    policies["no action"] = Feedback(plant, p, np.zeros((1, plant.action.size, size)))
+    policies["no action"] = LinearFeedback(plant, p, np.zeros((1, plant.action.size, size)))
     if gains := plant.proportional(p):
         nothing = {name: np.zeros((plant.action.size, n)) for name, n in plant.sizes}
         item = {name: gains[name][:, None] if name in gains else nothing[name] for name in nothing}
         rows = np.concatenate([item[name] for name in sorted(item)], axis=1)
-        policies["proportional"] = Feedback(plant, p, rows[None])
-    policies["linear regulator"] = Feedback(plant, p, regulator(plant, p, w))
+        policies["proportional"] = LinearFeedback(plant, p, rows[None])
+    policies["linear regulator"] = LinearFeedback(plant, p, regulator(plant, p, w))
     return policies
 
 
-def regulator(plant: Plant, p: Values, w: Values) -> np.ndarray:
+def regulator(plant: Plant, p: PlantValues, w: PlantValues) -> np.ndarray:
     """Riccati's gains around the target: one for each step, or the first where time is unseen."""
     gains = riccati(linearised(plant, p, w), plant.horizon).K
     return gains if plant.time_feature else gains[:1]

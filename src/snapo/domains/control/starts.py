@@ -9,7 +9,7 @@ from snapo.case.error import CaseError, nearest
 from snapo.case.table import LARGEST, parse
 
 from .plants.plant import Plant
-from .tables import At, Normal, Uniform
+from .tables import At, NormalStart, UniformStart
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
 
@@ -65,7 +65,7 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise CaseError(name, where, value, f"allowed is {FORMS}")
     keys = set(value)
-    table = Normal if keys & {"mean", "deviation"} else At if "at" in keys else Uniform
+    table = NormalStart if keys & {"mean", "deviation"} else At if "at" in keys else UniformStart
     read = parse(table, value, name, where)
     numbers = {
         key: _numbers(getattr(read, key), name, f"{where}.{key}") for key in table.model_fields
@@ -75,9 +75,9 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     first, second = numbers.values()
     if first.shape != second.shape:
         raise CaseError(name, where, dict(value), "both must have the same number of numbers")
-    if isinstance(read, Uniform) and not read.low < read.high:
+    if isinstance(read, UniformStart) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
-    if isinstance(read, Normal) and np.any(numbers["deviation"] <= 0):
+    if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):
         message = "allowed are numbers above 0; a first state without spread is { at = 1 }"
         raise CaseError(name, f"{where}.deviation", value["deviation"], message)
     return numbers

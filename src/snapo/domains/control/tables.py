@@ -7,16 +7,16 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.table import TITLE, Table, Title
+from snapo.case.table import TITLE, CaseTable, Title
 
-from .plants.plant import Parameter, Plant
+from .plants.plant import Plant, PlantParameter
 
 Width = Annotated[int, Field(ge=1, le=4096)]
-Matrix = list[list[float]]
+MatrixRows = list[list[float]]
 PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
-class CaseTable(Table):
+class ControlFile(CaseTable):
     """The whole file; the tables in it are read by their own records."""
 
     kind: str
@@ -32,7 +32,7 @@ class CaseTable(Table):
     evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
 
 
-class PolicyTable(Table):
+class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
     hidden: Annotated[list[Width], Field(min_length=1, max_length=8)] | None = Field(
@@ -47,7 +47,7 @@ class PolicyTable(Table):
     )
 
 
-class PlantTable(Table):
+class PlantTable(CaseTable):
     """`[plant]`: what every plant has beside its parameters."""
 
     type: str
@@ -66,22 +66,22 @@ def plant_table(plant: type[Plant]) -> type[PlantTable]:
     return pydantic.create_model("PlantTable", __base__=PlantTable, **fields)
 
 
-def cost_table(plant: type[Plant]) -> type[Table]:
+def cost_table(plant: type[Plant]) -> type[CaseTable]:
     """`[cost]` of one type."""
-    return pydantic.create_model("CostTable", __base__=Table, **_fields(plant.weights))
+    return pydantic.create_model("CostTable", __base__=CaseTable, **_fields(plant.weights))
 
 
-def _fields(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+def _fields(parameters: Mapping[str, PlantParameter]) -> dict[str, Any]:
     return {name: (_kind(item), _field(item)) for name, item in parameters.items()}
 
 
-def _kind(parameter: Parameter) -> Any:
+def _kind(parameter: PlantParameter) -> Any:
     if parameter.value is None:
-        return Matrix
+        return MatrixRows
     return PositiveOrNone if parameter.positive else float | None
 
 
-def _field(parameter: Parameter) -> Any:
+def _field(parameter: PlantParameter) -> Any:
     text = (
         f"{parameter.description}, {parameter.unit}"
         if parameter.unit not in ("", "1")
@@ -94,20 +94,20 @@ def _field(parameter: Parameter) -> Any:
     return Field(None, description=f"a number{above} ({text}; by default {usual})")
 
 
-class At(Table):
+class At(CaseTable):
     """A first state that is known."""
 
     at: float | list[float] = Field(description="a number, or a list of them")
 
 
-class Uniform(Table):
+class UniformStart(CaseTable):
     """A first state anywhere between two numbers."""
 
     low: float = Field(description="a number below high")
     high: float = Field(description="a number above low")
 
 
-class Normal(Table):
+class NormalStart(CaseTable):
     """A first state that is normal, its numbers independent."""
 
     mean: float | list[float] = Field(description="a number, or a list of them")

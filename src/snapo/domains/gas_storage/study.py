@@ -19,12 +19,12 @@ from .chapters.position import POSITION
 from .chapters.risk import SHADOW_PRICES
 from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
-from .contract.records import Market, StorageCase
+from .contract.records import GasMarket, StorageCase
 from .references.intrinsic import intrinsic
 from .setup import bare_problem, fitted_value, make_setup, setup_at
 
 
-def discount(market: Market, days: np.ndarray) -> np.ndarray:
+def discount(market: GasMarket, days: np.ndarray) -> np.ndarray:
     """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
     later = np.maximum(np.asarray(days, np.float64), 0)
     rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())

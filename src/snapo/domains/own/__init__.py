@@ -19,7 +19,7 @@ OPTION = "--simulator"
 
 
 @dataclass(frozen=True, eq=False)
-class Own(Kind):
+class OwnDomain(Kind):
     """Cases whose simulator the command line names.
 
     - `location`: module and class, as in `--simulator simulator:Reservoir`.
@@ -28,7 +28,7 @@ class Own(Kind):
     location: tuple[str, str] | None = None
     example: str = "simulator:Reservoir"
 
-    def with_simulator(self, module: str, name: str) -> "Own":
+    def with_simulator(self, module: str, name: str) -> "OwnDomain":
         return replace(self, location=(module, name))
 
     def decides(self, case: "OwnCase") -> Mapping[str, Any]:
@@ -44,7 +44,7 @@ class Own(Kind):
         return self.loaded(self.reader)(file, data, self.location)
 
 
-DOMAIN = Own(
+DOMAIN = OwnDomain(
     KIND,
     "a simulator of your own, in Python beside the case",
     __name__,

@@ -12,7 +12,7 @@ from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import FilePosition, positions
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 from snapo.problem.inputs import Input
 
 from .tables import InputTable
@@ -63,7 +63,7 @@ def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, P
     table = parse(InputTable, data, str(file), where)
     if table.move == 0:
         raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
-    section = Section(file, where, notes)
+    section = TableContext(file, where, notes)
     values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
     attributes = {name: getattr(table, key) for key, name in ATTRIBUTES.items()}
     return Input(values, labels=labels, **attributes), locations
@@ -72,7 +72,7 @@ def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, P
 InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
 
 
-def _in_file(section: Section, table: InputTable) -> InputParts:
+def _in_file(section: TableContext, table: InputTable) -> InputParts:
     """The numbers under `value`, any shape."""
     if table.value is None:
         message = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
@@ -91,7 +91,7 @@ def _in_file(section: Section, table: InputTable) -> InputParts:
     return values, labels, positions((*section.keys, "value"), values.shape)
 
 
-def _from_csv(section: Section, table: InputTable) -> InputParts:
+def _from_csv(section: TableContext, table: InputTable) -> InputParts:
     """The numbers of a column, with the texts of another one as labels."""
     assert table.file is not None
     if table.value is not None:

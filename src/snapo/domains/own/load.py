@@ -17,7 +17,7 @@ from snapo.case.error import CaseError, Unquoted
 OPTION = "--simulator"
 
 
-class Code(NamedTuple):
+class LoadedCode(NamedTuple):
     """A class of the user's own, and the file that it is written in (None: an installed module)."""
 
     value: Any
@@ -25,7 +25,7 @@ class Code(NamedTuple):
     hash: str
 
 
-def load_class(module: str, name: str, folder: Path) -> Code:
+def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     """The class `name` of `module`: beside the case, in the working directory, or installed.
 
     **Raises:** `CaseError` where there is none, or the module cannot be run.
@@ -47,7 +47,7 @@ def load_class(module: str, name: str, folder: Path) -> Code:
         raise CaseError(OPTION, "", position, message)
     file = Path(loaded.__file__) if loaded.__file__ else None
     digest = hashlib.sha256(file.read_bytes()).hexdigest() if file else ""
-    return Code(result, file, digest)
+    return LoadedCode(result, file, digest)
 
 
 def _written_in(item: Any, module: str) -> bool:

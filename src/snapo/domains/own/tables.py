@@ -4,12 +4,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from snapo.case.table import TITLE, Positive, Table, Title
+from snapo.case.table import TITLE, CaseTable, Positive, Title
 
-Numbers = float | list[float] | list[list[float]]
+NumberArray = float | list[float] | list[list[float]]
 
 
-class OwnTable(Table):
+class OwnTable(CaseTable):
     """The whole file; the tables in it are read by their own records."""
 
     kind: str
@@ -27,10 +27,10 @@ class OwnTable(Table):
     simulator: dict[str, Any] = Field({}, description="a table, [simulator]")
 
 
-class InputTable(Table):
+class InputTable(CaseTable):
     """One entry of `[inputs]`: numbers in the file or a column of a CSV, and their meaning."""
 
-    value: Numbers | None = Field(None, description="a number, or an array of numbers")
+    value: NumberArray | None = Field(None, description="a number, or an array of numbers")
     file: str | None = Field(None, description="the name of a .csv file beside the case")
     column: str | None = Field(None, description="the name of a column of the file")
     label: str | None = Field(None, description="the name of the column that labels the numbers")

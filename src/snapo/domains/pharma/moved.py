@@ -25,7 +25,7 @@ from .flowsheet.stiffness import with_stiff_steps
 from .given import every_entry
 from .quality import batches
 from .quality.capability import Capability, from_values
-from .quality.limits import Limits
+from .quality.limits import AttributeLimits
 from .quality.sampling import sampler
 
 PARTS = (
@@ -74,7 +74,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-class Recipe:
+class RecipeCalculation:
     """The recipe as it stands, at any numbers of its inputs; nothing is compiled twice."""
 
     def __init__(self, case: PharmaCase):
@@ -107,7 +107,7 @@ class Recipe:
         rows = batches.drawn(sampled, {}, count, case.training.seed + 1)
         values = batches.attributes(sampled, rows)
         result = from_values(sampled.case, values)
-        selected = Limits.of(case).hold(values).all(-1).astype(float)
+        selected = AttributeLimits.of(case).hold(values).all(-1).astype(float)
         yield (
             "value",
             {

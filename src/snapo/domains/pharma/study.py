@@ -31,9 +31,9 @@ from .control.closed_loop import ClosedLoop
 from .control.stages import Stage
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
-from .moved import Recipe, limits
+from .moved import RecipeCalculation, limits
 from .progress import reporting
-from .quality.limits import Limits
+from .quality.limits import AttributeLimits
 from .shared import SOUND, OpenLoop, PharmaStudy
 
 COLUMNS = (
@@ -79,7 +79,7 @@ def study(case: PharmaCase, options: Options) -> Study:
             "live_tables": kept_limits,
         }
     else:
-        hooks["recalculated"] = lambda: Recipe(case)
+        hooks["recalculated"] = lambda: RecipeCalculation(case)
     selected = choice.with_needs(parts, case.parts)
     entries = about(case) | choice.summary(parts, selected)
     telling, entry = [_telling(part) for part in selected], partial(result, case)
@@ -168,7 +168,7 @@ def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
     case = case_of(measured.setup.problem.simulator)
     names = [f"attribute.{x.name}" for x in case.attributes]
     values = np.stack([np.asarray(measured.totals[name], np.float64) for name in names], -1)
-    contains = Limits.of(case).hold(values)
+    contains = AttributeLimits.of(case).hold(values)
     rows = []
     for i, attribute in enumerate(case.attributes):
         share, error = measured.mean(contains[:, i])

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes.machine.disk import cache_home, cached
 from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import Memory
+from snapo.lanes.machine.memory import KernelMemory
 from snapo.lanes.machine.processor import host
 from snapo.lanes.unsupported import ACCIDENTS, Unsupported
 from snapo.problem.code.version import of_rollout, read_context
@@ -23,12 +23,12 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..base import Engine, Window, checked
 from ..memory import with_memory
 from .available import unavailable
-from .functions import Setup
+from .functions import FunctionSetup
 from .given import SharedTree, cast
-from .kernel.context import Stages
+from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, emit
 from .rollout import traced
-from .runtime import Back, Inputs, Runner
+from .runtime import Back, KernelInputs, Runner
 
 
 class Seats(NamedTuple):
@@ -71,7 +71,7 @@ def linked(kernel: Kernel) -> Linked:
     return Linked(cached(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)
 
 
-class Call:
+class NativeCall:
     """One call's trees, and their way into the kernel's rows and back."""
 
     def __init__(
@@ -103,7 +103,7 @@ class Call:
         """The compiled kernel, from memory, from disk, or made now."""
         counter = isinstance(self.draws, Counter)
         antithetic = isinstance(self.draws, Counter) and self.draws.antithetic
-        setup = Setup(
+        setup = FunctionSetup(
             self.engine.precision, adjoint, record,
             self.actions is not None, self.start is not None,
             self.has_terminal, clip, wrt, counter, antithetic,
@@ -120,14 +120,14 @@ class Call:
         _runners.move_to_end(key)
         return _runners[key]
 
-    def key(self, setup: Setup, like) -> Hashable:
+    def key(self, setup: FunctionSetup, like) -> Hashable:
         """All that the kernel depends on: calls with equal ones share it."""
         leaves, tree = jax.tree.flatten(like)
         starts = tree, tuple((x.shape, x.dtype) for x in leaves)
         kind = type(self.simulator), self.version
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
-    def kernel(self, setup: Setup, like, stages: Stages | None = None) -> Kernel:
+    def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
         """Traces and emits. An error inside the emitter is a reason, not an accident."""
         missing = unavailable()
         if missing is not None:
@@ -153,7 +153,7 @@ class Call:
 
     def inputs(
         self, runner: Runner, weights, bounds, records: bool, parts: Sequence[int] | None = None
-    ) -> Inputs:
+    ) -> KernelInputs:
         """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
         self.slots = Seats.of(parts or (self.paths,), lanes)
@@ -168,7 +168,7 @@ class Call:
             sizes[name] = blocks * math.prod(axes) * layouts[name].stride
         if weights is not None:
             sizes["weights"] = columns * blocks * layouts["weights"].stride
-        memory = Memory(sizes)
+        memory = KernelMemory(sizes)
         for leaf, array in zip(traced.call, self.shared.arrays):
             layouts["table"].view(memory["table"], leaf)[...] = array
         steps = memory["steps"].reshape(length, -1)
@@ -190,7 +190,7 @@ class Call:
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.slots.edges
-        return Inputs(self.paths, length, first, memory, records, columns, edges)
+        return KernelInputs(self.paths, length, first, memory, records, columns, edges)
 
     def _filled(self, bounds) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""

@@ -16,7 +16,7 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..base import Adjoint, Clip, Engine, Rollout, Window
 from ..memory import adjoint_without, values_without
-from .call import Call
+from .call import NativeCall
 from .runtime import SUMS
 
 
@@ -51,7 +51,9 @@ class Native(Engine):
         start: PyTree = None,
     ) -> Rollout:
         with self.numbers():
-            call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
+            call = NativeCall(
+                self, simulator, policy, schedule, draws, smooth, actions, window, start
+            )
             runner = call.runner(False, tuple(record), False, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
@@ -74,7 +76,9 @@ class Native(Engine):
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
         with self.numbers():
-            call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
+            call = NativeCall(
+                self, simulator, policy, schedule, draws, smooth, actions, window, start
+            )
             runner = call.runner(True, (), clip is not None, tuple(wrt))
             stacked = any(np.ndim(w) == 2 for w in weights.values())
             count = max(np.shape(w)[0] if np.ndim(w) == 2 else 1 for w in weights.values())
@@ -109,7 +113,7 @@ class Native(Engine):
     ) -> Adjoint:
         values = simulator, policy, schedule, draws, smooth
         with self.numbers():
-            call = Call(self, *values, actions, None, None)
+            call = NativeCall(self, *values, actions, None, None)
             runner = call.runner(True, (), False, tuple(wrt))
             if len(parts) * sum(runner.sums(simulator.horizon)) > SUMS:
                 return super().adjoints(*values, weights, parts, actions=actions, wrt=wrt)

@@ -17,10 +17,10 @@ from snapo.problem.smooth import Smooth
 
 from ..base import TRAJECTORY, Window
 from .available import unavailable
-from .call import KEPT, Call
+from .call import KEPT, NativeCall
 from .engine import Native
-from .functions import Setup
-from .kernel.context import Stages
+from .functions import FunctionSetup
+from .kernel.context import KernelStages
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def explain(
     if policy is None:
         features = probe(simulator, schedule)[1].shape[0]
         policy = MLP(simulator.action, features, key=jax.random.key(0), hidden=(8,))
-    stages: Stages = []
+    stages: KernelStages = []
     smooth = smooth or Smooth(0.1)
     engine = Native(precision)
     with engine.numbers():
@@ -104,7 +104,7 @@ def unsupported(
 _reasons: OrderedDict[Hashable, str | None] = OrderedDict()
 
 
-def _reason(call: Call, setup: Setup) -> str | None:
+def _reason(call: NativeCall, setup: FunctionSetup) -> str | None:
     try:
         call.kernel(setup, None)
     except Unsupported as reason:
@@ -114,10 +114,12 @@ def _reason(call: Call, setup: Setup) -> str | None:
 
 def _whole(
     engine: Native, simulator, schedule, policy, smooth, record=(), clip: bool = False
-) -> tuple[Call, Setup]:
+) -> tuple[NativeCall, FunctionSetup]:
     """The call of a whole adjoint, and its kernel's setup."""
     draws = Pseudo(0).draws(np.arange(2), simulator)
     window = Window(0, simulator.horizon)
-    call = Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
+    call = NativeCall(engine, simulator, policy, schedule, draws, smooth, None, window, None)
     wrt = ("policy", "schedule", "start")
-    return call, Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)
+    return call, FunctionSetup(
+        engine.precision, True, record, False, False, True, clip, wrt, True, True
+    )

@@ -25,7 +25,7 @@ from .given import floating, jax_type
 
 
 @dataclass(frozen=True)
-class Setup:
+class FunctionSetup:
     """The purpose of a kernel, beside the simulator, the policy and the types of arrays."""
 
     dtype: str
@@ -43,7 +43,7 @@ class Setup:
 class Functions:
     """The phases as functions of flat lists of arrays."""
 
-    def __init__(self, setup: Setup, dtype, segments, current, calls: int, nows: int):
+    def __init__(self, setup: FunctionSetup, dtype, segments, current, calls: int, nows: int):
         self.setup, self.dtype = setup, dtype
         self.segments, self.current = segments, current
         self.calls, self.nows = calls, nows

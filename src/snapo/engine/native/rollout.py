@@ -10,7 +10,7 @@ import numpy as np
 
 from snapo.lanes.program.cut import CALL, PATH, STEP, Cut, Leaf, cut, differentiated, inlined
 
-from .functions import Functions, Setup
+from .functions import Functions, FunctionSetup
 from .given import floating, jax_type
 
 
@@ -32,7 +32,7 @@ class Traced:
     is zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
     """
 
-    setup: Setup
+    setup: FunctionSetup
     call: list[Leaf]
     now: list[Leaf]
     requested: tuple[list[bool], list[bool]]
@@ -46,7 +46,7 @@ class Traced:
 
 
 def traced(
-    shared, steps, state_like, setup: Setup, noise_sizes: tuple[int, int], action_size: int
+    shared, steps, state_like, setup: FunctionSetup, noise_sizes: tuple[int, int], action_size: int
 ) -> Traced:
     """Traces and cuts the phases. `state_like` is the tree of given starting states, or None."""
     dtype = np.dtype(setup.dtype)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import Memory, address
+from snapo.lanes.machine.memory import KernelMemory, address
 from snapo.lanes.machine.threads import spread
 
 from .kernel.context import CONTEXT
@@ -25,7 +25,7 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 
 
 @dataclass(eq=False)
-class Inputs:
+class KernelInputs:
     """All that one run reads, as rows of the kernel's layouts; weights for each column.
 
     `edges`: the blocks at which parts of the paths begin, whose sums are kept apart.
@@ -34,14 +34,14 @@ class Inputs:
     paths: int
     length: int
     first: int
-    memory: Memory
+    memory: KernelMemory
     records: bool = False
     columns: int = 1
     edges: np.ndarray | None = None
 
 
 @dataclass(eq=False)
-class Outputs:
+class KernelOutputs:
     """All that one run writes, as rows of layouts; in an adjoint kernel the sums of each column."""
 
     final: np.ndarray
@@ -68,7 +68,7 @@ class Runner:
     def blocks(self, paths: int) -> int:
         return -(-paths // self.kernel.lanes)
 
-    def run(self, inputs: Inputs, threads: int) -> Outputs:
+    def run(self, inputs: KernelInputs, threads: int) -> KernelOutputs:
         """All blocks, forward and (in an adjoint kernel) back, for every column of weights."""
         layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
         columns, length, edges = inputs.columns, inputs.length, inputs.edges
@@ -85,7 +85,7 @@ class Runner:
         if adjoint:
             sizes["start_cotangent"] = columns * starts
             sizes["total"], sizes["sums"] = columns * item, groups * columns * item
-        memory = Memory(sizes)
+        memory = KernelMemory(sizes)
         segment = self.segment(length)
         numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
         numbers |= {"segment": segment, "columns": columns}
@@ -107,12 +107,12 @@ class Runner:
         with mine() as local:
             functions["prepare"](address(local))
         spread(one, groups, min(threads, groups), memory["stop"], mine)
-        out = Outputs(memory["final"], memory.rows.get("records"))
+        out = KernelOutputs(memory["final"], memory.rows.get("records"))
         if adjoint:
             out.back = self._back(memory, mine, inputs, (groups, columns), (calls, steps))
         return out
 
-    def _back(self, memory: Memory, mine, inputs: Inputs, shape, sizes) -> list["Back"]:
+    def _back(self, memory: KernelMemory, mine, inputs: KernelInputs, shape, sizes) -> list["Back"]:
         """The sums of every column, finished: over all paths, or over each part of them."""
         (groups, columns), (calls, steps) = shape, sizes
         rows, name, item = memory["sums"], "sums", calls + steps
@@ -163,7 +163,7 @@ class Runner:
         """The context with scratch memory of its own."""
         scratch = spare.take(self)
         if scratch is None or not scratch.suffices(sizes):
-            scratch = Memory(sizes)
+            scratch = KernelMemory(sizes)
         local = context.copy()
         for name, position in scratch.where.items():
             local[:, SLOTS[name]] = position
@@ -182,10 +182,10 @@ class Spare:
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._waiting: list[tuple[weakref.ref[Runner], Memory]] = []
+        self._waiting: list[tuple[weakref.ref[Runner], KernelMemory]] = []
         self._bytes = 0
 
-    def take(self, runner: Runner) -> Memory | None:
+    def take(self, runner: Runner) -> KernelMemory | None:
         """Memory that this kernel had before, the latest first; None where there is none."""
         with self._lock:
             for i in reversed(range(len(self._waiting))):
@@ -196,7 +196,7 @@ class Spare:
             self._keep([item for item in self._waiting if item[0]() is not None])
         return None
 
-    def give(self, runner: Runner, memory: Memory) -> None:
+    def give(self, runner: Runner, memory: KernelMemory) -> None:
         """Keeps memory for this kernel's next call, if there is room."""
         with self._lock:
             self._waiting.append((runner.reference, memory))

@@ -12,7 +12,7 @@ from snapo.engine import EngineName
 from snapo.problem.policy import MLP
 from snapo.solver.train import Training
 
-from .learned import Learned, Round
+from .learned import Learned, LearningRound
 from .model import Over, Reward
 
 LONGEST = 125  # decisions of a path in training, where nobody gives them
@@ -34,7 +34,7 @@ def learn(
     over: Over | None = None,
     seed: int = 0,
     engine: EngineName = "auto",
-    progress: Callable[[Round], object] | None = None,
+    progress: Callable[[LearningRound], object] | None = None,
 ) -> Learned:
     """Learns a policy for a black box: a Gymnasium environment with boxes of numbers.
 
@@ -54,7 +54,7 @@ def learn(
     - `reward`: `reward(observation, action, after)` in `jax.numpy`, where it is known; else it is
       learnt. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
       else the end is learnt.
-    - `progress`: told every `Round`.
+    - `progress`: told every `LearningRound`.
 
     **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
     limits an episode, or where the steps do not suffice for ten episodes, or more for more rounds.
@@ -62,7 +62,7 @@ def learn(
     # Late: the public names are there without Gymnasium.
     from .loop import run
     from .real import Real
-    from .rounds import Plan, fewest
+    from .rounds import LearningPlan, fewest
 
     real = Real(environment, hold, limit)
     minimum = fewest(rounds) * real.limit
@@ -72,7 +72,7 @@ def learn(
             f"rounds={rounds}, allowed are at least {minimum} steps for them, and one round."
         )
     horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
-    plan = Plan(
+    plan = LearningPlan(
         steps, rounds, horizon, members, tuple(hidden), training or _training(seed), reward, over,
         seed, engine,
     )  # fmt: skip

@@ -42,7 +42,7 @@ class Compared(NamedTuple):
         return Compared(a, da, b, db, c, dc, both[0])
 
 
-class Round(NamedTuple):
+class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
     - `steps`: real steps by its end, `rows`: transitions that the model was fitted to.
@@ -77,7 +77,7 @@ class Learned:
     steps: int
     hold: int
     limit: int
-    rounds: tuple[Round, ...]
+    rounds: tuple[LearningRound, ...]
     selected: int
     seconds: float
     seed: int
@@ -113,7 +113,7 @@ class Learned:
         # Late: the public names are there without Gymnasium.
         from ..installed import gymnasium
         from ..played import play
-        from .real import Held, opened
+        from .real import HeldAction, opened
 
         if isinstance(self.environment, gymnasium.Env):
             raise ValueError(
@@ -122,7 +122,7 @@ class Learned:
             )
 
         def held():
-            return Held(opened(self.environment), self.hold, self.limit)
+            return HeldAction(opened(self.environment), self.hold, self.limit)
 
         return play(self.policy, held, starts)
 

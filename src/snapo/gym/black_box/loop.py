@@ -11,17 +11,26 @@ from snapo.problem.policy import MLP
 from .ensemble import first_layers
 from .explore import random_actions
 from .known import Known
-from .learned import Learned, Round
+from .learned import Learned, LearningRound
 from .real import Real
-from .rounds import EXPLORE, Inside, Plan, compared, fitted_model, improved, initial_policy, until
+from .rounds import (
+    EXPLORE,
+    Inside,
+    LearningPlan,
+    compared,
+    fitted_model,
+    improved,
+    initial_policy,
+    until,
+)
 
 
 def run(
     environment: Any,
     real: Real,
-    plan: Plan,
+    plan: LearningPlan,
     policy: MLP | None,
-    progress: Callable[[Round], object] | None,
+    progress: Callable[[LearningRound], object] | None,
 ) -> Learned:
     """All of it; the arguments are those of `learn`."""
     timer = time.process_time()
@@ -39,7 +48,7 @@ def run(
     )  # fmt: skip
 
 
-def _explored(real: Real, plan: Plan) -> Known:
+def _explored(real: Real, plan: LearningPlan) -> Known:
     """Episodes of random actions, and the units that they give."""
     available = Known.of(real, plan.seed)
     while not available.episodes or available.room(EXPLORE * plan.steps):
@@ -48,8 +57,11 @@ def _explored(real: Real, plan: Plan) -> Known:
 
 
 def _rounds(
-    available: Known, plan: Plan, policy: MLP | None, progress: Callable[[Round], object] | None
-) -> tuple[list[Round], list[MLP], Inside]:
+    available: Known,
+    plan: LearningPlan,
+    policy: MLP | None,
+    progress: Callable[[LearningRound], object] | None,
+) -> tuple[list[LearningRound], list[MLP], Inside]:
     """The history, the policy of every round, and the last model."""
     common = available.rng.integers(2**31, size=plan.steps)  # seeds of starts that all rounds share
     size, history, policies, inside = len(available.units.shift), [], [], None
@@ -64,14 +76,16 @@ def _rounds(
         policies.append(improved(plan, inside, before, number))
         result = compared(plan, available, inside, policies[-1], until(plan, number), common)
         spent = time.process_time() - since
-        history.append(Round(available.real.steps, inside.rows, inside.fit.error, result, spent))
+        history.append(
+            LearningRound(available.real.steps, inside.rows, inside.fit.error, result, spent)
+        )
         if progress is not None:
             progress(history[-1])
     assert inside is not None
     return history, policies, inside
 
 
-def _best(history: list[Round]) -> int:
+def _best(history: list[LearningRound]) -> int:
     """The round whose policy earned most on those starts that all rounds have played."""
     shared = min(item.comparison.episodes for item in history)
     return int(np.argmax([np.mean(entry.comparison.rewards[:shared]) for entry in history]))

@@ -40,7 +40,7 @@ class Real:
         self.limit = _limit(inner, limit)
         self.hold = hold if hold is not None else max(1, -(-self.limit // MAX_DECISIONS))
         self.decisions = -(-self.limit // self.hold)
-        self.environment = Held(inner, self.hold, self.limit)
+        self.environment = HeldAction(inner, self.hold, self.limit)
         self.steps = 0
 
     @property
@@ -66,7 +66,7 @@ class Real:
         return Episode(Transitions(*columns), total, self.environment.taken, start)
 
 
-class Held(gymnasium.Wrapper):
+class HeldAction(gymnasium.Wrapper):
     """An environment of which every action is held for `hold` steps, their rewards added up.
 
     An episode is over after `limit` steps of the environment inside; `taken` are those so far.

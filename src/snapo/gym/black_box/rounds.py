@@ -29,7 +29,7 @@ FIRST, LATER = 4000, 2000  # steps of a fit, at most
 
 
 @dataclass(frozen=True)
-class Plan:
+class LearningPlan:
     """The settings of `learn`."""
 
     steps: int
@@ -59,13 +59,13 @@ def fewest(rounds: int) -> int:
     return max(math.ceil(1 / CONFIRM), math.ceil((rounds + 1) / (1 - EXPLORE)))
 
 
-def until(plan: Plan, number: int) -> float:
+def until(plan: LearningPlan, number: int) -> float:
     """The real steps made when a round is over: the share of random ones, then equal parts."""
     share = EXPLORE + (1 - CONFIRM - EXPLORE) * (number + 1) / plan.rounds
     return share * plan.steps
 
 
-def fitted_model(plan: Plan, available: Known, raw: Any, number: int) -> Inside:
+def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) -> Inside:
     """The model of all that was seen; `raw` are the weights that the fit goes on from."""
     observed, real = available.transitions, available.real
     capacity = -(-plan.steps // real.hold) + real.limit
@@ -92,7 +92,7 @@ def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) 
     return made if policy is None or policy.network is None else units.done(made)
 
 
-def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
+def improved(plan: LearningPlan, inside: Inside, policy: MLP, number: int) -> MLP:
     """The policy trained on, on paths that no round had before."""
     problem = Problem(inside.model, inside.inputs, Mean("reward"))
     settings, middle = chosen(plan.training, problem, policy), 0 < number < plan.rounds - 1
@@ -105,7 +105,12 @@ def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
 
 
 def compared(
-    plan: Plan, available: Known, inside: Inside, policy: MLP, maximum: float, common: Any = None
+    plan: LearningPlan,
+    available: Known,
+    inside: Inside,
+    policy: MLP,
+    maximum: float,
+    common: Any = None,
 ) -> Compared:
     """Episodes in the real environment up to `maximum` steps in all, one at least, and the same in
     the model.

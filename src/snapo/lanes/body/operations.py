@@ -9,8 +9,8 @@ from ..emit.code import Code
 from ..emit.nest import fetch, nest, put
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace
-from ..emit.values import Values, objects
-from ..program.program import Op, Value
+from ..emit.values import EmittedValues, objects
+from ..program.program import Op, ProgramValue
 from ..rules import dots, elementwise
 from ..rules.catalogue import RULES
 from ..unsupported import ACCIDENTS, Unsupported
@@ -20,7 +20,10 @@ INTERLEAVED = 4  # vector registers of neighbouring elements that a loop works o
 
 
 def write(
-    values: Values, ops: list[Op], requested: list[Value], loose: Container[Value] = ()
+    values: EmittedValues,
+    ops: list[Op],
+    requested: list[ProgramValue],
+    loose: Container[ProgramValue] = (),
 ) -> None:
     """Writes all operations, then brings values to their homes.
 
@@ -43,7 +46,7 @@ def write(
                 values.settle(value)
 
 
-def single(values: Values, op: Op) -> None:
+def single(values: EmittedValues, op: Op) -> None:
     """One operation, without a loop that it would share."""
     if elementwise.supported(op.name):
         _by_element(values, op)
@@ -54,7 +57,7 @@ def single(values: Values, op: Op) -> None:
     rule(values, op)
 
 
-def _by_element(values: Values, op: Op) -> None:
+def _by_element(values: EmittedValues, op: Op) -> None:
     """An elementwise operation in registers; done once where all elements are the same."""
     code, (out, *_) = values.code, op.outputs
     inputs = [values.small(v) for v in op.inputs]
@@ -69,7 +72,7 @@ def _by_element(values: Values, op: Op) -> None:
     values.set(out, objects(refs, out.shape))
 
 
-def loop(values: Values, region: Region, shape: tuple[int, ...]) -> None:
+def loop(values: EmittedValues, region: Region, shape: tuple[int, ...]) -> None:
     """One pass over the elements of equally shaped arrays.
 
     A dot product that the loop begins with hands over each sum as it leaves its registers,

@@ -6,7 +6,7 @@ is gathered into loops, so that only the arrays that another region reads go thr
 
 from dataclasses import dataclass, field
 
-from ..program.program import BIG, Op, Value
+from ..program.program import BIG, Op, ProgramValue
 from ..program.sweeps import costly
 from ..rules import dots, elementwise
 
@@ -19,7 +19,7 @@ class Region:
 
     ops: list[Op]
     shape: tuple[int, ...] | None = None
-    stored: list[Value] = field(default_factory=list)
+    stored: list[ProgramValue] = field(default_factory=list)
     dot: Op | None = None  # one whose sums go into this loop straight from their registers
 
 
@@ -31,7 +31,7 @@ def loops(op: Op) -> tuple[int, ...] | None:
     return shape
 
 
-def regions(ops: list[Op], values: set[Value]) -> list[Region]:
+def regions(ops: list[Op], values: set[ProgramValue]) -> list[Region]:
     """Orders the operations; loops are put off until nothing else can go on.
 
     `values` are values that must exist after the last region.
@@ -84,7 +84,7 @@ def regions(ops: list[Op], values: set[Value]) -> list[Region]:
     return [region for region in result if region.ops]
 
 
-def sink(order: list[Region], readers, values: set[Value]) -> None:
+def sink(order: list[Region], readers, values: set[ProgramValue]) -> None:
     """Moves an operation that only a later loop reads into that loop, past memory."""
     home = {op: region for region in order for op in region.ops}
     for region in reversed(order):
@@ -101,7 +101,7 @@ def sink(order: list[Region], readers, values: set[Value]) -> None:
                 home[op] = user
 
 
-def join(order: list[Region], readers, values: set[Value]) -> None:
+def join(order: list[Region], readers, values: set[ProgramValue]) -> None:
     """Gives a short loop the dot product that it alone reads, element by element."""
     home = {op: region for region in order for op in region.ops}
     for region in order:

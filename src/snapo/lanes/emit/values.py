@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..program.program import BIG, Value
+from ..program.program import BIG, ProgramValue
 from .code import Code
 from .nest import fetch, nest
 from .ref import Ref
@@ -28,7 +28,7 @@ class Workspace:
         return position
 
 
-class Values:
+class EmittedValues:
     """The arrays of one program inside one function: in registers, or in memory.
 
     `homes` are places where given values must lie when the function ends (tape, chunk rows); an
@@ -36,19 +36,19 @@ class Values:
     """
 
     def __init__(
-        self, code: Code, workspace: Workspace, homes: dict[Value, ArrayPlace] | None = None
+        self, code: Code, workspace: Workspace, homes: dict[ProgramValue, ArrayPlace] | None = None
     ):
         self.code = code
         self.workspace = workspace
         self.homes = homes or {}
-        self.loose: Container[Value] = ()
-        self._where: dict[Value, Small | ArrayPlace] = {}
+        self.loose: Container[ProgramValue] = ()
+        self._where: dict[ProgramValue, Small | ArrayPlace] = {}
 
-    def bind(self, value: Value, available: Small | ArrayPlace) -> None:
+    def bind(self, value: ProgramValue, available: Small | ArrayPlace) -> None:
         """From here on the value lies there."""
         self._where[value] = available
 
-    def held(self, value: Value) -> Small | ArrayPlace | None:
+    def held(self, value: ProgramValue) -> Small | ArrayPlace | None:
         """Where a value lies; None where it does not exist yet."""
         return self._where.get(value)
 
@@ -57,7 +57,7 @@ class Values:
         for value in list(self._where):
             self.settle(value)
 
-    def settle(self, value: Value) -> None:
+    def settle(self, value: ProgramValue) -> None:
         """Copies a value to its home where it is not there already."""
         home = self.homes.get(value)
         if home is None or value not in self._where or self._where[value] is home:
@@ -66,19 +66,19 @@ class Values:
         if isinstance(self._where[value], ArrayPlace):
             self._where[value] = home
 
-    def lanes(self, value: Value) -> int:
+    def lanes(self, value: ProgramValue) -> int:
         return self.code.lanes if value.path else 1
 
     # Reading.
 
-    def get(self, value: Value) -> Small | ArrayPlace:
+    def get(self, value: ProgramValue) -> Small | ArrayPlace:
         available = self._where.get(value)
         if available is None:
             assert value.constant is not None, "a value is read before it exists"
             available = self._where[value] = self.constant(value)
         return available
 
-    def constant(self, value: Value) -> Small | ArrayPlace:
+    def constant(self, value: ProgramValue) -> Small | ArrayPlace:
         """A constant: registers where it is small or all the same, else a table in the kernel."""
         array = np.asarray(value.constant)
         if (array.size and np.all(array == array.flat[0])) or array.size == 1:
@@ -93,7 +93,7 @@ class Values:
         base = self.code.module.table(array)
         return ArrayPlace(base, 0, array.shape, row_major(array.shape), array.dtype, 1, True)
 
-    def small(self, value: Value) -> Any:
+    def small(self, value: ProgramValue) -> Any:
         """The elements as registers, loaded if they lie in memory."""
         available = self.get(value)
         if isinstance(available, ArrayPlace):
@@ -105,7 +105,7 @@ class Values:
                 self._where[value] = available
         return available.items
 
-    def in_memory(self, value: Value) -> ArrayPlace:
+    def in_memory(self, value: ProgramValue) -> ArrayPlace:
         """The array in memory, stored there if it lies in registers."""
         available = self.get(value)
         if isinstance(available, ArrayPlace):
@@ -123,7 +123,7 @@ class Values:
             else small.uniform.lanes
         )
 
-    def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | ArrayPlace:
+    def operand(self, value: ProgramValue, shape: tuple[int, ...]) -> Ref | ArrayPlace:
         """The source for a loop over `shape`: one register for all elements, or memory."""
         available = self.get(value)
         if isinstance(available, Small) and available.uniform is not None:
@@ -132,18 +132,18 @@ class Values:
 
     # Writing.
 
-    def set(self, value: Value, items: np.ndarray | Ref) -> None:
+    def set(self, value: ProgramValue, items: np.ndarray | Ref) -> None:
         """Registers for a value; NumPy gives a bare element where an array has no axes."""
         if isinstance(items, Ref):
             items = objects([items], ())
         self._where[value] = Small(items)
 
-    def target(self, value: Value) -> ArrayPlace:
+    def target(self, value: ProgramValue) -> ArrayPlace:
         """Memory for a new array: its home, or the workspace."""
         home = self.homes.get(value)
         return home or self.workspace.allocate(value.shape, value.dtype, self.lanes(value))
 
-    def copy(self, value: Value, target: ArrayPlace) -> None:
+    def copy(self, value: ProgramValue, target: ArrayPlace) -> None:
         """Writes a value to a place; it stays where it was."""
         available = self.get(value)
         if (isinstance(available, Small) and available.uniform is None) or math.prod(

@@ -6,14 +6,16 @@ from ..emit.code import Code
 from ..emit.ref import Ref
 from ..emit.shared import Shared
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import Values
+from ..emit.values import EmittedValues
 from ..program.program import BIG
 from .across import across, add_row
 from .adding import add, add_number
 from .rows import Rows
 
 
-def accumulate(values: Values, rows: Rows, sums: Shared, tape_row: str, chunk_row: str) -> None:
+def accumulate(
+    values: EmittedValues, rows: Rows, sums: Shared, tape_row: str, chunk_row: str
+) -> None:
     """Adds up all that belongs to this step's own numbers."""
     singles: list[tuple[ArrayPlace, Ref]] = []
     for g in rows.gradients.items:

@@ -8,12 +8,12 @@ from ..emit.code import Code
 from ..emit.nest import fetch, nest
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import Values
-from ..program.program import BIG, Value
+from ..emit.values import EmittedValues
+from ..program.program import BIG, ProgramValue
 from .ranges import ranges
 
 
-def add(values: Values, value: Value, target: ArrayPlace) -> None:
+def add(values: EmittedValues, value: ProgramValue, target: ArrayPlace) -> None:
     """Adds a value, summed over lanes, to float64 memory of the same shape."""
     if value.constant is not None and not np.any(value.constant):
         return

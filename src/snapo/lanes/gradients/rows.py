@@ -6,7 +6,7 @@ from ..emit.code import Code
 from ..emit.shared import Shared
 from ..emit.storage import ArrayPlace, Layout
 from ..program.outer import Outer
-from ..program.program import Value
+from ..program.program import ProgramValue
 from .adding import add_rows
 from .plan import Gradients
 from .products import product_function
@@ -19,7 +19,12 @@ class Rows:
     """The waiting rows: where factors and summands of several steps lie."""
 
     def __init__(
-        self, gradients: Gradients, tape: Layout, taped: list[Value], lanes: int, stepwise: bool
+        self,
+        gradients: Gradients,
+        tape: Layout,
+        taped: list[ProgramValue],
+        lanes: int,
+        stepwise: bool,
     ):
         self.gradients, self.tape = gradients, tape
         self.taped = set(taped)
@@ -37,10 +42,10 @@ class Rows:
     def row(self, code: Code, chunk: str, slot: str) -> str:
         return code.pointer(chunk, code.index(f"mul nsw i64 {slot}, {self.layout.stride}"))
 
-    def homes(self, row: str) -> dict[Value, ArrayPlace]:
+    def homes(self, row: str) -> dict[ProgramValue, ArrayPlace]:
         return {value: self.layout.address(value, row) for value in self.fields}
 
-    def address(self, value: Value, tape_row: str, chunk_row: str) -> tuple[ArrayPlace, str]:
+    def address(self, value: ProgramValue, tape_row: str, chunk_row: str) -> tuple[ArrayPlace, str]:
         """Where a value lies, and the distance to the next step's."""
         if value in self.taped:
             return self.tape.address(value, tape_row), "%stride"
@@ -51,7 +56,7 @@ class Rows:
 
         A vector that is summed alone (a bias) rides along where it is also a product's rows.
         """
-        alone: dict[Value, list[ArrayPlace]] = {}
+        alone: dict[ProgramValue, list[ArrayPlace]] = {}
         products: list[tuple[Outer, ArrayPlace]] = []
         for g in self.gradients.items:
             if sums.of_call(g.leaf):

@@ -3,7 +3,7 @@
 import numpy as np
 
 
-class Memory:
+class KernelMemory:
     """Named rows of zero bytes on 64-byte boundaries, and their addresses.
 
     They are of one allocation: kernels take addresses, and NumPy is slow to tell them.

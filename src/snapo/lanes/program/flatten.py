@@ -13,7 +13,7 @@ from ..jax_private import arguments_of_scan, called, is_literal, line_of, search
 from ..unsupported import Unsupported
 from . import folding
 from .cut import BARRIER
-from .program import Op, Program, Value, constant
+from .program import Op, Program, ProgramValue, constant
 
 UNROLL = 64  # longest inner loop that is written out
 LARGEST = 20_000  # most operations in one program
@@ -22,7 +22,9 @@ LARGEST = 20_000  # most operations in one program
 def flatten(closed, path: list[bool]) -> Program:
     """A closed jaxpr as a program; `path` says which inputs differ between paths."""
     jaxpr = closed.jaxpr
-    inputs = [Value(v.aval.shape, np.dtype(v.aval.dtype), p) for v, p in zip(jaxpr.invars, path)]
+    inputs = [
+        ProgramValue(v.aval.shape, np.dtype(v.aval.dtype), p) for v, p in zip(jaxpr.invars, path)
+    ]
     builder = Flattener()
     outputs = builder.run(jaxpr, [constant(c) for c in closed.consts], inputs)
     return Program(inputs, builder.ops, outputs)
@@ -38,11 +40,13 @@ class Flattener:
         self.ops: list[Op] = []
         self.line = ""  # of the call whose equations these are, as those may know none
 
-    def run(self, jaxpr, consts: list[Value], inputs: list[Value]) -> list[Value]:
-        env: dict[Any, Value] = dict(zip(jaxpr.constvars, consts))
+    def run(
+        self, jaxpr, consts: list[ProgramValue], inputs: list[ProgramValue]
+    ) -> list[ProgramValue]:
+        env: dict[Any, ProgramValue] = dict(zip(jaxpr.constvars, consts))
         env.update(zip(jaxpr.invars, inputs))
 
-        def read(atom) -> Value:
+        def read(atom) -> ProgramValue:
             if is_literal(atom):
                 return constant(np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore
             return env[atom]
@@ -52,13 +56,13 @@ class Flattener:
             env.update(zip(eqn.outvars, outputs))
         return [read(a) for a in jaxpr.outvars]
 
-    def equation(self, eqn, inputs: list[Value]) -> list[Value]:
+    def equation(self, eqn, inputs: list[ProgramValue]) -> list[ProgramValue]:
         caller, self.line = self.line, line_of(eqn) or self.line
         outputs = self.operation(eqn, inputs, self.line)
         self.line = caller
         return outputs
 
-    def operation(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+    def operation(self, eqn, inputs: list[ProgramValue], line: str) -> list[ProgramValue]:
         name = eqn.primitive.name
         inner = called(eqn)
         if inner is not None:
@@ -80,7 +84,7 @@ class Flattener:
             return self.add("searchsorted", inputs, avals, {"side": side}, line)
         return self.add(name, inputs, avals, eqn.params, line)
 
-    def add(self, name, inputs, avals, params, line="") -> list[Value]:
+    def add(self, name, inputs, avals, params, line="") -> list[ProgramValue]:
         """Appends an operation, or folds it when everything it reads is known."""
         if any(not numbers.supported(a.dtype) for a in avals):
             raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
@@ -98,21 +102,21 @@ class Flattener:
             if not name.startswith(("scatter", "gather")) or not inputs[0].size:
                 raise Unsupported(f"{name}: of an array without elements, at {line}")
         path = any(v.path for v in inputs)
-        outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
+        outputs = [ProgramValue(a.shape, np.dtype(a.dtype), path) for a in avals]
         self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
         return outputs
 
-    def unknown(self, value: Value, line: str) -> Value:
+    def unknown(self, value: ProgramValue, line: str) -> ProgramValue:
         """The value, which nothing is folded into."""
         if value.constant is None:
             return value
-        return self.add(BARRIER, [value], [Value(value.shape, value.dtype)], {}, line)[0]
+        return self.add(BARRIER, [value], [ProgramValue(value.shape, value.dtype)], {}, line)[0]
 
-    def inline(self, inner, inputs: list[Value]) -> list[Value]:
+    def inline(self, inner, inputs: list[ProgramValue]) -> list[ProgramValue]:
         jaxpr, consts = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
         return self.run(jaxpr, [constant(c) for c in consts], inputs)
 
-    def branches(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+    def branches(self, eqn, inputs: list[ProgramValue], line: str) -> list[ProgramValue]:
         """`cond` and `switch`: every branch, then a selection."""
         index, *rest = inputs
         branches = eqn.params["branches"]
@@ -129,7 +133,7 @@ class Flattener:
             for aval, *options in zip(avals, *outcomes)
         ]
 
-    def scan(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+    def scan(self, eqn, inputs: list[ProgramValue], line: str) -> list[ProgramValue]:
         """An inner `scan` or `fori_loop`, written out."""
         p = eqn.params
         length, (consts, carries) = p["length"], arguments_of_scan(p)
@@ -142,7 +146,7 @@ class Flattener:
         )
         body = p["jaxpr"]
         order = range(length - 1, -1, -1) if p["reverse"] else range(length)
-        rows: dict[int, list[Value]] = {}
+        rows: dict[int, list[ProgramValue]] = {}
         for i in order:
             now = [self.row(x, i, line) for x in xs]
             outputs = self.inline(body, [*fixed, *carry, *now])
@@ -153,16 +157,16 @@ class Flattener:
         ]
         return [*carry, *stacked]
 
-    def row(self, x: Value, i: int, line: str) -> Value:
+    def row(self, x: ProgramValue, i: int, line: str) -> ProgramValue:
         shape = (1, *x.shape[1:])
         starts = (i, *(0,) * (len(x.shape) - 1))
         limits = (i + 1, *x.shape[1:])
         params = {"start_indices": starts, "limit_indices": limits, "strides": None}
-        (part,) = self.add("slice", [x], [Value(shape, x.dtype)], params, line)
-        out = Value(x.shape[1:], x.dtype)
+        (part,) = self.add("slice", [x], [ProgramValue(shape, x.dtype)], params, line)
+        out = ProgramValue(x.shape[1:], x.dtype)
         return self.add("squeeze", [part], [out], {"dimensions": (0,)}, line)[0]
 
-    def stack(self, rows: list[Value], aval, line: str) -> Value:
+    def stack(self, rows: list[ProgramValue], aval, line: str) -> ProgramValue:
         if not rows:
             return constant(np.zeros(aval.shape, aval.dtype))
         return self.add("stack", rows, [aval], {"axis": 0}, line)[0]

@@ -4,27 +4,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .program import BIG, Op, Program, Value
+from .program import BIG, Op, Program, ProgramValue
 
 
 @dataclass(eq=False)
 class Outer:
     """A term of a matrix's gradient: the product of two vectors, summed over paths and steps."""
 
-    rows: Value
-    columns: Value
+    rows: ProgramValue
+    columns: ProgramValue
 
 
-def outer_terms(program: Program, gradient: Value) -> tuple[list[Outer], list[Value]]:
+def outer_terms(program: Program, gradient: ProgramValue) -> tuple[list[Outer], list[ProgramValue]]:
     """Splits a gradient that will be summed over paths into outer products and everything else.
 
     Looks through sums and transpositions; the rest must be computed path by path.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     terms: list[Outer] = []
-    rest: list[Value] = []
+    rest: list[ProgramValue] = []
 
-    def visit(value: Value) -> None:
+    def visit(value: ProgramValue) -> None:
         op = maker.get(value)
         if op is not None and op.name == "add_any":
             products, first = len(terms), len(rest)

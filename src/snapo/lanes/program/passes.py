@@ -5,7 +5,7 @@ Each pass takes a program and gives one that computes the same, with fewer or ch
 
 import numpy as np
 
-from .program import Op, Program, Value, constant
+from .program import Op, Program, ProgramValue, constant
 
 
 def optimize(program: Program) -> Program:
@@ -15,7 +15,7 @@ def optimize(program: Program) -> Program:
 
 def rewrite(program: Program) -> Program:
     """Peepholes: divisions that are not needed, selects that choose between known numbers."""
-    maker: dict[Value, Op] = {}
+    maker: dict[ProgramValue, Op] = {}
     ops = []
     for op in program.ops:
         op = _multiply_instead(op, maker, ops)
@@ -24,7 +24,7 @@ def rewrite(program: Program) -> Program:
     return Program(program.inputs, ops, program.outputs)
 
 
-def _multiply_instead(op: Op, maker: dict[Value, Op], ops: list[Op]) -> Op:
+def _multiply_instead(op: Op, maker: dict[ProgramValue, Op], ops: list[Op]) -> Op:
     """x / c becomes x * (1 / c) for a known c, and so does x / select(mask, 1, 2).
 
     The latter is how JAX shares the derivative of max and min between equal arguments. The
@@ -40,14 +40,14 @@ def _multiply_instead(op: Op, maker: dict[Value, Op], ops: list[Op]) -> Op:
     if choice is not None and choice.name == "select_n":
         options = [_inverse(v) for v in choice.inputs[1:]]
         if all(v is not None for v in options):
-            value = Value(divisor.shape, divisor.dtype, divisor.path)
+            value = ProgramValue(divisor.shape, divisor.dtype, divisor.path)
             inputs = [choice.inputs[0], *options]
             ops.append(Op("select_n", inputs, [value], {}, op.where))  # pyright: ignore
             return Op("mul", [x, value], op.outputs, {}, op.where)
     return op
 
 
-def _inverse(value: Value) -> Value | None:
+def _inverse(value: ProgramValue) -> ProgramValue | None:
     """1 / value, where it is known and neither it nor its inverse is near the ends of the range."""
     available = value.constant
     if available is None or not np.all(np.isfinite(available)) or np.any(available == 0):
@@ -59,7 +59,7 @@ def _inverse(value: Value) -> Value | None:
 
 def share(program: Program) -> Program:
     """Common subexpressions: one computation of each operation on the same inputs."""
-    replaced: dict[Value, Value] = {}
+    replaced: dict[ProgramValue, ProgramValue] = {}
     available: dict[tuple, Op] = {}
     ops = []
     for op in program.ops:
@@ -74,7 +74,7 @@ def share(program: Program) -> Program:
     return Program(program.inputs, ops, [replaced.get(v, v) for v in program.outputs])
 
 
-def _identity(value: Value):
+def _identity(value: ProgramValue):
     if value.constant is None:
         return id(value)
     return (value.dtype.str, value.shape, value.constant.tobytes())
@@ -98,7 +98,7 @@ def fuse(program: Program) -> Program:
     return Program(program.inputs, ops, program.outputs)
 
 
-def _fused(op: Op, maker: dict[Value, Op]) -> Op | None:
+def _fused(op: Op, maker: dict[ProgramValue, Op]) -> Op | None:
     out = op.outputs[0]
     if op.name not in ("add", "sub") or not out.floating:
         return None
@@ -114,7 +114,7 @@ def _fused(op: Op, maker: dict[Value, Op]) -> Op | None:
     return None
 
 
-def _factors(op: Op | None) -> list[Value] | None:
+def _factors(op: Op | None) -> list[ProgramValue] | None:
     """The two factors of a product or of a square."""
     if op is not None and op.name == "mul":
         return op.inputs

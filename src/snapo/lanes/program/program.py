@@ -11,7 +11,7 @@ BIG = 12  # arrays of more numbers than this live in memory, smaller ones in reg
 
 
 @dataclass(eq=False)
-class Value:
+class ProgramValue:
     """One array of a program: `path` says whether it differs between paths.
 
     A value whose content is known while compiling carries it in `constant`.
@@ -36,8 +36,8 @@ class Op:
     """One operation: a JAX primitive's name with its parameters, and where the user wrote it."""
 
     name: str
-    inputs: list[Value]
-    outputs: list[Value]
+    inputs: list[ProgramValue]
+    outputs: list[ProgramValue]
     params: dict[str, Any] = field(default_factory=dict)
     where: str = ""
 
@@ -46,22 +46,22 @@ class Op:
 class Program:
     """Inputs, operations in order, outputs."""
 
-    inputs: list[Value]
+    inputs: list[ProgramValue]
     ops: list[Op]
-    outputs: list[Value]
+    outputs: list[ProgramValue]
 
 
-def constant(array) -> Value:
+def constant(array) -> ProgramValue:
     """A value known while compiling."""
     array = np.asarray(array)
-    return Value(array.shape, array.dtype, False, array)
+    return ProgramValue(array.shape, array.dtype, False, array)
 
 
 def walk(program: Program) -> Iterator[str]:
     """The program as text, for `explain` and for tests."""
-    names: dict[Value, str] = {}
+    names: dict[ProgramValue, str] = {}
 
-    def name(value: Value) -> str:
+    def name(value: ProgramValue) -> str:
         if value.constant is not None:
             text = str(value.constant) if value.size == 1 else f"constant{list(value.shape)}"
             return text

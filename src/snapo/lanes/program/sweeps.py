@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from .program import BIG, Op, Program, Value
+from .program import BIG, Op, Program, ProgramValue
 
 # Worth storing rather than computing again: everything that costs more than a load from cache.
 EXPENSIVE = {
@@ -15,7 +15,7 @@ REDUCTIONS = {"reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "argmax",
 
 
 @dataclass(eq=False)
-class Plan:
+class SweepPlan:
     """A joint program divided in two sweeps.
 
     - `forward`: the primal operations that the piece's outputs and the tape need.
@@ -25,16 +25,16 @@ class Plan:
 
     forward: list[Op]
     reverse: list[Op]
-    tape: list[Value]
+    tape: list[ProgramValue]
 
 
 def plan(
     program: Program,
-    cotangents: list[Value],
-    primal: list[Value],
-    back: list[Value],
-    values: set[Value],
-) -> Plan:
+    cotangents: list[ProgramValue],
+    primal: list[ProgramValue],
+    back: list[ProgramValue],
+    values: set[ProgramValue],
+) -> SweepPlan:
     """Decides which values are stored and which are computed again.
 
     `primal` are the outputs of the forward sweep, `back` those of the reverse sweep, and
@@ -44,7 +44,7 @@ def plan(
     maker = {v: op for op in program.ops for v in op.outputs}
     later = dependents(program, cotangents)
     reverse: set[Op] = set()
-    tape: dict[Value, None] = {}
+    tape: dict[ProgramValue, None] = {}
     stack, observed = list(back), set()
     while stack:
         v = stack.pop()
@@ -63,10 +63,10 @@ def plan(
         if any(v in needed for v in op.outputs):
             needed.update(op.inputs)
             forward.append(op)
-    return Plan(forward[::-1], [op for op in program.ops if op in reverse], list(tape))
+    return SweepPlan(forward[::-1], [op for op in program.ops if op in reverse], list(tape))
 
 
-def dependents(program: Program, sources: list[Value]) -> set[Value]:
+def dependents(program: Program, sources: list[ProgramValue]) -> set[ProgramValue]:
     """Everything that depends on the sources, themselves included."""
     outputs = set(sources)
     for op in program.ops:

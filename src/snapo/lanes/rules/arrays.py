@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..emit.storage import ArrayPlace, Small, row_major
-from ..emit.values import Values
+from ..emit.values import EmittedValues
 from ..program import folding
-from ..program.program import BIG, Op, Value
+from ..program.program import BIG, Op, ProgramValue
 from ..unsupported import Unsupported
 
-Rule = Callable[[Values, Op], None]
+Rule = Callable[[EmittedValues, Op], None]
 
 
 def rearranged(
@@ -20,7 +20,7 @@ def rearranged(
 ) -> Rule:
     """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
 
-    def rule(values: Values, op: Op) -> None:
+    def rule(values: EmittedValues, op: Op) -> None:
         available = values.get(op.inputs[0])
         if isinstance(available, ArrayPlace):
             view = strided(op, available)
@@ -102,13 +102,13 @@ def _reverse_place(op: Op, position: ArrayPlace) -> ArrayPlace:
     return sliced(position, starts, position.shape)
 
 
-def _concatenate(values: Values, op: Op) -> None:
+def _concatenate(values: EmittedValues, op: Op) -> None:
     axis = op.params["dimension"]
     segments = [(v, v.shape[axis]) for v in op.inputs]
     _join(values, op, axis, segments)
 
 
-def _stack(values: Values, op: Op) -> None:
+def _stack(values: EmittedValues, op: Op) -> None:
     """`stack` along a new axis."""
     axis, out = op.params["axis"], op.outputs[0]
     if out.size <= BIG or (all(v.size == 1 for v in op.inputs) and out.size <= 4 * BIG):
@@ -124,7 +124,7 @@ def _stack(values: Values, op: Op) -> None:
     values.bind(out, target)
 
 
-def _join(values: Values, op: Op, axis: int, segments) -> None:
+def _join(values: EmittedValues, op: Op, axis: int, segments) -> None:
     out = op.outputs[0]
     if out.size <= BIG:
         values.set(out, np.concatenate([values.small(v) for v, _ in segments], axis))
@@ -137,7 +137,7 @@ def _join(values: Values, op: Op, axis: int, segments) -> None:
     values.bind(out, target)
 
 
-def _pad(values: Values, op: Op) -> None:
+def _pad(values: EmittedValues, op: Op) -> None:
     x, filler = op.inputs
     config, out = op.params["padding_config"], op.outputs[0]
     if any(low < 0 or high < 0 for low, high, _ in config):
@@ -154,7 +154,7 @@ def _pad(values: Values, op: Op) -> None:
         values.set(out, items)
         return
     target = values.target(out)
-    complete = Value(out.shape, out.dtype, out.path)
+    complete = ProgramValue(out.shape, out.dtype, out.path)
     single = np.empty((1,) * len(out.shape), object)
     single[...] = fill
     values.set(complete, np.broadcast_to(single, out.shape))
@@ -163,7 +163,7 @@ def _pad(values: Values, op: Op) -> None:
     values.bind(out, target)
 
 
-def _cropped(values: Values, op: Op, x: Value, config):
+def _cropped(values: EmittedValues, op: Op, x: ProgramValue, config):
     """Negative padding takes elements away: from the input, where no gaps are put between them."""
     if any(gap and (low < 0 or high < 0) for low, high, gap in config):
         raise Unsupported(f"pad: negative padding with gaps, at {op.where}")
@@ -171,7 +171,7 @@ def _cropped(values: Values, op: Op, x: Value, config):
         (max(0, -int(low)), n - max(0, -int(high))) for (low, high, _), n in zip(config, x.shape)
     ]
     shape = tuple(stop - start for start, stop in limits)
-    part = Value(shape, x.dtype, x.path)
+    part = ProgramValue(shape, x.dtype, x.path)
     available = values.get(x)
     if isinstance(available, ArrayPlace):
         values.bind(part, sliced(available, [(start, 1) for start, _ in limits], shape))
@@ -180,7 +180,7 @@ def _cropped(values: Values, op: Op, x: Value, config):
     return part, [(max(0, int(low)), max(0, int(high)), gap) for low, high, gap in config]
 
 
-def _tile(values: Values, op: Op) -> None:
+def _tile(values: EmittedValues, op: Op) -> None:
     """An array side by side with itself."""
     (x,), out, reps = op.inputs, op.outputs[0], op.params["reps"]
     if out.size <= BIG:
@@ -193,7 +193,7 @@ def _tile(values: Values, op: Op) -> None:
     values.bind(out, target)
 
 
-def _split(values: Values, op: Op) -> None:
+def _split(values: EmittedValues, op: Op) -> None:
     axis, start = op.params["axis"], 0
     available = values.get(op.inputs[0])
     for out in op.outputs:
@@ -206,7 +206,7 @@ def _split(values: Values, op: Op) -> None:
         start += size
 
 
-def _unstack(values: Values, op: Op) -> None:
+def _unstack(values: EmittedValues, op: Op) -> None:
     axis = op.params["axis"]
     available = values.get(op.inputs[0])
     for i, out in enumerate(op.outputs):

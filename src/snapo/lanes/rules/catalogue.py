@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-from ..emit.values import Values
+from ..emit.values import EmittedValues
 from ..program.program import Op
 from . import arrays, dots, gathers, reductions, scatters, sorting
 
-RULES: dict[str, Callable[[Values, Op], None]] = {
+RULES: dict[str, Callable[[EmittedValues, Op], None]] = {
     **arrays.RULES,
     **reductions.RULES,
     **gathers.RULES,

@@ -10,8 +10,8 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace
-from ..emit.values import Values
-from ..program.program import Op, Value
+from ..emit.values import EmittedValues
+from ..program.program import Op, ProgramValue
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
 ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
@@ -31,7 +31,7 @@ def _work(op: Op) -> int:
     return op.outputs[0].size * _count(op.inputs[0], contract)
 
 
-def dot(values: Values, op: Op, finish: Finish | None = None) -> None:
+def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     """`dot_general` with any batch, free and contracted axes.
 
     In tiles, `finish` takes each sum as it leaves its registers; without it they are stored.
@@ -57,7 +57,7 @@ def dot(values: Values, op: Op, finish: Finish | None = None) -> None:
     tiled(values.code, left, right, op.outputs[0], sizes, finish)
 
 
-def _stored(values: Values, out: Value) -> Finish:
+def _stored(values: EmittedValues, out: ProgramValue) -> Finish:
     """Writes the sums to memory, as they come."""
     target = values.target(out)
     values.bind(out, target)
@@ -65,7 +65,7 @@ def _stored(values: Values, out: Value) -> Finish:
     return lambda position, total: flat.write(values.code, [position], total)
 
 
-def _count(v: Value, axes) -> int:
+def _count(v: ProgramValue, axes) -> int:
     return math.prod([v.shape[i] for i in axes])
 
 
@@ -77,7 +77,7 @@ def _axes(position: ArrayPlace, *groups) -> list[Any]:
     ]
 
 
-def _written_out(values: Values, op: Op, left, right, sizes) -> None:
+def _written_out(values: EmittedValues, op: Op, left, right, sizes) -> None:
     code = values.code
     a = values.small(op.inputs[0]).transpose([i for g in left for i in g])
     b = values.small(op.inputs[1]).transpose([i for g in right for i in g])
@@ -93,7 +93,7 @@ def _written_out(values: Values, op: Op, left, right, sizes) -> None:
     values.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
 
 
-def tiled(code: Code, left, right, out: Value, sizes, finish: Finish) -> None:
+def tiled(code: Code, left, right, out: ProgramValue, sizes, finish: Finish) -> None:
     """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
     batch, rows, columns, depth = sizes
     wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1

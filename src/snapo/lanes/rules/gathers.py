@@ -6,12 +6,12 @@ import numpy as np
 
 from ..emit.code import Code
 from ..emit.ref import Ref
-from ..emit.values import Values
-from ..program.program import Op, Value
+from ..emit.values import EmittedValues
+from ..program.program import Op, ProgramValue
 from .positions import clamped, limit, plus, read, window_start
 
 
-def _dynamic_slice(values: Values, op: Op) -> None:
+def _dynamic_slice(values: EmittedValues, op: Op) -> None:
     x, *starts = op.inputs
     out = op.outputs[0]
     limit(op, out)
@@ -20,7 +20,7 @@ def _dynamic_slice(values: Values, op: Op) -> None:
     _read_all(values, op, x, ((p, first, p, None) for p in np.ndindex(*out.shape)))
 
 
-def _gather(values: Values, op: Op) -> None:
+def _gather(values: EmittedValues, op: Op) -> None:
     x, indices = op.inputs
     out = op.outputs[0]
     limit(op, out)
@@ -50,7 +50,7 @@ def _gather(values: Values, op: Op) -> None:
     _read_all(values, op, x, moves(), fill)
 
 
-def _read_all(values: Values, op: Op, x: Value, moves, fill=None) -> None:
+def _read_all(values: EmittedValues, op: Op, x: ProgramValue, moves, fill=None) -> None:
     out, code = op.outputs[0], values.code
     refs = np.empty(out.shape, object)
     for position, first, window, valid in moves:
@@ -62,7 +62,7 @@ def _read_all(values: Values, op: Op, x: Value, moves, fill=None) -> None:
     values.set(out, refs)
 
 
-def _filler(code: Code, out: Value, fill) -> Ref:
+def _filler(code: Code, out: ProgramValue, fill) -> Ref:
     """XLA's number for an index out of range: NaN, or the extreme of an integer type."""
     if fill is None:
         kind = out.dtype.kind

@@ -9,8 +9,8 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import Values
-from ..program.program import BIG, Op, Value
+from ..emit.values import EmittedValues
+from ..program.program import BIG, Op, ProgramValue
 from ..unsupported import Unsupported
 from . import elementwise
 from .conversions import compare, convert
@@ -22,7 +22,7 @@ LARGEST = 1024  # most elements read or written one by one
 Start = Ref | int
 
 
-def clamped(values: Values, start: Value, last: int) -> Start:
+def clamped(values: EmittedValues, start: ProgramValue, last: int) -> Start:
     """A start index within [0, last]: a number where it is known."""
     if start.constant is not None:
         return int(np.clip(int(start.constant), 0, last))
@@ -36,13 +36,21 @@ def _clamp(code: Code, x: Ref, last: int) -> Start:
     return elementwise.RULES["clamp"](code, low, x, high)
 
 
-def limit(op: Op, moved: Value) -> None:
+def limit(op: Op, moved: ProgramValue) -> None:
     """Refuses to move more elements than can be written out."""
     if moved.size > LARGEST:
         raise Unsupported(f"{op.name}: of {moved.size} elements (at most {LARGEST}), at {op.where}")
 
 
-def window_start(values: Values, x: Value, indices: Value, batch, index_map, sizes, check: bool):
+def window_start(
+    values: EmittedValues,
+    x: ProgramValue,
+    indices: ProgramValue,
+    batch,
+    index_map,
+    sizes,
+    check: bool,
+):
     """The start of one window, clamped, and whether it was inside (None where it always is)."""
     code = values.code
     first: list[Start] = [0] * len(x.shape)
@@ -83,7 +91,7 @@ def plus(code: Code, start: Start, by: int) -> Start:
     return code.add(start, code.constant(by, start.dtype)) if by else start
 
 
-def read(values: Values, x: Value, position: list[Start]) -> Ref:
+def read(values: EmittedValues, x: ProgramValue, position: list[Start]) -> Ref:
     """One element of an array, at numbers or at registers."""
     code, available = values.code, values.get(x)
     moving = [d for d, p in enumerate(position) if isinstance(p, Ref)]
@@ -125,7 +133,7 @@ def _same_type(code: Code, a: Ref, b: Ref):
     return convert(code, a, wide), convert(code, b, wide)
 
 
-def _element(values: Values, x: Value, position, moving, number: int) -> Ref:
+def _element(values: EmittedValues, x: ProgramValue, position, moving, number: int) -> Ref:
     at = list(position)
     for d in reversed(moving):
         at[d] = number % x.shape[d]

@@ -8,8 +8,8 @@ import numpy as np
 from ..emit.nest import nest
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import Values
-from ..program.program import BIG, Op, Value
+from ..emit.values import EmittedValues
+from ..program.program import BIG, Op, ProgramValue
 from ..unsupported import Unsupported
 from . import elementwise
 
@@ -24,11 +24,15 @@ REDUCERS = {
 }
 
 
-def _combine(values: Values, name: str, like: Value, a: Ref, b: Ref, where: str) -> Ref:
-    return elementwise.apply(values.code, Op(name, [], [Value((), like.dtype)], {}, where), [a, b])
+def _combine(
+    values: EmittedValues, name: str, like: ProgramValue, a: Ref, b: Ref, where: str
+) -> Ref:
+    return elementwise.apply(
+        values.code, Op(name, [], [ProgramValue((), like.dtype)], {}, where), [a, b]
+    )
 
 
-def _reduce(values: Values, op: Op) -> None:
+def _reduce(values: EmittedValues, op: Op) -> None:
     """Sums, products and extremes over axes."""
     name = REDUCERS[op.name]
     x, out = op.inputs[0], op.outputs[0]
@@ -69,7 +73,7 @@ def _reduce(values: Values, op: Op) -> None:
     values.bind(out, target)
 
 
-def _fold(values: Values, name: str, like: Value, refs: list[Ref], where: str) -> Ref:
+def _fold(values: EmittedValues, name: str, like: ProgramValue, refs: list[Ref], where: str) -> Ref:
     """Pairwise, so that a sum's error grows with the logarithm of its length."""
     while len(refs) > 1:
         pairs = [_combine(values, name, like, a, b, where) for a, b in zip(refs[::2], refs[1::2])]
@@ -78,7 +82,13 @@ def _fold(values: Values, name: str, like: Value, refs: list[Ref], where: str) -
 
 
 def _accumulate(
-    values: Values, name, like: Value, view: ArrayPlace, position, selected: int, where: str
+    values: EmittedValues,
+    name,
+    like: ProgramValue,
+    view: ArrayPlace,
+    position,
+    selected: int,
+    where: str,
 ) -> Ref:
     """One output element: a loop over the reduced axes, taken as one where they lie in order."""
     code = values.code
@@ -109,7 +119,7 @@ def _accumulate(
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 
 
-def _cumulative(values: Values, op: Op) -> None:
+def _cumulative(values: EmittedValues, op: Op) -> None:
     """Running sums, products and extremes, one element after another."""
     axis, x, out = op.params["axis"], op.inputs[0], op.outputs[0]
     if x.size > 8 * BIG:

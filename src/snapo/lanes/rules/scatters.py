@@ -7,8 +7,8 @@ import numpy as np
 from ..emit.code import Code
 from ..emit.ref import Ref
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import Values
-from ..program.program import BIG, Op, Value
+from ..emit.values import EmittedValues
+from ..program.program import BIG, Op, ProgramValue
 from ..unsupported import Unsupported
 from . import elementwise
 from .conversions import compare
@@ -26,7 +26,7 @@ SCATTERS = {
 }
 
 
-def _dynamic_update_slice(values: Values, op: Op) -> None:
+def _dynamic_update_slice(values: EmittedValues, op: Op) -> None:
     x, update, *starts = op.inputs
     limit(op, update)
     first = [clamped(values, s, n - w) for s, n, w in zip(starts, x.shape, update.shape)]
@@ -35,7 +35,7 @@ def _dynamic_update_slice(values: Values, op: Op) -> None:
     )
 
 
-def _scatter(values: Values, op: Op) -> None:
+def _scatter(values: EmittedValues, op: Op) -> None:
     x, indices, update = op.inputs
     limit(op, update)
     numbers, mode = op.params["dimension_numbers"], str(op.params["mode"])
@@ -65,7 +65,9 @@ def _scatter(values: Values, op: Op) -> None:
     _write_all(values, op, x, update, moves(), SCATTERS[op.name])
 
 
-def _write_all(values: Values, op: Op, x: Value, update: Value, moves, combine: str | None) -> None:
+def _write_all(
+    values: EmittedValues, op: Op, x: ProgramValue, update: ProgramValue, moves, combine: str | None
+) -> None:
     """A copy of `x` with elements replaced by the update's, or combined with them."""
     out, code = op.outputs[0], values.code
     available = values.get(x)
@@ -99,7 +101,7 @@ def _merge(code: Code, old: Ref, new: Ref, hit: Ref | None, combine: str | None)
     return new if hit is None else code.select(hit, new, old)
 
 
-def _write_small(values: Values, items, at, new: Ref, valid, combine) -> None:
+def _write_small(values: EmittedValues, items, at, new: Ref, valid, combine) -> None:
     code = values.code
     moving = [d for d, p in enumerate(at) if isinstance(p, Ref)]
     if not moving:

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..emit.code import Code
 from ..emit.ref import Ref
-from ..emit.values import Values
+from ..emit.values import EmittedValues
 from ..program.program import Op
 from ..unsupported import Unsupported
 from . import elementwise
@@ -13,7 +13,7 @@ from .conversions import compare, convert
 LONGEST = 64  # of a sorted axis
 
 
-def _sort(values: Values, op: Op) -> None:
+def _sort(values: EmittedValues, op: Op) -> None:
     """Odd-even transposition would do; Batcher's merge exchange needs fewer comparisons."""
     axis, keys = op.params["dimension"], op.params["num_keys"]
     length = op.inputs[0].shape[axis]
@@ -71,7 +71,7 @@ def _less(code: Code, a: Ref, b: Ref) -> Ref:
     return elementwise.RULES["lt_to"](code, a, b)
 
 
-def _extreme(values: Values, op: Op) -> None:
+def _extreme(values: EmittedValues, op: Op) -> None:
     """`argmax` and `argmin`: the first of equals; a NaN wins."""
     (axis,) = op.params["axes"]
     x, out, code = op.inputs[0], op.outputs[0], values.code
@@ -94,7 +94,7 @@ def _extreme(values: Values, op: Op) -> None:
     values.set(out, result)
 
 
-def _search(values: Values, op: Op) -> None:
+def _search(values: EmittedValues, op: Op) -> None:
     """`jnp.searchsorted` as the number of entries below: no branches, no gathers."""
     table, query = op.inputs
     right = op.params["side"] == "right"

@@ -66,7 +66,7 @@ LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy"
 MAX_KEYS, MAX_WORDS = 60, 12
 
 
-class Choice(NamedTuple):
+class MenuChoice(NamedTuple):
     """A key, its value in the run (where the case has none, the default), and all allowed ones.
 
     `title`: the key for people, "Granule size: distribution".
@@ -79,7 +79,7 @@ class Choice(NamedTuple):
     title: str
 
 
-def choices(files: Files, bumped: Tried) -> list[Choice]:
+def choices(files: Files, bumped: Tried) -> list[MenuChoice]:
     """Every key of the case that has more than one value; `bumped` reads a case, or raises
     `CaseError`."""
     menus = []
@@ -90,11 +90,11 @@ def choices(files: Files, bumped: Tried) -> list[Choice]:
         others = [word for word in text if word != value and _holds(files, key, word, bumped)]
         if others:
             name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
-            menus.append(Choice(name, key, value, [value, *others], title(files.tables, key)))
+            menus.append(MenuChoice(name, key, value, [value, *others], title(files.tables, key)))
     return menus
 
 
-def case_with(files: Files, available: Sequence[Choice], requested: Mapping[str, Any]) -> Files:
+def case_with(files: Files, available: Sequence[MenuChoice], requested: Mapping[str, Any]) -> Files:
     """The case with other values of these keys.
 
     **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.

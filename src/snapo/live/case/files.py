@@ -14,7 +14,7 @@ import numpy as np
 from snapo.case.csv import NUMBER, FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, Copies, FilePosition, SheetCell
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
 
@@ -93,7 +93,7 @@ def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
 def _sheet(folder: Path, name: str) -> Sheet:
     """A CSV as a case reads it: with decimal points, and dates YYYY-MM-DD."""
     try:
-        rows = read_rows(FileReference(Section(folder / "case.toml", "", []), "", name), ())
+        rows = read_rows(FileReference(TableContext(folder / "case.toml", "", []), "", name), ())
     except CaseError:  # its reader has other rules
         return Sheet([], [], [])
     header = list(rows[0].cells)

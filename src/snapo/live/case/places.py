@@ -54,8 +54,8 @@ def _values(entry: CaseInput | Input) -> np.ndarray:
     return entry.values if isinstance(entry, CaseInput) else entry.value
 
 
-Read = Callable[[Path, Mapping[str, Any]], Any]
-Inputs = Callable[[Any], Mapping[str, Input]]
+ReadCase = Callable[[Path, Mapping[str, Any]], Any]
+ReadInputs = Callable[[Any], Mapping[str, Input]]
 LITTLE = 2.0**-20  # relative, of the move by which a place is tried
 MAXIMUM = 60  # places tried for one input
 
@@ -77,10 +77,10 @@ class InputPositions:
 
     def __init__(
         self,
-        read: Read,
+        read: ReadCase,
         files: Files,
         inputs: Mapping[str, Input],
-        of: Inputs | None = None,
+        of: ReadInputs | None = None,
         case: Any = None,
     ):
         self.read, self.files, self.inputs, self.of = read, files, inputs, of

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from .base import ROUNDING, Actions, count
 
-Bound = float | tuple[float, ...]
-Bounds = float | Sequence[float] | np.ndarray  # as they may be given
+BoxBound = float | tuple[float, ...]
+BoxBounds = float | Sequence[float] | np.ndarray  # as they may be given
 
 
 def components(name: str, low: Any, high: Any, size: Any) -> int:
@@ -25,7 +25,7 @@ def components(name: str, low: Any, high: Any, size: Any) -> int:
     return count(f"{name}: size", size, 1, f", after the bounds: {name}(0, 1, size=2)")
 
 
-def _bound(name: str, values: Any, size: int) -> Bound:
+def _bound(name: str, values: Any, size: int) -> BoxBound:
     """One number where all components share it, else a tuple with one for each."""
     try:
         item = np.asarray(values, np.float64)
@@ -63,11 +63,11 @@ class Box(Actions):
     [0.5, 0.0]
     """
 
-    low: Bound = eqx.field(static=True)
-    high: Bound = eqx.field(static=True)
+    low: BoxBound = eqx.field(static=True)
+    high: BoxBound = eqx.field(static=True)
     size: int = eqx.field(static=True)
 
-    def __init__(self, low: Bounds, high: Bounds, size: int | None = None):
+    def __init__(self, low: BoxBounds, high: BoxBounds, size: int | None = None):
         size = components("Box", low, high, size)
         self.size = size
         self.low, self.high = _bound("low", low, size), _bound("high", high, size)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .base import ROUNDING, Actions
-from .box import Bound, Bounds, Box, components
+from .box import Box, BoxBound, BoxBounds, components
 
 
 class Integers(Actions):
@@ -14,9 +14,9 @@ class Integers(Actions):
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
     nearest whole number (a half to the even one).
 
-    **Arguments:** as those of `Box`; a finite bound is a whole number.
+    **Arguments:** as those of `BoxBounds`; a finite bound is a whole number.
 
-    **Raises:** `ValueError` as `Box`, and for a finite bound that is no whole number.
+    **Raises:** `ValueError` as `BoxBounds`, and for a finite bound that is no whole number.
 
     >>> lots = snapo.Integers(0, 10)
     >>> lots.settle(np.array([3.4]), snapo.Exact()).tolist()  # in the value
@@ -25,11 +25,11 @@ class Integers(Actions):
     3.4
     """
 
-    low: Bound = eqx.field(static=True)
-    high: Bound = eqx.field(static=True)
+    low: BoxBound = eqx.field(static=True)
+    high: BoxBound = eqx.field(static=True)
     size: int = eqx.field(static=True)
 
-    def __init__(self, low: Bounds, high: Bounds, size: int | None = None):
+    def __init__(self, low: BoxBounds, high: BoxBounds, size: int | None = None):
         box = Box(low, high, components("Integers", low, high, size))
         for name, bound in zip(("low", "high"), box.bounds()):
             broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
@@ -47,7 +47,7 @@ class Integers(Actions):
         return self.box.bounds()
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Maps unbounded numbers between the bounds, as a `Box` does; exact: rounded."""
+        """Maps unbounded numbers between the bounds, as a `BoxBounds` does; exact: rounded."""
         return self.settle(self.box.squash(raw), smooth)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
@@ -59,7 +59,7 @@ class Integers(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """As of a `Box`: in training numbers need not be whole."""
+        """As of a `BoxBounds`: in training numbers need not be whole."""
         return self.box.explore(action, normals, share)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:

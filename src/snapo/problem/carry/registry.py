@@ -20,7 +20,7 @@ KINDS = {
     "Stages": "snapo.problem.policies.stages",
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "PensionPolicy": "snapo.domains.pension.policies.network",
-    "Limits": "snapo.domains.pension.policies.limits",
+    "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",
     "Feedback": "snapo.domains.pharma.control.policy",
 }

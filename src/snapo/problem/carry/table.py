@@ -16,7 +16,7 @@ from ..policy import Policy
 from ..smooth import Exact
 
 
-class Decisions(NamedTuple):
+class TableDecisions(NamedTuple):
     """`x` [n, 2], the two numbers that move, and `action` [n, size], the exact decision there."""
 
     x: Float[np.ndarray, "n 2"]
@@ -32,7 +32,7 @@ def decision_table(
     at: Sequence[float],
     names: Sequence[str] | None = None,
     observe: Callable[[Any], Any] | None = None,
-) -> Decisions:
+) -> TableDecisions:
     """The exact decision at every pair of values of two observed numbers, x slowest.
 
     **Arguments:**
@@ -57,7 +57,7 @@ def decision_table(
     version = of_policy(policy, states, observe)
     with jax.enable_x64(True), read_context(version):
         action = np.asarray(_decided(policy, observe, jnp.asarray(states)), np.float64)
-    table = Decisions(pairs, action)
+    table = TableDecisions(pairs, action)
     if file is not None:
         _write(Path(file), table, names or _names(one, two, action.shape[1]))
     return table
@@ -75,7 +75,7 @@ def _names(one: int, two: int, size: int) -> list[str]:
     return [f"observation {one}", f"observation {two}", *(f"action {i}" for i in range(size))]
 
 
-def _write(file: Path, table: Decisions, names: Sequence[str]) -> None:
+def _write(file: Path, table: TableDecisions, names: Sequence[str]) -> None:
     rows = np.concatenate([table.x, table.action], axis=1)
     if len(names) != rows.shape[1]:
         raise ValueError(f"decision_table: {len(names)} names for {rows.shape[1]} columns.")

@@ -14,10 +14,10 @@ from jaxtyping import PyTree
 from .. import inputs as inputs_
 from ..smooth import Exact, Smooth
 
-Text = tuple[str, tuple[bytes, ...]]
+ProgramText = tuple[str, tuple[bytes, ...]]
 
 
-def text(function: Callable[..., Any], *arguments: Any) -> Text:
+def text(function: Callable[..., Any], *arguments: Any) -> ProgramText:
     """A function's program without the addresses in its print, and digests of its constants.
 
     `function` must be a new one: JAX keeps the traces of those that it has met.
@@ -27,7 +27,7 @@ def text(function: Callable[..., Any], *arguments: Any) -> Text:
     return re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), constants
 
 
-def preparation(simulator: Any, inputs: PyTree) -> Text:
+def preparation(simulator: Any, inputs: PyTree) -> ProgramText:
     """The program of `prepare`."""
     return text(lambda v: simulator.prepare(inputs_.replace(inputs, v)), inputs_.values(inputs))
 

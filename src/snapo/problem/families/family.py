@@ -122,16 +122,16 @@ class Family:
         return jax.tree.map(plain, self.problem.inputs, is_leaf=inputs_.is_input)
 
     @cached_property
-    def _seen(self) -> "Seen":
+    def _seen(self) -> "ObservedMember":
         # Where each input stands among the leaves of the plain tree that `prepare` gets.
         leaves = jax.tree.leaves(self.problem.inputs, is_leaf=inputs_.is_input)
         positions = [i for i, leaf in enumerate(leaves) if inputs_.is_input(leaf)]
         position = dict(zip(self.problem.inputs_by_name, positions))
         where = tuple(position[name] for name in self.ranges)
-        return Seen(self.problem.simulator, where, self._low, self._high)
+        return ObservedMember(self.problem.simulator, where, self._low, self._high)
 
 
-class Seen(Around):
+class ObservedMember(Around):
     """A simulator whose policy sees some inputs, scaled; constants are (its own, those)."""
 
     where: tuple[int, ...] = eqx.field(static=True)
@@ -182,10 +182,10 @@ class Seen(Around):
 class Members(Around):
     """Each path belongs to one of the members, drawn with one more normal at its start."""
 
-    inner: Seen
+    inner: ObservedMember
     points: np.ndarray
 
-    def __init__(self, local: Seen, points: np.ndarray):
+    def __init__(self, local: ObservedMember, points: np.ndarray):
         self.inner, self.points = local, points
 
     @property

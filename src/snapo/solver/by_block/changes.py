@@ -26,7 +26,7 @@ FURTHER = 3  # changes kept beside that of the weights' sum
 SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, and of round-off
 
 
-class Plan(NamedTuple):
+class BlockPlan(NamedTuple):
     """The weights of all paths, in the order of the blocks, and their changes.
 
     - `total`: {output: [N]}; `sizes`: [B] of the blocks.
@@ -57,10 +57,10 @@ class Plan(NamedTuple):
         return value + apart - apart.mean(0)
 
 
-def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> Plan:
+def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> BlockPlan:
     """How the weights of these totals change without each block; blocks follow one another."""
     complete, endpoints = objective.weights(totals), np.cumsum(sizes)
-    none = Plan(complete, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
+    none = BlockPlan(complete, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
     if objective.linear or len(sizes) < 2:
         return none
     names = list(complete)

@@ -19,12 +19,12 @@ from ..adjoint import float64, pull_back
 from ..evaluate import DECIDED, in_a_row
 from ..finite_paths import DROPPED, adjoint_of_good_weights, all_finite, finite
 from ..statistics import Estimate
-from .changes import Plan, plan
+from .changes import BlockPlan, plan
 
 CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
-class Found(NamedTuple):
+class PassResult(NamedTuple):
     """Derivatives by every input and by the policy, and the number of paths left out.
 
     `totals` {output: [paths]} in the order of the blocks; None where some were passed one by one.
@@ -63,7 +63,7 @@ class DerivativePass(NamedTuple):
     inputs: bool = True
     totals: Mapping[str, np.ndarray] | None = None
 
-    def derivatives(self, blocks: list[np.ndarray]) -> Found:
+    def derivatives(self, blocks: list[np.ndarray]) -> PassResult:
         """From one pass for each block of paths, and a few on a sample of all."""
         return self.of((self.problem.objective,), blocks)[0]
 
@@ -73,7 +73,7 @@ class DerivativePass(NamedTuple):
         nothing = {name: np.zeros(2) for name in self.problem.objective.outputs}
         self.bound_engine.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)
 
-    def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[Found]:
+    def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[PassResult]:
         """Derivatives of several objectives, whose cotangents share every forward sweep."""
         plans, blocks, dropped = self._plans(objectives, blocks)
         every = np.concatenate(blocks)
@@ -85,8 +85,8 @@ class DerivativePass(NamedTuple):
         return results
 
     def _found(
-        self, plan: Plan, passes: list[Pulled], further: list[Pulled], dropped: int
-    ) -> Found:
+        self, plan: BlockPlan, passes: list[Pulled], further: list[Pulled], dropped: int
+    ) -> PassResult:
         """One objective's derivatives from the passes of its blocks and of its pieces."""
         count = int(plan.sizes.sum())
         invalid = np.array([item.non_finite for item in passes])
@@ -103,11 +103,11 @@ class DerivativePass(NamedTuple):
         slopes = np.stack([entry.policy for entry in passes])
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
         policy = Estimate(plan.estimate(scale * slopes, others))
-        return Found(estimates, policy, dropped, _joined_totals(passes))
+        return PassResult(estimates, policy, dropped, _joined_totals(passes))
 
     def _plans(
         self, objectives: Sequence[Objective], blocks: list[np.ndarray]
-    ) -> tuple[list[Plan], list[np.ndarray], int]:
+    ) -> tuple[list[BlockPlan], list[np.ndarray], int]:
         """The weights, the blocks without paths that are not finite, and the number of those."""
         sizes = [len(block) for block in blocks]
         names = tuple(dict.fromkeys(name for item in objectives for name in item.outputs))
@@ -256,7 +256,7 @@ def _row(result: Adjoint, k: int) -> Adjoint:
     return jax.tree.map(lambda leaf: leaf[k], result._replace(totals={}))
 
 
-def _parts(plans: list[Plan], blocks: list[np.ndarray]) -> list[list[Weights]]:
+def _parts(plans: list[BlockPlan], blocks: list[np.ndarray]) -> list[list[Weights]]:
     """By block, the weights of its paths under every plan."""
     endpoints = np.cumsum([0, *map(len, blocks)])
     return [

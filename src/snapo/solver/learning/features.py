@@ -45,7 +45,7 @@ VARIES = 1e-6  # of its size: a feature that varies less is a constant
 MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see who follows them
 
 
-class Scale(NamedTuple):
+class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
     A network's first layer has weights for features as they are. Training moves those for scaled
@@ -69,7 +69,7 @@ class Scale(NamedTuple):
         return self._applied(gradient, slope)
 
     @classmethod
-    def read(cls, stored) -> "Scale | None":
+    def read(cls, stored) -> "FeatureScale | None":
         """From plain data, as JSON gives it."""
         return None if stored is None else cls(*map(tuple, stored))
 
@@ -138,7 +138,7 @@ def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
     return (weights - np.outer(bias, mean)) / deviation, bias
 
 
-def scale_of(policy: Policy, problem: Problem) -> Scale | None:
+def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
     """The scale of the features that no decision moves; None where there is none to be seen, for
     a policy without a network that sees them, and where few numbers are decided, none a `Stop`."""
     if not layers(policy):
@@ -148,7 +148,7 @@ def scale_of(policy: Policy, problem: Problem) -> Scale | None:
     return fixed(problem)
 
 
-def fixed(problem: Problem) -> Scale | None:
+def fixed(problem: Problem) -> FeatureScale | None:
     """Over time and paths, of the features that no decision moves; None where there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
@@ -174,7 +174,7 @@ def fixed(problem: Problem) -> Scale | None:
     if not available.any():
         return None
     mean, deviation = np.where(available, mean, 0.0), np.where(available, deviation, 1.0)
-    return Scale(tuple(mean.tolist()), tuple(deviation.tolist()))
+    return FeatureScale(tuple(mean.tolist()), tuple(deviation.tolist()))
 
 
 class _Unmoved(Around):

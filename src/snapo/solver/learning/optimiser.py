@@ -17,7 +17,7 @@ from jaxtyping import Array, PyTree
 
 from snapo.problem.policy import trainable
 
-from .features import Scale
+from .features import FeatureScale
 
 FORGET = 0.999  # of Adam's second moment, a step
 WINDOWS_FORGET = 0.99  # on windows
@@ -88,12 +88,12 @@ def _ascent(plan: _Numbers, updates: int, forget: float):
     return ascend
 
 
-def memory(scale: Scale | None) -> float:
+def memory(scale: FeatureScale | None) -> float:
     """The share of its mean square of gradients that Adam keeps a step, over the whole horizon."""
     return FORGET if scale is None else SCALED_FORGET
 
 
-def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
+def updater(plan: Plan, updates: int = 1, scale: FeatureScale | None = None):
     """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
     numbers = _Numbers(plan.steps, plan.learning_rate, plan.warmup, plan.average, plan.decay)
     ascend = _ascent(numbers, updates, memory(scale))

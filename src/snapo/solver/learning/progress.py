@@ -13,7 +13,7 @@ from snapo.problem.problem import Problem
 from ..limits.dual import Dual
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
-from .features import Scale
+from .features import FeatureScale
 from .following import resolve_auto
 from .growth import Growth
 from .optimiser import initial_state, restarted
@@ -102,7 +102,7 @@ class Progress:
     slowed: tuple[int, ...] = ()
     redrawn: tuple[int, ...] = ()
     unchanged: int = 0
-    scale: Scale | None = None
+    scale: FeatureScale | None = None
 
     def __str__(self) -> str:
         """One line: `callbacks=[print]` tells it at every validation."""

@@ -47,7 +47,7 @@ KEPT = "start kept"  # how a training ended whose starting rule is reported
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
 
-class Run(NamedTuple):
+class MeasuredRun(NamedTuple):
     """A training that is to be measured: the problem, the rule it began with, and its settings."""
 
     problem: Problem
@@ -79,7 +79,7 @@ class Run(NamedTuple):
         return Smooth(np.float64(self.training.temperature(self.training.steps)))
 
 
-def measure(run: Run) -> dict[str, Any]:
+def measure(run: MeasuredRun) -> dict[str, Any]:
     """The reported policy with value, smoothing gap, sensitivities and how training ended, as
     fields of a `Solution`."""
     problem, training, engine = run.problem, run.training, run.engines.evaluate
@@ -149,7 +149,7 @@ def measure(run: Run) -> dict[str, Any]:
     }
 
 
-def _compiled_meanwhile(run: Run) -> AbstractContextManager:
+def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
     """Compiles the smooth derivatives beside the work of the block, where the engine's programs
     serve any number of paths and the objective is known already."""
     problem, engine = run.problem, run.engines.evaluate
@@ -159,7 +159,7 @@ def _compiled_meanwhile(run: Run) -> AbstractContextManager:
     return in_thread(through_policy(problem, run.progress.best, run.smooth, engine).compile)
 
 
-def _surface(run: Run, problem: Problem) -> Surface | None:
+def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
     """The value around the newest policy; None where no derivative is asked for."""
     progress, effort = run.progress, run.effort
     if not effort.maximum or not np.isfinite(progress.best_value):
@@ -173,7 +173,7 @@ def _surface(run: Run, problem: Problem) -> Surface | None:
     return surface_of(problem, around, paths, run.training.seed, run.engines.train)
 
 
-def _selection(run: Run, surface: Surface | None) -> Selection:
+def _selection(run: MeasuredRun, surface: Surface | None) -> Selection:
     """The policy that is reported; within limits the newest one, as training keeps it."""
     problem, progress, evaluation = run.problem, run.progress, run.evaluation
     paths = min(evaluation.selection_paths, max(evaluation.paths, run.training.validation_paths))
@@ -186,7 +186,7 @@ def _selection(run: Run, surface: Surface | None) -> Selection:
 
 
 def _sensitivities(
-    run: Run,
+    run: MeasuredRun,
     problem: Problem,
     selection: Selection,
     surface: Surface | None,

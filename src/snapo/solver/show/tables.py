@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..learning.progress import Record
-from ..sensitivity import Row
-from .workbook import Picture, Table
+from ..sensitivity import SensitivityRow
+from .workbook import Picture, SheetTable
 
 if TYPE_CHECKING:
     from ..solution import Solution
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 BINS = 40
 
 
-def tables_of(solution: Solution) -> dict[str, Table]:
+def tables_of(solution: Solution) -> dict[str, SheetTable]:
     """Result, sensitivities, training, and the histogram of every output."""
-    tables = {"result": Table(("what", "value"), list(flat(solution.summary())))}
+    tables = {"result": SheetTable(("what", "value"), list(flat(solution.summary())))}
     if solution.sensitivities is not None:
         rows = list(solution.sensitivities.rows())
-        tables["sensitivities"] = Table(Row._fields, rows, sensitivities(rows))
+        tables["sensitivities"] = SheetTable(SensitivityRow._fields, rows, sensitivities(rows))
     if solution.history:
-        tables["training"] = Table(Record._fields, solution.history, TRAINING)
+        tables["training"] = SheetTable(Record._fields, solution.history, TRAINING)
     for name, totals in solution.totals.items():
         values = np.asarray(totals, np.float64)
         counts, edges = np.histogram(values[np.isfinite(values)], BINS)
         rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
         picture = Picture("bar", "from", ("paths",))
-        tables[f"total {name}"] = Table(("from", "to", "paths"), rows, picture)
+        tables[f"total {name}"] = SheetTable(("from", "to", "paths"), rows, picture)
     return tables
 
 

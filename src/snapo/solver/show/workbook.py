@@ -20,7 +20,7 @@ class Picture(NamedTuple):
     y: Sequence[str]
 
 
-class Table(NamedTuple):
+class SheetTable(NamedTuple):
     """A table and, if need be, its chart."""
 
     header: Sequence[str]
@@ -28,7 +28,7 @@ class Table(NamedTuple):
     picture: Picture | None = None
 
 
-def write_tables(file: Path, tables: Mapping[str, Table]) -> None:
+def write_tables(file: Path, tables: Mapping[str, SheetTable]) -> None:
     """Writes a sheet for each table. Texts stay texts, whatever they begin with.
 
     **Raises:** `ModuleNotFoundError` where openpyxl is missing.
@@ -51,7 +51,7 @@ def write_tables(file: Path, tables: Mapping[str, Table]) -> None:
     book.save(file)
 
 
-def _fill(sheet: Any, table: Table) -> int:
+def _fill(sheet: Any, table: SheetTable) -> int:
     """Writes header and rows; returns the number of columns."""
     from openpyxl.utils import get_column_letter
 
@@ -98,7 +98,7 @@ def _format(largest: float) -> str:
     return "0.0000" if largest >= 1e-2 else "0.00E+00"
 
 
-def _draw(sheet: Any, table: Table, columns: int) -> None:
+def _draw(sheet: Any, table: SheetTable, columns: int) -> None:
     """The chart, to the right of its table."""
     from openpyxl.chart import BarChart, LineChart, Reference
     from openpyxl.utils import get_column_letter

@@ -18,7 +18,7 @@ TOLD = 3  # decisions that are named at most
 LONG = 6  # numbers that are told at most
 
 
-class Constant(NamedTuple):
+class ConstantDecision(NamedTuple):
     """A decision, one of those of a step, that is the same on all paths at all times.
 
     - `number`: from 1, as `Actions.together` counts; `name`: in a `Product`, else empty.
@@ -41,7 +41,7 @@ class Constant(NamedTuple):
         return numbers_text(self.value) + (", at its limit" if self.limit else "")
 
 
-def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
+def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDecision]:
     """Those of the recorded decisions [T, paths, size] that never change."""
     flat = actions.reshape(-1, actions.shape[-1])
     low, high = action.bounds()
@@ -50,13 +50,13 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
     near = np.minimum(np.abs(flat[0] - low), np.abs(flat[0] - high)) <= SAME * width
     groups = zip(action.together(), decision_names(action))
     return [
-        Constant(number + 1, name, flat[0][group], bool(near[group].all()))
+        ConstantDecision(number + 1, name, flat[0][group], bool(near[group].all()))
         for number, (group, name) in enumerate(groups)
         if still[group].all()
     ]
 
 
-def describe(constants: list[Constant], of: int) -> str:
+def describe(constants: list[ConstantDecision], of: int) -> str:
     """A sentence on decisions that never change, of so many."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
@@ -94,7 +94,7 @@ def _choices(action: Actions, name: str = "", first: int = 0) -> Iterator[tuple[
             first += item.size
 
 
-def at_limit(constants: list[Constant]) -> bool:
+def at_limit(constants: list[ConstantDecision]) -> bool:
     """Whether all of these decisions lie at limits."""
     return all(item.limit for item in constants)
 

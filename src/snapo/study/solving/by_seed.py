@@ -27,7 +27,7 @@ class Trained(NamedTuple):
     result: Mapping[str, Any]
 
 
-class Row(NamedTuple):
+class SeedRow(NamedTuple):
     """One seed in the table.
 
     - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
@@ -47,7 +47,7 @@ class Row(NamedTuple):
     run: str
 
 
-class Comparison(NamedTuple):
+class SeedComparison(NamedTuple):
     """All seeds side by side.
 
     - `best`: the seed with the highest value, of those within their limits where some are.
@@ -56,7 +56,7 @@ class Comparison(NamedTuple):
     - `fresh`: whether the paths serve for nothing else; `paths`: how many there are.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[SeedRow, ...]
     best: int
     mean: float
     worst: float
@@ -71,7 +71,7 @@ class Comparison(NamedTuple):
         return self._asdict() | {"rows": [row._asdict() for row in self.rows]}
 
 
-def compared(trained: Sequence[Trained]) -> Comparison:
+def compared(trained: Sequence[Trained]) -> SeedComparison:
     """The policies of all seeds on common paths: of the first one's problem."""
     setup = _setup(trained[0].study)
     problem, fresh = _measured_on_others(setup)
@@ -90,7 +90,7 @@ def compared(trained: Sequence[Trained]) -> Comparison:
     mean, worst, highest = (
         float(endpoint(selected)) if selected.size else np.nan for endpoint in endpoints
     )
-    return Comparison(
+    return SeedComparison(
         rows,
         trained[best].seed,
         mean,
@@ -144,11 +144,13 @@ def _best(values: np.ndarray, within: Sequence[bool]) -> int:
     return int(np.argmax(ranked))
 
 
-def _row(item: Trained, shares: np.ndarray | None, best: np.ndarray | None, within: bool) -> Row:
+def _row(
+    item: Trained, shares: np.ndarray | None, best: np.ndarray | None, within: bool
+) -> SeedRow:
     available = None if shares is None else statistics.of_shares(shares)
     behind = None if shares is None or best is None else statistics.of_shares(best - shares)
     result = item.result
-    return Row(
+    return SeedRow(
         item.seed,
         available and available.value,
         available and available.standard_error,

@@ -23,7 +23,7 @@ from ..run_folder import SEEDS
 from ..study import Part, Study, StudyRun
 from ..training import TRAINING
 from .begun import KEPT
-from .by_seed import Comparison, Row, Trained, compared, describe
+from .by_seed import SeedComparison, SeedRow, Trained, compared, describe
 from .prepare import Prepared, Wanted, carried_out, made_ready, output_folder
 
 if TYPE_CHECKING:
@@ -133,11 +133,11 @@ def _adopt(best: Prepared, source: Path, resume: bool) -> None:
     run_folder.become(best.out, source)
 
 
-def _with_table(study: Study, comparison: Comparison) -> Study:
+def _with_table(study: Study, comparison: SeedComparison) -> Study:
     """The study with the table of seeds as its first part, and a sentence in its result."""
 
     def keep(run: StudyRun) -> Mapping[str, Any]:
-        write_csv(run.folder / SEEDS, Row._fields, (_cells(row) for row in comparison.rows))
+        write_csv(run.folder / SEEDS, SeedRow._fields, (_cells(row) for row in comparison.rows))
         return {"by_seed": comparison.table()}
 
     def result(run: StudyRun) -> Mapping[str, Any]:
@@ -149,10 +149,10 @@ def _with_table(study: Study, comparison: Comparison) -> Study:
     return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
 
 
-def _cells(row: Row) -> Iterator[Any]:
+def _cells(row: SeedRow) -> Iterator[Any]:
     return ("" if item is None else item for item in row)
 
 
-def _spent(comparison: Comparison) -> float:
+def _spent(comparison: SeedComparison) -> float:
     """The seconds of the seeds that are not the best one, whose own are in its run."""
     return sum(row.seconds for row in comparison.rows if row.seed != comparison.best)

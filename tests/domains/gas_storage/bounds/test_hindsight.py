@@ -12,7 +12,7 @@ from snapo.domains.gas_storage.bounds.value_iteration import FittedValue, fit_va
 from snapo.domains.gas_storage.references.day_terms import end_value, unit_prices
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.domains.gas_storage.references.lattice import lattice
-from snapo.domains.gas_storage.references.piecewise import Line, day_value, visited
+from snapo.domains.gas_storage.references.piecewise import PiecewiseLine, day_value, visited
 
 SHORT = cases.dated_ratchets()  # G3: sixteen days, ratchets that change
 EXACT = 24_808.2  # with volumes between the extremes
@@ -41,13 +41,13 @@ def exactly(inner: Hindsight, spots: np.ndarray, states: np.ndarray) -> np.ndarr
     assert surprises is not None and inner.coefficients is not None
     for p in range(spots.shape[1]):
         nodes = inner.grids[-1]
-        line = Line(nodes, end_value(schedule, nodes, 0.0))
+        line = PiecewiseLine(nodes, end_value(schedule, nodes, 0.0))
         for t in reversed(range(len(schedule.steps.forward))):
             nodes = inner.grids[t + 1]
             charge = inner.coefficients[t + 1] @ surprises[t + 1, :, p]
             at = np.union1d(line.at, nodes)
             at = at[np.append(True, np.diff(at) > 1e-9)]
-            line = Line(at, line(at) - np.interp(at, nodes, charge))
+            line = PiecewiseLine(at, line(at) - np.interp(at, nodes, charge))
             prices = unit_prices(schedule, t, spots[t, p])
             line = day_value(schedule, "linear", t, prices, line, low[t], high[t])
         found.append(line.value[0] - inner.coefficients[0][0] @ surprises[0, :, p])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.gas_storage.contract.reachable import Limits, reachable
+from snapo.domains.gas_storage.contract.reachable import InventoryLimits, reachable
 
 DAYS = 2
 
@@ -17,7 +17,7 @@ def highest(capacity, row, interpolation):
     """The greatest inventory at the start, of a store that may end with anything."""
     days = jnp.ones(DAYS)
     rows = jnp.outer(days, jnp.stack([jnp.zeros_like(row), row]))
-    limits = Limits(
+    limits = InventoryLimits(
         0 * days,
         capacity * days,
         0 * days,

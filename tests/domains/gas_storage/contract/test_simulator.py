@@ -21,7 +21,7 @@ from tests.domains.gas_storage.storage_cases import (
     untrained,
 )
 
-from snapo.domains.gas_storage.contract.schedule import State, of_prices
+from snapo.domains.gas_storage.contract.schedule import StoreState, of_prices
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.domains.gas_storage.study import value_without_decisions
 from snapo.engine import Xla
@@ -242,7 +242,7 @@ def rollout(simulator, schedule, inventory, actions):
 @eqx.filter_jit
 def _one_day(simulator, constants, now, inventory, actions):
     def step(inventory, action):
-        state = State(inventory, jnp.zeros(1))
+        state = StoreState(inventory, jnp.zeros(1))
         return simulator.step(constants, now, state, action, jnp.zeros(1), Exact())
 
     return jax.vmap(step)(inventory, actions)

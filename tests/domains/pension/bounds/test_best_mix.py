@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from snapo.domains.pension.bounds.best_mix import Limits, best_mix
+from snapo.domains.pension.bounds.best_mix import MixBounds, best_mix
 
 pytestmark = pytest.mark.prove
 SHARES = st.lists(st.floats(0, 1), min_size=5, max_size=5)
 
 
-def program(limits: Limits, worth: np.ndarray) -> float:
+def program(limits: MixBounds, worth: np.ndarray) -> float:
     member = (limits.group[:, None] == np.arange(len(limits.group_low))).T.astype(float)
     found = linprog(
         -worth,
@@ -30,7 +30,7 @@ def program(limits: Limits, worth: np.ndarray) -> float:
 @given(SHARES, SHARES, SHARES, st.floats(0, 0.4), st.floats(0.6, 1))
 def test_as_a_linear_program(low, high, worth, group_low, group_high):
     low = 0.2 * np.array(low)
-    limits = Limits(
+    limits = MixBounds(
         low,
         np.maximum(low, high),
         np.array([0, 0, 1, 1, 2]),
@@ -50,7 +50,7 @@ def test_as_a_linear_program(low, high, worth, group_low, group_high):
 @given(SHARES, SHARES, SHARES, st.floats(-0.6, 0.4), st.floats(0.6, 1.6))
 def test_as_a_linear_program_where_classes_may_be_short(low, width, worth, group_low, group_high):
     low = np.array(low) - 0.6
-    limits = Limits(
+    limits = MixBounds(
         low,
         low + 2 * np.array(width),
         np.array([0, 0, 1, 1, 2]),

@@ -14,7 +14,7 @@ from snapo.domains.pension.fund.collateral import stressed
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.trading import trade
 from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.policies.limits import Limits
+from snapo.domains.pension.policies.limits import AllocationLimits
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.balance import Headroom, headroom
@@ -88,7 +88,7 @@ def test_the_policy_and_the_count_of_a_path_see_the_same_need(zero_coupon):
     known = headroom(one, weights, np.array([30.0])) or Headroom()
     stress = given("overlay_collateral_stress", 1e-4 * known.headroom)
     one = replace(one, overlay=replace(overlay, collateral_stress=stress))
-    cover = Limits(one).cover
+    cover = AllocationLimits(one).cover
     assert cover is not None
     wanted = np.array([1.0])
     with jax.enable_x64(True):

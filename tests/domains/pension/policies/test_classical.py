@@ -14,7 +14,7 @@ from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.policies.classical import ConstantMix, StockBond, followers
 from snapo.domains.pension.policies.closed_forms import merton, vasicek_stock_bond
-from snapo.domains.pension.policies.limits import Limits
+from snapo.domains.pension.policies.limits import AllocationLimits
 from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
@@ -71,7 +71,7 @@ def test_policies_start_at_what_the_fund_holds(problem):
 @pytest.mark.prove
 def test_weights_within_the_limits_are_their_own_nearest(problem):
     """Sums of groups too; weights that leave the limits are moved inside."""
-    one, limits = problem[0], Limits(problem[0])
+    one, limits = problem[0], AllocationLimits(problem[0])
     for within in (one.assets.weight.used(), np.array([0.3, 0.1, 0.05, 0.15, 0.1, 0.2, 0.1])):
         found = np.asarray(limits.nearest(jnp.asarray(within, jnp.float32), Exact()))
         assert found == pytest.approx(within, abs=1e-5)
@@ -92,7 +92,7 @@ def test_swaps_are_held_as_far_as_weights_back_them():
         collateral_stress=given("overlay_collateral_stress", 0.035), zero_coupon=(0,),
     )  # fmt: skip
     lost = 1 - np.exp(-20 * 0.035)
-    limits = Limits(case(steps, held_assets=held, overlay=swap))
+    limits = AllocationLimits(case(steps, held_assets=held, overlay=swap))
     weights = jnp.asarray([0.75, 0.25])
     for place, expected in ((0.9, 0.75 / lost / 2), (0.5, 0.5)):
         logit = jnp.log(jnp.asarray([place / (1 - place)]))

@@ -16,9 +16,9 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.policies.classical import ConstantMix, PresentMix, followers
-from snapo.domains.pension.policies.limits import Limits
+from snapo.domains.pension.policies.limits import AllocationLimits
 from snapo.domains.pension.policies.network import new_policy
-from snapo.domains.pension.records.assets import Group, Overlay
+from snapo.domains.pension.records.assets import AssetGroup, Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.prepare import prepare
 from snapo.problem.smooth import Exact, Smooth
@@ -47,8 +47,8 @@ exactly = jax.jit(Exact().simplex)
 smoothly = jax.jit(lambda *given: Smooth(jnp.asarray(0.3)).simplex(*given))
 
 
-def limits_of(low, high, groups=()) -> Limits:
-    return Limits(fund([1.0, 0.0, 0.0, 0.0], low, high, groups))
+def limits_of(low, high, groups=()) -> AllocationLimits:
+    return AllocationLimits(fund([1.0, 0.0, 0.0, 0.0], low, high, groups))
 
 
 def drawn(low, width, place):
@@ -91,7 +91,7 @@ def test_every_mix_inside_the_bounds_is_reached(low, width, place):
 
 
 def test_groups_of_short_classes_are_reached_too():
-    groups = (Group("bonds", (2, 3), 0.5, 1.5),)
+    groups = (AssetGroup("bonds", (2, 3), 0.5, 1.5),)
     limits = limits_of([-0.6, 0.0, 0.2, -0.3], [0.4, 0.5, 1.4, 0.9], groups)
     with jax.enable_x64(True):
         for mix in ([-0.5, 0.2, 1.2, 0.1], [0.3, 0.1, 0.8, -0.2], [-0.2, 0.3, 0.25, 0.65]):
@@ -101,7 +101,7 @@ def test_groups_of_short_classes_are_reached_too():
 
 def test_the_map_has_the_slopes_of_central_differences():
     limits = limits_of(
-        [-0.5, 0.0, 0.3, -0.1], [0.2, 0.4, 1.4, 0.8], (Group("b", (2, 3), 0.6, 1.3),)
+        [-0.5, 0.0, 0.3, -0.1], [0.2, 0.4, 1.4, 0.8], (AssetGroup("b", (2, 3), 0.6, 1.3),)
     )
     with jax.enable_x64(True):
         at, h = jnp.asarray([0.3, -1.1, 0.8, -0.4]), 1e-5
@@ -158,7 +158,7 @@ def test_borrowed_cash_backs_no_swaps():
         cost=given_("overlay_cost", [0.0]),
         collateral_stress=given_("overlay_collateral_stress", 0.035),
     )  # fmt: skip
-    limits = Limits(replace(BORROWED, overlay=swap))
+    limits = AllocationLimits(replace(BORROWED, overlay=swap))
     with jax.enable_x64(True):
         weights, logit = jnp.asarray([-0.3, 1.3, 0.0, 0.0]), jnp.asarray([0.5])
         assert limits.action(weights, logit, Exact())[4] == 0

@@ -6,17 +6,17 @@ import pytest
 
 from snapo.case.csv import FileReference
 from snapo.case.error import CaseError
-from snapo.case.table import Section
-from snapo.domains.pension.read.cash_plan import Clock, read_cash_plan
-from snapo.domains.pension.read.cells import Grid
+from snapo.case.table import TableContext
+from snapo.domains.pension.read.cash_plan import PlanClock, read_cash_plan
+from snapo.domains.pension.read.cells import TimeGrid
 
 START = datetime.date(2024, 12, 31)
 
 
 def plan(folder, text, step=1 / 12, years=3, arrears=True):
     (folder / "plan.csv").write_text(text)
-    section = Section(folder / "case.toml", "plan.contribution", [])
-    clock = Clock(Grid(round(years / step), step, "GBP"), START, arrears)
+    section = TableContext(folder / "case.toml", "plan.contribution", [])
+    clock = PlanClock(TimeGrid(round(years / step), step, "GBP"), START, arrears)
     return read_cash_plan(FileReference(section, "schedule", "plan.csv"), clock), section.notes
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.pension.market_cases import CASH, assets, case, given
 
 from snapo.case.error import CaseError
-from snapo.domains.pension.read.cells import TableContext
+from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import FundingTable
 from snapo.domains.pension.regulation.bases import discounted, read_funding, side_by_side
 from snapo.domains.pension.regulation.due import Due
@@ -19,7 +19,7 @@ DAY = datetime.date(2024, 12, 31)
 
 def scheme(day=DAY, amount=80.0, **keys):
     """Payments of 50 after 10 and after 20 years, gilts at 4 % a year, assets of `amount`."""
-    place = TableContext(Path("case.toml"), "funding", [], set())
+    place = TableReader(Path("case.toml"), "funding", [], set())
     usual = {"rules": "uk", "technical_provisions": 0.01, "buy_out": -0.002}
     held = replace(assets(1, [CASH], weight=[1.0]), amount=given("assets", amount))
     one = case(1, step=1.0, held_assets=held)

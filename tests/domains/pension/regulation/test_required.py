@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.domains.pension.read.cells import TableContext
+from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.regulation.read import read_regulation
 from snapo.domains.pension.regulation.required import (
@@ -22,7 +22,7 @@ from snapo.domains.pension.regulation.required import (
 
 
 def read(day=datetime.date(2024, 12, 31), **keys):
-    place = TableContext(Path("case.toml"), "regulation", [], set())
+    place = TableReader(Path("case.toml"), "regulation", [], set())
     found = read_regulation(place, RegulationTable(**({"rules": "dutch-ftk"} | keys)), day)
     assert found is not None
     return found
@@ -74,7 +74,7 @@ def test_a_change_of_law_is_a_change_of_file(tmp_path):
     text = own.read_text()
     later = text.replace("2015-01-01", "2030-01-01").replace("minimum = 0.04", "minimum = 0.05")
     (tmp_path / "law.toml").write_text(text + later[later.index("[[version]]") :])
-    place = TableContext(tmp_path / "case.toml", "regulation", [], set())
+    place = TableReader(tmp_path / "case.toml", "regulation", [], set())
     for year, minimum in ((2029, 0.04), (2030, 0.05)):
         table = RegulationTable(rules="law.toml")
         found = read_regulation(place, table, datetime.date(year, 6, 1))

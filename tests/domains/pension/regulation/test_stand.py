@@ -10,7 +10,7 @@ from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, c
 
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.coupon_bond import CouponBond
-from snapo.domains.pension.read.cells import TableContext
+from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
@@ -23,7 +23,7 @@ from snapo.problem.inputs import plain
 
 def fund(**keys):
     """A payment after 20 years at 2 %; a 10-year bond and cash; cash counts as shares here."""
-    place = TableContext(Path("case.toml"), "regulation", [], set())
+    place = TableReader(Path("case.toml"), "regulation", [], set())
     table = RegulationTable(**({"rules": "dutch-ftk"} | keys))
     held = assets(1, [CASH, Bond("Bond", maturity=10)], weight=[0.4, 0.6])
     one = case(

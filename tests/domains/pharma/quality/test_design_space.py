@@ -9,7 +9,7 @@ from tests.domains.pharma.pharma_cases import Polynomial, template
 
 from snapo.domains.pharma.chapters.sensitivities import criticality
 from snapo.domains.pharma.derivatives import sensitivities
-from snapo.domains.pharma.derivatives.jacobian import Matrix
+from snapo.domains.pharma.derivatives.jacobian import Jacobian
 from snapo.domains.pharma.quality import (
     capability,
     design_space,
@@ -191,7 +191,9 @@ def test_the_largest_box_is_the_best_of_all():
     probability[2:4, 2:4] = 1
     nothing = np.zeros((7, 6))
     at = design_space.Point(probability, *[nothing] * 7)
-    found = design_space.largest_box(design_space.Map(("a", "b"), grid, at, 1), (0.4, 0.9), 0.9)
+    found = design_space.largest_box(
+        design_space.ProbabilityMap(("a", "b"), grid, at, 1), (0.4, 0.9), 0.9
+    )
     best = 0.0
     for i in range(3):
         for j in range(3, 7):
@@ -203,7 +205,9 @@ def test_the_largest_box_is_the_best_of_all():
     assert (found.low <= [0.4, 0.9]).all() and (found.high >= [0.4, 0.9]).all()
     bad = at._replace(probability=np.zeros((7, 6)))
     assert (
-        design_space.largest_box(design_space.Map(("a", "b"), grid, bad, 1), (0.4, 0.9), 0.9)
+        design_space.largest_box(
+            design_space.ProbabilityMap(("a", "b"), grid, bad, 1), (0.4, 0.9), 0.9
+        )
         is None
     )
 
@@ -248,7 +252,7 @@ def test_draws_have_their_moments_and_do_not_depend_on_their_number():
 
 
 def test_the_three_forms_of_a_matrix(linear):
-    found = Matrix(np.array([100.0, 5]), np.array([[2.0, -1], [0, 0]]), "forward", "", 2)
+    found = Jacobian(np.array([100.0, 5]), np.array([[2.0, -1], [0, 0]]), "forward", "", 2)
     forms = sensitivities.table(linear.case, found)
     assert (forms.raw == found.jacobian).all()
     assert forms.scaled == pytest.approx(found.jacobian)  # half the normal range is 1 K

@@ -14,11 +14,11 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.estimation import fitted_rows
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality import draws
-from snapo.domains.pharma.quality.estimation import Fit
+from snapo.domains.pharma.quality.estimation import ParameterFit
 from snapo.domains.pharma.read.case import read_case, resolve
 
 FIT = filled(
-    Fit,
+    ParameterFit,
     at_bound=("", ""),
     names=("kinetics.prefactor[product]", "kinetics.prefactor[impurity]"),
     values=np.array([2.654e4, 5.3e2]),

@@ -13,7 +13,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.recipe.optimise import optimise, varies
-from snapo.domains.pharma.recipe.optimum import ACTIVE, Limits, Traced, best, optimum
+from snapo.domains.pharma.recipe.optimum import ACTIVE, SearchLimits, TracedRecipe, best, optimum
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "plug_flow"
 
@@ -26,7 +26,7 @@ def test_a_quadratic_with_its_multipliers():
         return jnp.stack([goal, 2 - x[0] - x[1]])
 
     for mode in ("adjoint", "forward"):
-        traced = Traced(function, mode)
+        traced = TracedRecipe(function, mode)
         found = optimum(traced, [0, 0, 0], [-3, -3, -3], [4, 4, 4], sense=-1, scale=10.0)
         assert found.converged and traced.compiling > 0
         assert found.x == pytest.approx([1.5, 0.5, 4.0], abs=1e-7)
@@ -70,7 +70,7 @@ def rosenbrock(x):
 )
 def test_an_optimisation_stops_at_its_limit_and_says_so(limits, words):
     lines = []
-    told = Limits(progress=lines.append, **limits)
+    told = SearchLimits(progress=lines.append, **limits)
     start, ends = np.array([-1.2, 1.0]), (np.full(2, -2.0), np.full(2, 2.0))
     found = best(rosenbrock, start, *ends, sense=-1, limits=told)
     assert not found.converged and words in found.message and found.evaluations <= 6
@@ -93,7 +93,7 @@ def test_a_function_that_is_not_a_number_somewhere_leaves_the_best_point():
 
 def test_a_tolerance_is_the_callers():
     start, ends = np.array([-1.2, 1.0]), (np.full(2, -2.0), np.full(2, 2.0))
-    limits = Limits(evaluations=12)
+    limits = SearchLimits(evaluations=12)
     loose = best(rosenbrock, start, *ends, sense=-1, tolerance=1e3, limits=limits)
     assert loose.converged and loose.evaluations <= 12
 

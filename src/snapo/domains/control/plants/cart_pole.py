@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.angle import angle_features
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 
 class CartPole(Plant):
@@ -27,20 +27,20 @@ class CartPole(Plant):
     steps: ClassVar = 100
     portrait: ClassVar = ("angle", "spin")
     parameters: ClassVar = {
-        "cart": Parameter(0.5, "kg", "mass of the cart"),
-        "pole": Parameter(0.5, "kg", "mass of the pole"),
-        "length": Parameter(0.6, "m", "length of the pole"),
-        "friction": Parameter(0.1, "N s/m", "friction of the cart", False),
-        "gravity": Parameter(9.82, "m/s2", "gravity"),
-        "force": Parameter(10.0, "N", "largest force"),
-        "step": Parameter(0.05, "s", "time step"),
+        "cart": PlantParameter(0.5, "kg", "mass of the cart"),
+        "pole": PlantParameter(0.5, "kg", "mass of the pole"),
+        "length": PlantParameter(0.6, "m", "length of the pole"),
+        "friction": PlantParameter(0.1, "N s/m", "friction of the cart", False),
+        "gravity": PlantParameter(9.82, "m/s2", "gravity"),
+        "force": PlantParameter(10.0, "N", "largest force"),
+        "step": PlantParameter(0.05, "s", "time step"),
     }
     weights: ClassVar = {
-        "position": Parameter(0.5, "1/m2", "weight of the squared position", False),
-        "angle": Parameter(1.0, "1", "weight of 2 (1 - cos angle)", False),
-        "speed": Parameter(0.01, "s2/m2", "weight of the squared speed", False),
-        "spin": Parameter(0.01, "s2/rad2", "weight of the squared spin", False),
-        "force": Parameter(0.001, "1/N2", "weight of the squared force", False),
+        "position": PlantParameter(0.5, "1/m2", "weight of the squared position", False),
+        "angle": PlantParameter(1.0, "1", "weight of 2 (1 - cos angle)", False),
+        "speed": PlantParameter(0.01, "s2/m2", "weight of the squared speed", False),
+        "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),
+        "force": PlantParameter(0.001, "1/N2", "weight of the squared force", False),
     }
     states: ClassVar = {
         "position": Variable("m", "position", {"mean": 0.0, "deviation": 0.1}),

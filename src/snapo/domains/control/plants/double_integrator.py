@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 
 class DoubleIntegrator(Plant):
@@ -20,15 +20,15 @@ class DoubleIntegrator(Plant):
     steps: ClassVar = 40
     sees_time: ClassVar = True
     parameters: ClassVar = {
-        "mass": Parameter(1.0, "kg", "mass"),
-        "force": Parameter(1.0, "N", "largest force"),
-        "step": Parameter(0.2, "s", "time step"),
+        "mass": PlantParameter(1.0, "kg", "mass"),
+        "force": PlantParameter(1.0, "N", "largest force"),
+        "step": PlantParameter(0.2, "s", "time step"),
     }
     weights: ClassVar = {
-        "position": Parameter(1.0, "1/m2", "weight of the squared position", False),
-        "speed": Parameter(0.1, "s2/m2", "weight of the squared speed", False),
-        "force": Parameter(0.1, "1/N2", "weight of the squared force", False),
-        "final": Parameter(1.0, "1", "weight of the last state", False),
+        "position": PlantParameter(1.0, "1/m2", "weight of the squared position", False),
+        "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
+        "force": PlantParameter(0.1, "1/N2", "weight of the squared force", False),
+        "final": PlantParameter(1.0, "1", "weight of the last state", False),
     }
     states: ClassVar = {
         "position": Variable("m", "position", {"mean": 1.0, "deviation": 0.5}),

@@ -4,13 +4,15 @@ from collections.abc import Callable, Mapping
 
 from jaxtyping import Array
 
-State = Mapping[str, Array]
+StateVector = Mapping[str, Array]
 
 
-def runge_kutta(slopes: Callable[[State], State], state: State, dt) -> dict[str, Array]:
+def runge_kutta(
+    slopes: Callable[[StateVector], StateVector], state: StateVector, dt
+) -> dict[str, Array]:
     """The state after `dt`, by the classical method of order 4."""
 
-    def ahead(by: State, share) -> dict[str, Array]:
+    def ahead(by: StateVector, share) -> dict[str, Array]:
         return {name: state[name] + share * dt * by[name] for name in by}
 
     first = slopes(state)

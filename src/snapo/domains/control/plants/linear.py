@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.actions import Box
 
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 
 class LinearQuadratic(Plant):
@@ -22,14 +22,14 @@ class LinearQuadratic(Plant):
     steps: ClassVar = 20
     sees_time: ClassVar = True
     parameters: ClassVar = {
-        "A": Parameter(None, "1", "from state to state", False),
-        "B": Parameter(None, "1", "from action to state", False),
-        "limit": Parameter(math.inf, "1", "largest size of an action"),
+        "A": PlantParameter(None, "1", "from state to state", False),
+        "B": PlantParameter(None, "1", "from action to state", False),
+        "limit": PlantParameter(math.inf, "1", "largest size of an action"),
     }
     weights: ClassVar = {
-        "Q": Parameter(None, "1", "weights of the state", False),
-        "R": Parameter(None, "1", "weights of the action", False),
-        "Q_T": Parameter(None, "1", "weights of the last state", False),
+        "Q": PlantParameter(None, "1", "weights of the state", False),
+        "R": PlantParameter(None, "1", "weights of the action", False),
+        "Q_T": PlantParameter(None, "1", "weights of the last state", False),
     }
     states: ClassVar = {"x": Variable("1", "state")}
     actions: ClassVar = {"u": Variable("1", "action")}

@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.policy import Threshold
 from snapo.problem.smooth import Exact
 
-from .plant import Parameter, Plant, Variable, outputs
+from .plant import Plant, PlantParameter, Variable, outputs
 
 BOTTOM = -np.pi / 6  # of the valley
 AIM = 1.15  # energy where a training step ends the way with probability 1/2; the goal takes 1
@@ -33,16 +33,16 @@ class MountainCar(Plant):
     twin: ClassVar = "MountainCarContinuous-v0"
     rests: ClassVar = False
     parameters: ClassVar = {
-        "power": Parameter(0.0015, "1/step2", "acceleration of the engine at full power"),
-        "gravity": Parameter(0.0025, "1/step2", "steepest pull of the hill"),
-        "max_speed": Parameter(0.07, "1/step", "largest speed"),
-        "left": Parameter(-1.2, "1", "place of the left wall", False),
-        "right": Parameter(0.6, "1", "place of the right wall", False),
-        "goal": Parameter(0.45, "1", "place of the goal", False),
+        "power": PlantParameter(0.0015, "1/step2", "acceleration of the engine at full power"),
+        "gravity": PlantParameter(0.0025, "1/step2", "steepest pull of the hill"),
+        "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
+        "left": PlantParameter(-1.2, "1", "place of the left wall", False),
+        "right": PlantParameter(0.6, "1", "place of the right wall", False),
+        "goal": PlantParameter(0.45, "1", "place of the goal", False),
     }
     weights: ClassVar = {
-        "prize": Parameter(100.0, "1", "prize at the goal", False),
-        "effort": Parameter(0.1, "1", "weight of the squared action", False),
+        "prize": PlantParameter(100.0, "1", "prize at the goal", False),
+        "effort": PlantParameter(0.1, "1", "weight of the squared action", False),
     }
     states: ClassVar = {
         "position": Variable("1", "position", {"low": -0.6, "high": -0.4}),

@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.angle import angle_features, wrap_angle
 
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 
 class Pendulum(Plant):
@@ -23,17 +23,17 @@ class Pendulum(Plant):
     steps: ClassVar = 200
     twin: ClassVar = "Pendulum-v1"
     parameters: ClassVar = {
-        "gravity": Parameter(10.0, "m/s2", "gravity"),
-        "mass": Parameter(1.0, "kg", "mass of the rod"),
-        "length": Parameter(1.0, "m", "length of the rod"),
-        "torque": Parameter(2.0, "N m", "largest torque of the motor"),
-        "max_speed": Parameter(8.0, "rad/s", "largest speed"),
-        "step": Parameter(0.05, "s", "time step"),
+        "gravity": PlantParameter(10.0, "m/s2", "gravity"),
+        "mass": PlantParameter(1.0, "kg", "mass of the rod"),
+        "length": PlantParameter(1.0, "m", "length of the rod"),
+        "torque": PlantParameter(2.0, "N m", "largest torque of the motor"),
+        "max_speed": PlantParameter(8.0, "rad/s", "largest speed"),
+        "step": PlantParameter(0.05, "s", "time step"),
     }
     weights: ClassVar = {
-        "angle": Parameter(1.0, "1/rad2", "weight of the squared angle", False),
-        "speed": Parameter(0.1, "s2/rad2", "weight of the squared speed", False),
-        "torque": Parameter(0.001, "1/(N m)2", "weight of the squared torque", False),
+        "angle": PlantParameter(1.0, "1/rad2", "weight of the squared angle", False),
+        "speed": PlantParameter(0.1, "s2/rad2", "weight of the squared speed", False),
+        "torque": PlantParameter(0.001, "1/(N m)2", "weight of the squared torque", False),
     }
     states: ClassVar = {
         "angle": Variable("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),

@@ -18,11 +18,11 @@ from snapo.problem.actions import Actions, Box
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
-Values = Mapping[str, Any]
-State = dict[str, Array]
+PlantValues = Mapping[str, Any]
+PlantState = dict[str, Array]
 
 
-class Parameter(NamedTuple):
+class PlantParameter(NamedTuple):
     """A number of a plant or of its cost: its value where the case is silent (None: it must be
     given; infinite: there is none), its unit and meaning. `positive`: it must be above 0."""
 
@@ -64,8 +64,8 @@ class Plant(Simulator):
 
     type: ClassVar[str]
     description: ClassVar[str]
-    parameters: ClassVar[Mapping[str, Parameter]]
-    weights: ClassVar[Mapping[str, Parameter]]
+    parameters: ClassVar[Mapping[str, PlantParameter]]
+    weights: ClassVar[Mapping[str, PlantParameter]]
     states: ClassVar[Mapping[str, Variable]]
     actions: ClassVar[Mapping[str, Variable]]
     steps: ClassVar[int]
@@ -84,7 +84,7 @@ class Plant(Simulator):
 
     def __init__(
         self,
-        inputs: Mapping[str, Values],
+        inputs: Mapping[str, PlantValues],
         horizon: int | None = None,
         timer: bool | None = None,
     ):
@@ -110,7 +110,7 @@ class Plant(Simulator):
                 if np.ndim(inputs):
                     yield f"{group}.{name}", inputs.tolist(), "this state is one number"
 
-    def decisions(self, inputs: Mapping[str, Values]) -> Actions:
+    def decisions(self, inputs: Mapping[str, PlantValues]) -> Actions:
         """The set of actions: a share of each limit, from -1 to 1."""
         return Box(-1.0, 1.0, len(self.actions))
 
@@ -125,55 +125,57 @@ class Plant(Simulator):
         return drawn + sum(sizes[name] for name in self.measured)
 
     @abc.abstractmethod
-    def drive(self, p: Values, action: Any) -> Any:
+    def drive(self, p: PlantValues, action: Any) -> Any:
         """The physical action [m] of a decision [m] in the set."""
 
     @abc.abstractmethod
-    def move(self, p: Values, state: State, u: Float[Array, " m"], smooth) -> State:
+    def move(self, p: PlantValues, state: PlantState, u: Float[Array, " m"], smooth) -> PlantState:
         """The state after one step, without disturbances."""
 
     @abc.abstractmethod
-    def cost(self, w: Values, p: Values, state: State, u: Float[Array, " m"]) -> State:
+    def cost(
+        self, w: PlantValues, p: PlantValues, state: PlantState, u: Float[Array, " m"]
+    ) -> PlantState:
         """The cost of a step by part, on the state before it."""
 
-    def final_cost(self, w: Values, p: Values, state: State) -> State:
+    def final_cost(self, w: PlantValues, p: PlantValues, state: PlantState) -> PlantState:
         """The cost of the last state by part."""
         return {}
 
     @abc.abstractmethod
-    def features(self, p: Values, state: State) -> Float[Array, " features"]:
+    def features(self, p: PlantValues, state: PlantState) -> Float[Array, " features"]:
         """The observation, of order one, without the clock."""
 
     @abc.abstractmethod
-    def recover(self, p: Values, features: Float[Array, " features"]) -> State:
+    def recover(self, p: PlantValues, features: Float[Array, " features"]) -> PlantState:
         """The state that an observation shows; angles between -pi and pi."""
 
-    def target_at(self, p: Values) -> dict[str, np.ndarray]:
+    def target_at(self, p: PlantValues) -> dict[str, np.ndarray]:
         """The state at which the plant should rest: 0, unless it says otherwise."""
         shapes = {name: (n,) if n > 1 else () for name, n in self.sizes}
         return {name: np.zeros(shapes[name]) for name in self.states}
 
-    def rest(self, p: Values) -> np.ndarray:
+    def rest(self, p: PlantValues) -> np.ndarray:
         """[m] the physical action that holds the plant at its target."""
         return np.zeros(self.action.size)
 
-    def proportional(self, p: Values) -> dict[str, np.ndarray]:
+    def proportional(self, p: PlantValues) -> dict[str, np.ndarray]:
         """{state: [m] gains} of a classical controller u = rest - gains x (state - target)."""
         return {}
 
-    def hand_rules(self, p: Values) -> dict[str, Policy]:
+    def hand_rules(self, p: PlantValues) -> dict[str, Policy]:
         """Classical rules of this plant alone, by name."""
         return {}
 
-    def from_twin(self, p: Values, observed: np.ndarray) -> np.ndarray:
+    def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
         """[N, features] from the twin's observations [N, k]."""
         raise NotImplementedError(f"{self.type} has no twin in Gymnasium.")
 
-    def to_twin(self, p: Values, action: np.ndarray) -> np.ndarray:
+    def to_twin(self, p: PlantValues, action: np.ndarray) -> np.ndarray:
         """[N, m] the twin's actions from decisions."""
         return np.asarray(self.drive(p, action), np.float32)
 
-    def prepare(self, inputs: Mapping[str, Values]) -> Schedule:
+    def prepare(self, inputs: Mapping[str, PlantValues]) -> Schedule:
         constants = {key: dict(inputs[key]) for key in ("plant", "cost", "start")}
         if self.measured:
             constants[MEASURED] = dict(inputs[MEASURED])
@@ -221,7 +223,7 @@ class Plant(Simulator):
         parts = self.final_cost(constants["cost"], constants["plant"], state)
         return outputs(parts) if parts else {}
 
-    def read_off(self, constants, state: State, noise: Float[Array, " noise"]) -> State:
+    def read_off(self, constants, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
         """The state with what is measured of it, each with an error of its own."""
         if not self.measured:
             return state
@@ -232,7 +234,7 @@ class Plant(Simulator):
             observed[name] = state[name] + constants[MEASURED][name] * z
         return {**state, MEASURED: observed}  # pyright: ignore[reportReturnType]
 
-    def disturbed(self, now, state: State, noise: Float[Array, " noise"]) -> State:
+    def disturbed(self, now, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
         """The state with this step's disturbances: a deviation, or a matrix, times normals."""
         state, used = dict(state), 0
         for name in self.disturbed_parts:
@@ -245,13 +247,13 @@ class Plant(Simulator):
         return state
 
 
-def outputs(parts: State) -> State:
+def outputs(parts: PlantState) -> PlantState:
     """The reward, minus all costs, and every cost by its name."""
     total = sum(parts.values(), jnp.zeros(()))
     return {"reward": -total, **{f"{name}_cost": value for name, value in parts.items()}}
 
 
-def _any(values: Values) -> Any:
+def _any(values: PlantValues) -> Any:
     """One of the arrays of a distribution: all have the shape of the state."""
     result = next(iter(values.values()))
     return getattr(result, "value", result)

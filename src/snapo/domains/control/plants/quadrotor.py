@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.actions import Box
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 
 class Quadrotor(Plant):
@@ -23,19 +23,19 @@ class Quadrotor(Plant):
     description: ClassVar = "a quadrotor in the plane, flown to its place"
     steps: ClassVar = 80
     parameters: ClassVar = {
-        "mass": Parameter(0.5, "kg", "mass"),
-        "inertia": Parameter(0.002, "kg m2", "moment of inertia"),
-        "arm": Parameter(0.15, "m", "distance of a rotor to the middle"),
-        "gravity": Parameter(9.81, "m/s2", "gravity"),
-        "thrust": Parameter(4.905, "N", "largest thrust of a rotor"),
-        "step": Parameter(0.03, "s", "time step"),
+        "mass": PlantParameter(0.5, "kg", "mass"),
+        "inertia": PlantParameter(0.002, "kg m2", "moment of inertia"),
+        "arm": PlantParameter(0.15, "m", "distance of a rotor to the middle"),
+        "gravity": PlantParameter(9.81, "m/s2", "gravity"),
+        "thrust": PlantParameter(4.905, "N", "largest thrust of a rotor"),
+        "step": PlantParameter(0.03, "s", "time step"),
     }
     weights: ClassVar = {
-        "place": Parameter(1.0, "1/m2", "weight of the squared distance to the place", False),
-        "speed": Parameter(0.1, "s2/m2", "weight of the squared speed", False),
-        "tilt": Parameter(0.1, "1/rad2", "weight of the squared tilt", False),
-        "spin": Parameter(0.01, "s2/rad2", "weight of the squared spin", False),
-        "thrust": Parameter(0.1, "1", "weight of the squared distance to hovering", False),
+        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the place", False),
+        "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
+        "tilt": PlantParameter(0.1, "1/rad2", "weight of the squared tilt", False),
+        "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),
+        "thrust": PlantParameter(0.1, "1", "weight of the squared distance to hovering", False),
     }
     states: ClassVar = {
         "x": Variable("m", "place to the right", {"mean": 0.0, "deviation": 1.0}),

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Variable
+from .plant import Plant, PlantParameter, Variable
 
 MINIMUM = 1e-3  # of the height: below it the outflow falls linearly to 0, as the root's slope grows
 
@@ -23,18 +23,19 @@ class TwoTanks(Plant):
     description: ClassVar = "two tanks and a pump that holds a level"
     steps: ClassVar = 60
     parameters: ClassVar = {
-        "area": Parameter(15.0, "cm2", "cross section of a tank"),
-        "upper": Parameter(0.18, "cm2", "outlet of the upper tank"),
-        "lower": Parameter(0.18, "cm2", "outlet of the lower tank"),
-        "gravity": Parameter(981.0, "cm/s2", "gravity"),
-        "flow": Parameter(40.0, "cm3/s", "largest flow of the pump"),
-        "height": Parameter(30.0, "cm", "height of a tank"),
-        "target": Parameter(15.0, "cm", "level wanted in the lower tank"),
-        "step": Parameter(2.0, "s", "time step"),
+        "area": PlantParameter(15.0, "cm2", "cross section of a tank"),
+        "upper": PlantParameter(0.18, "cm2", "outlet of the upper tank"),
+        "lower": PlantParameter(0.18, "cm2", "outlet of the lower tank"),
+        "gravity": PlantParameter(981.0, "cm/s2", "gravity"),
+        "flow": PlantParameter(40.0, "cm3/s", "largest flow of the pump"),
+        "height": PlantParameter(30.0, "cm", "height of a tank"),
+        "target": PlantParameter(15.0, "cm", "level wanted in the lower tank"),
+        "step": PlantParameter(2.0, "s", "time step"),
     }
     weights: ClassVar = {
-        "level": Parameter(0.01, "1/cm2", "weight of the squared distance to the level", False),
-        "pump": Parameter(0.02, "1", "weight of the squared change of the pump from its rest",
+        "level": PlantParameter(0.01, "1/cm2", "weight of the squared distance to the level",
+                          False),
+        "pump": PlantParameter(0.02, "1", "weight of the squared change of the pump from its rest",
                           False),
     }  # fmt: skip
     states: ClassVar = {

@@ -30,7 +30,7 @@ NOTHING = 1e-14  # a variance below this is none
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class PolynomialBasis:
     """K functions of the price factors on the T days and the end date.
 
     - `of`: all factors; `selected`: indices of those in the polynomials, the fast one first.
@@ -223,7 +223,7 @@ class Basis:
         return np.array([_mehler(item, self.powers) for item in turn])
 
 
-def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
+def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     """The functions for these factors; `priced`: whether the end date has a price."""
     loading = of.loading if priced else of.loading[:-1]
     increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
@@ -236,7 +236,7 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
         int(speed[0]),
     )
     common = tuple(int(i) for i in speed if common[i] and not defaulted[i] and i not in selected)
-    return Basis(of, selected, common, powers(len(selected)))
+    return PolynomialBasis(of, selected, common, powers(len(selected)))
 
 
 def powers(count: int) -> np.ndarray:

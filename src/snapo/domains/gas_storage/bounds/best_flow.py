@@ -8,7 +8,7 @@ is then exact at every start-of-day node. Between two nodes the value is convex 
 import numpy as np
 
 from ..references.day_terms import UnitPrices
-from .day_grid import Bends, DayGrid, Reach
+from .day_grid import Bends, DayGrid, ReachableLevels
 
 
 def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool) -> np.ndarray:
@@ -49,7 +49,7 @@ def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray
     return np.subtract(after, value, out=value)
 
 
-def _best_within(line: np.ndarray, reach: Reach, rows: int) -> np.ndarray:
+def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndarray:
     """[rows, columns] the most of a line, given on nodes and linear between them, within reach."""
     best = np.full((rows, line.shape[1]), -np.inf)
     levels = [line]

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..references.day_terms import (
+    DayRates,
     Interpolation,
-    Rates,
     flow_ends,
     holding_cost,
     moves,
@@ -19,7 +19,7 @@ from ..references.day_terms import (
 )
 from ..references.intrinsic import values_after
 from ..references.lattice_day import inventory_nodes
-from ..references.piecewise import Line, visited
+from ..references.piecewise import PiecewiseLine, visited
 
 BENDS = 0.5  # most nodes at bends of the intrinsic value, of the regular ones
 SLIGHT = 1e-3  # bends below this part of the sharpest one are left out
@@ -27,10 +27,10 @@ NEAR = 0.02  # in spacings: nodes are not nearer to one another than this
 ON_NODE = 1e-9  # in spacings: a position this near to a node is that node
 
 
-Rows = slice | np.ndarray  # numbers of rows: a slice where they follow one another
+GridRows = slice | np.ndarray  # numbers of rows: a slice where they follow one another
 
 
-class Reach(NamedTuple):
+class ReachableLevels(NamedTuple):
     """The ends of the day that one direction of flow leads to, by start-of-day node.
 
     - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
@@ -38,8 +38,8 @@ class Reach(NamedTuple):
     - `endpoints`: (rows, left, right, share): ends of the reach that lie between two nodes.
     """
 
-    inside: list[tuple[int, Rows, Rows, Rows]]
-    endpoints: list[tuple[Rows, Rows, Rows, np.ndarray]]
+    inside: list[tuple[int, GridRows, GridRows, GridRows]]
+    endpoints: list[tuple[GridRows, GridRows, GridRows, np.ndarray]]
 
 
 class Bends(NamedTuple):
@@ -50,12 +50,12 @@ class Bends(NamedTuple):
     `starts` the first bend of each, None where each has one.
     """
 
-    left: Rows
-    right: Rows
+    left: GridRows
+    right: GridRows
     share: np.ndarray
-    target: Rows
+    target: GridRows
     keep: np.ndarray
-    cells: Rows
+    cells: GridRows
     starts: np.ndarray | None
 
 
@@ -71,8 +71,8 @@ class DayGrid(NamedTuple):
     after: np.ndarray
     keep: np.ndarray
     cost: np.ndarray
-    buy: Reach
-    sell: Reach
+    buy: ReachableLevels
+    sell: ReachableLevels
     buy_bends: Bends | None
     sell_bends: Bends | None
 
@@ -117,7 +117,7 @@ def spacing_of(schedule, inventories: int) -> float:
     return float(rate / parts) if parts else spacing
 
 
-def _bent(line: Line, maximum: int) -> np.ndarray:
+def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:
     """Where a line bends most, at most so many of its inner breakpoints."""
     if len(line.at) < 3:
         return np.zeros(0)
@@ -139,7 +139,7 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
 
 
 def one_day(
-    schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarray, bends: bool
+    schedule, day_rates: DayRates, t: int, nodes: np.ndarray, after: np.ndarray, bends: bool
 ) -> DayGrid:
     """Day t between two grids."""
     keep, down, _, up = moves(schedule, day_rates, t, nodes)
@@ -155,7 +155,9 @@ def one_day(
     )
 
 
-def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarray) -> Reach:
+def _reach(
+    after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarray
+) -> ReachableLevels:
     """The nodes and the ends between `low` and `high`, where `valid`; all [n]."""
     positions = [np.interp(item, after, np.arange(len(after), dtype=float)) for item in (low, high)]
     endpoints = []
@@ -176,10 +178,12 @@ def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarr
         if len(rows):
             ending = last[rows] - (1 << k) + 1
             inside.append((k, _rows(rows), _rows(first[rows]), _rows(ending)))
-    return Reach(inside, endpoints)
+    return ReachableLevels(inside, endpoints)
 
 
-def _bends(schedule, day_rates: Rates, t: int, nodes, after) -> tuple[Bends | None, Bends | None]:
+def _bends(
+    schedule, day_rates: DayRates, t: int, nodes, after
+) -> tuple[Bends | None, Bends | None]:
     """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
     keep, down, up = flow_ends(schedule, day_rates, t, nodes)
     meetings = [_meetings(item, after) for item in (down, up, keep)]
@@ -222,7 +226,7 @@ def _sorted(cell, share, target, keep) -> Bends | None:
     return Bends(*positions, keep[:, None], _rows(cells), several)
 
 
-def _rows(numbers: np.ndarray) -> Rows:
+def _rows(numbers: np.ndarray) -> GridRows:
     first, last = numbers[0], numbers[-1]
     if last - first == len(numbers) - 1 and (numbers[1:] - numbers[:-1] == 1).all():
         return slice(int(numbers[0]), int(numbers[-1]) + 1)

@@ -17,7 +17,7 @@ from .day_grid import DayGrid, day_grids
 from .product import product
 from .value_iteration import FittedValue
 
-Scale = float | np.ndarray
+PenaltyScale = float | np.ndarray
 BLOCK = 128  # paths at once: their arrays stay in the cache
 INVENTORIES = 141
 
@@ -45,7 +45,7 @@ class Hindsight:
         if fitted_value is not None:
             self.coefficients = [fitted_value.at(t, nodes) for t, nodes in enumerate(grids)]
 
-    def best(self, spots: np.ndarray, states: np.ndarray, scale: Scale = 1.0) -> np.ndarray:
+    def best(self, spots: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0) -> np.ndarray:
         """[paths] the most that each path can earn, penalised.
 
         `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: of the
@@ -59,7 +59,9 @@ class Hindsight:
         with ThreadPoolExecutor(2) as pool:
             return np.concatenate(list(pool.map(solve, blocks)))
 
-    def charged(self, inventory: np.ndarray, states: np.ndarray, scale: Scale = 1.0) -> np.ndarray:
+    def charged(
+        self, inventory: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0
+    ) -> np.ndarray:
         """[paths] the penalties on the way of these inventories [T + 1, paths]: of mean zero.
 
         Where each inventory was decided without foresight.
@@ -79,7 +81,7 @@ class Hindsight:
             total += np.einsum("pk,kp->p", result, moved)
         return total
 
-    def _surprises(self, states: np.ndarray, scale: Scale) -> np.ndarray | None:
+    def _surprises(self, states: np.ndarray, scale: PenaltyScale) -> np.ndarray | None:
         """[T + 1, K, paths] functions of the prices less their expectation a day before."""
         if self.fitted_value is None:
             return None

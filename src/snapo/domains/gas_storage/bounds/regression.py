@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from .basis import REACH, Basis
+from .basis import REACH, PolynomialBasis
 from .product import product
 from .recent import Recent
 
@@ -28,7 +28,7 @@ MAX_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
 LAST = 3  # factors: those of the case, and others that sensitivities move to
 
 
-class Day(NamedTuple):
+class RegressionDay(NamedTuple):
     """One day, or the end date. K functions, of which n are no hinges, on Q nodes.
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
@@ -46,15 +46,15 @@ class Day(NamedTuple):
 class Regression:
     """The days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see `states_of`."""
 
-    def __init__(self, basis: Basis):
+    def __init__(self, basis: PolynomialBasis):
         self.basis = basis
         self.y, self.level, self.weight = states_of(basis)
-        self._days: dict[int, Day] = {}
+        self._days: dict[int, RegressionDay] = {}
         self._noises: dict[int, np.ndarray] = {}
         dates = len(basis.of.decay)
         self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MAX_KEPT
 
-    def day(self, t: int) -> Day:
+    def day(self, t: int) -> RegressionDay:
         """The regression on day t."""
         day = self._days.get(t)
         if day is None:
@@ -79,7 +79,7 @@ class Regression:
     def _polynomials(self) -> np.ndarray:
         return self.basis.polynomials(self.y[None])  # the same points every day
 
-    def _made(self, t: int) -> Day:
+    def _made(self, t: int) -> RegressionDay:
         basis, level = self.basis, self.level
         bare = basis.of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
         here = scaled(basis, t, bare, level)
@@ -91,7 +91,7 @@ class Regression:
             ahead = scaled(basis, t, ahead, level)
         weighed, bare = here * self.weight, plain * self.weight
         smooth = product(bare, plain.T)
-        return Day(
+        return RegressionDay(
             _solved(product(weighed, here.T), weighed),
             ahead,
             _solved(smooth, product(bare, here.T)).T,
@@ -102,13 +102,13 @@ class Regression:
 _last: Recent[Regression] = Recent(LAST)
 
 
-def regression(basis: Basis) -> Regression:
+def regression(basis: PolynomialBasis) -> Regression:
     """The regression of a basis: one of the last, where the factors are the same."""
     key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
     return _last.of(key, lambda: Regression(basis))
 
 
-def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states_of(basis: PolynomialBasis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened factors [kept, Q], standardised ln g [Q], and weights of the regression [Q]."""
     levels = LEVELS if basis.common else 1
     selected = len(basis.selected)
@@ -130,7 +130,7 @@ def _gauss_hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
     return points, weights / weights.sum()
 
 
-def scaled(basis: Basis, t: int, result: np.ndarray, level: np.ndarray) -> np.ndarray:
+def scaled(basis: PolynomialBasis, t: int, result: np.ndarray, level: np.ndarray) -> np.ndarray:
     """[K, Q] functions from their polynomials."""
     if not basis.common:
         return result

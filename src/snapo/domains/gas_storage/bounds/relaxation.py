@@ -7,7 +7,7 @@ from snapo.problem.problem import Problem
 
 from ..contract.schedule import of_prices
 from ..contract.simulator import simulator_of
-from .hindsight import INVENTORIES, Hindsight, Scale
+from .hindsight import INVENTORIES, Hindsight, PenaltyScale
 from .value_iteration import fit_value
 
 PARTS = 3  # of the penalty: polynomials, hinges, the constant
@@ -63,7 +63,7 @@ class StoreRelaxation:
             result = jax.vmap(jax.vmap(self.process.gaussian))(states)
         return np.ascontiguousarray(np.moveaxis(np.asarray(result), 1, 2))
 
-    def _scales(self, scale: np.ndarray) -> Scale:
+    def _scales(self, scale: np.ndarray) -> PenaltyScale:
         """The scale of each function of the basis, from those of the penalty's parts."""
         if self.fitted_value is None or not len(scale):
             return 1.0

@@ -8,7 +8,7 @@ from ..prices.process import GaussianFactors
 from ..references.day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
 from ..references.lattice_day import inventory_nodes
 from ..references.piecewise import visited
-from .basis import Basis, gaussian_basis
+from .basis import PolynomialBasis, gaussian_basis
 from .best_flow import best_value
 from .day_grid import DayGrid, day_grids, largest_rate, one_day, spacing_of
 from .product import product
@@ -65,7 +65,7 @@ class FittedValue:
     - `value`: on the valuation date, in present money, before fixed costs. An approximation.
     """
 
-    basis: Basis
+    basis: PolynomialBasis
     nodes: list[np.ndarray]
     coefficients: list[np.ndarray]
     value: float

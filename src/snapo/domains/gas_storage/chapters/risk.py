@@ -22,7 +22,7 @@ from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
 from ..setup import OUTPUT, case_of, on_independent_paths, policy_of
-from .run import SPAN, InputNumber, Sensitivity, StorageRun
+from .run import SPAN, ReportedInput, Sensitivity, StorageRun
 
 PATHS = 2048  # of shadow prices
 UNITS = 1.0  # of the capacity; small against it, large against rounding
@@ -185,7 +185,7 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     )
 
 
-def _move(metadata: InputNumber) -> str:
+def _move(metadata: ReportedInput) -> str:
     """ "1 volatility point", "10 bp", "0.01 EUR/MWh", "1 per year"."""
     if metadata.trade_unit.startswith("1/"):
         return f"{metadata.trade_move:.6g} per {metadata.trade_unit[2:]}"
@@ -261,7 +261,7 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
     ]
 
 
-def _slider(metadata: InputNumber, label: str, slope: float) -> Slider:
+def _slider(metadata: ReportedInput, label: str, slope: float) -> Slider:
     """A slider over ten usual moves to either side; `slope` is per unit of the input."""
     span = SPAN * metadata.trade_move
     step = span / 20

@@ -12,7 +12,7 @@ SPAN = 10
 
 
 @dataclass(frozen=True)
-class InputNumber:
+class ReportedInput:
     """All that an input says about itself; see `snapo.problem.inputs.Input`.
 
     `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
@@ -35,12 +35,12 @@ class InputNumber:
 class StorageRun(RunFiles):
     """A run folder with the units of the contract."""
 
-    def input_number(self, name: str, unit: str = "") -> InputNumber:
+    def input_number(self, name: str, unit: str = "") -> ReportedInput:
         """All that the input `name` says about itself; a move of one unit where it says nothing."""
         result = self.get("inputs", {}).get(name, {})
         move, factor = result.get("move") or 1.0, result.get("trade_factor") or 1.0
         plain = unit if unit not in ("", "1") else "unit"
-        return InputNumber(
+        return ReportedInput(
             name,
             str(result.get("words") or ""),
             str(result.get("group") or ""),

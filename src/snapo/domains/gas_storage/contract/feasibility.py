@@ -16,11 +16,11 @@ from snapo.case.error import CaseError
 
 from .records import StorageCase
 
-Interval = tuple[float, float]
+FlowInterval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Day:
+class FeasibleDay:
     """One day of the contract: ratchet rows (outages applied), forced flows, and loss."""
 
     levels: list[float]
@@ -66,7 +66,7 @@ def check_feasible(case: StorageCase) -> None:
     attainable(case)
 
 
-def attainable(case: StorageCase) -> list[list[Interval]]:
+def attainable(case: StorageCase) -> list[list[FlowInterval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
     Seen forward from the inventory given; the demand of the end is applied to the last only.
@@ -90,7 +90,7 @@ def slack(case: StorageCase) -> float:
     return 1e-9 * max(1.0, float(case.contract.max_inventory.used().max()))
 
 
-def read_days(case: StorageCase) -> Iterator[Day]:
+def read_days(case: StorageCase) -> Iterator[FeasibleDay]:
     """The contract day by day, as plain numbers."""
     contract = case.contract
     ratchets = contract.ratchets
@@ -101,7 +101,7 @@ def read_days(case: StorageCase) -> Iterator[Day]:
     min_injection = contract.min_injection.used()
     loss = contract.inventory_loss.used()
     for t in range(len(case.days)):
-        yield Day(
+        yield FeasibleDay(
             levels[t].tolist(),
             withdrawal[t].tolist(),
             injection[t].tolist(),
@@ -112,7 +112,7 @@ def read_days(case: StorageCase) -> Iterator[Day]:
         )
 
 
-def _pieces(day: Day, interval: Interval) -> Iterator[tuple[Corner, Corner]]:
+def _pieces(day: FeasibleDay, interval: FlowInterval) -> Iterator[tuple[Corner, Corner]]:
     """Cuts an interval at the ratchet rows: on each piece the rates are linear."""
     low, high = interval
     cuts = [low, *(level for level in day.levels if low < level < high), high]
@@ -125,7 +125,7 @@ def _pieces(day: Day, interval: Interval) -> Iterator[tuple[Corner, Corner]]:
         yield corner, corner
 
 
-def _moves(day: Day, interval: Interval, tolerance: float) -> Iterator[Interval]:
+def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterator[FlowInterval]:
     """Where the inventory can be at the end of the day, from anywhere in `interval`."""
     for piece in _pieces(day, interval):
         selected = _able(day, piece, tolerance)
@@ -145,7 +145,7 @@ def _moves(day: Day, interval: Interval, tolerance: float) -> Iterator[Interval]
         yield min(end[0] for end in endpoints), max(end[1] for end in endpoints)
 
 
-def _able(day: Day, piece: tuple[Corner, Corner], tolerance: float):
+def _able(day: FeasibleDay, piece: tuple[Corner, Corner], tolerance: float):
     """The part of a piece whose rates allow the day's forced flow; None where none does."""
     left, right = piece
     if day.min_injection > 0:
@@ -165,8 +165,8 @@ def _able(day: Day, piece: tuple[Corner, Corner], tolerance: float):
     return (left, middle) if spare[0] >= 0 else (middle, right)
 
 
-def _merge(intervals: list[Interval]) -> list[Interval]:
-    merged: list[Interval] = []
+def _merge(intervals: list[FlowInterval]) -> list[FlowInterval]:
+    merged: list[FlowInterval] = []
     for low, high in sorted(intervals):
         if merged and low <= merged[-1][1]:
             merged[-1] = (merged[-1][0], max(merged[-1][1], high))
@@ -175,7 +175,7 @@ def _merge(intervals: list[Interval]) -> list[Interval]:
     return merged
 
 
-def _words(intervals: list[Interval]) -> str:
+def _words(intervals: list[FlowInterval]) -> str:
     return " or ".join(
         f"{low:.10g} to {high:.10g}" if low < high else f"{low:.10g}" for low, high in intervals
     )
@@ -185,7 +185,7 @@ def _date(case: StorageCase, t: int):
     return case.days[t] if t < len(case.days) else case.end
 
 
-def _start(case: StorageCase) -> list[Interval]:
+def _start(case: StorageCase) -> list[FlowInterval]:
     inventory = float(case.contract.inventory.used())
     low = float(case.contract.min_inventory.used()[0])
     high = float(case.contract.max_inventory.used()[0])
@@ -195,7 +195,7 @@ def _start(case: StorageCase) -> list[Interval]:
     return [(inventory, inventory)]
 
 
-def _within_limits(case: StorageCase, t: int, flows: list[Interval], tolerance: float):
+def _within_limits(case: StorageCase, t: int, flows: list[FlowInterval], tolerance: float):
     low = float(case.contract.min_inventory.used()[t])
     high = float(case.contract.max_inventory.used()[t])
     selected = [
@@ -217,7 +217,9 @@ def _within_limits(case: StorageCase, t: int, flows: list[Interval], tolerance: 
     raise _error(case, "max_inventory", high, message)
 
 
-def _check_level(case: StorageCase, level: float, last: list[Interval], tolerance: float) -> None:
+def _check_level(
+    case: StorageCase, level: float, last: list[FlowInterval], tolerance: float
+) -> None:
     if any(low - tolerance <= level <= high + tolerance for low, high in last):
         return
     limits = case.contract.min_inventory.used()[-1], case.contract.max_inventory.used()[-1]
@@ -228,7 +230,9 @@ def _check_level(case: StorageCase, level: float, last: list[Interval], toleranc
     raise _error(case, "end_inventory", level, message)
 
 
-def _forced_flow(case: StorageCase, t: int, day: Day, before: list[Interval]) -> CaseError:
+def _forced_flow(
+    case: StorageCase, t: int, day: FeasibleDay, before: list[FlowInterval]
+) -> CaseError:
     injecting = day.min_injection > 0
     corners = [c for interval in before for piece in _pieces(day, interval) for c in piece]
     maximum = max(corner.injection if injecting else corner.withdrawal for corner in corners)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met exactly into none
 
 
-class Limits(NamedTuple):
+class InventoryLimits(NamedTuple):
     """Bounds of the inventory and of its change, per day: leaves [T] or [T, K]."""
 
     minimum: Float[Array, " T"]
@@ -30,7 +30,10 @@ class Limits(NamedTuple):
 
 
 def reachable(
-    limits: Limits, end_low: Float[Array, ""], end_high: Float[Array, ""], interpolation: str
+    limits: InventoryLimits,
+    end_low: Float[Array, ""],
+    end_high: Float[Array, ""],
+    interpolation: str,
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
     """Least and greatest inventory at the start of every day, and on the end date.
 
@@ -46,7 +49,7 @@ def reachable(
     return jnp.append(low, end_low), jnp.append(high, end_high)
 
 
-def _going_on(day: Limits, successor, interpolation: str, tolerance):
+def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The longest interval of one day from which the one that follows can be reached."""
     next_low, next_high = successor
     # A row at a limit is the limit: with jnp.clip each would take half of the derivative.
@@ -77,7 +80,7 @@ def _going_on(day: Limits, successor, interpolation: str, tolerance):
     return _longest(low, high, some, touches)
 
 
-def _conditions(day: Limits, inventory, next_low, next_high, rates):
+def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):
     """Four numbers [4, pieces] that must not be negative for an inventory to go on."""
     withdrawal, injection = rates
     selected = inventory * (1 - day.inventory_loss)
@@ -93,7 +96,7 @@ def _conditions(day: Limits, inventory, next_low, next_high, rates):
     )
 
 
-def _rates(day: Limits, inventory, interpolation: str):
+def _rates(day: InventoryLimits, inventory, interpolation: str):
     """Withdrawal and injection at these inventories; step rates are those of the piece."""
     if interpolation == "linear":
         return _between(inventory, day.levels, jnp.stack([day.withdrawal_rate, day.injection_rate]))

@@ -78,7 +78,7 @@ class Contract(eqx.Module):
     fixed_cost_day: np.ndarray
 
 
-class Market(eqx.Module):
+class GasMarket(eqx.Module):
     """Prices and discounting, seen from the valuation date.
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index
@@ -120,7 +120,7 @@ class StorageCase:
     end_day: int
     expired: bool
     contract: Contract
-    market: Market
+    market: GasMarket
     model: PriceProcess
     objective: ObjectiveTable
     training: TrainingTable

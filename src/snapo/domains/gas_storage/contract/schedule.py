@@ -52,7 +52,7 @@ class Day(NamedTuple):
     innovation: Any = None
 
 
-class Terms(NamedTuple):
+class ContractTerms(NamedTuple):
     """Numbers of the whole contract: start, end and fixed costs.
 
     `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
@@ -76,14 +76,14 @@ class Terms(NamedTuple):
     innovation: Any = None
 
 
-class State(NamedTuple):
+class StoreState(NamedTuple):
     """Inventory at the start of the day, and the state of the price process on that day."""
 
     inventory: Float[Array, ""]
     price: PyTree
 
 
-class Flows(NamedTuple):
+class FlowLimits(NamedTuple):
     """The net flow that a day must have (`base`), and the bounds of the one that it may have.
 
     `keep` is the inventory left without any flow.

@@ -29,9 +29,9 @@ from ..policy.observation import curve_ahead, observation
 from ..policy.value_table import ValueTable
 from ..prices.process import PriceProcess, use
 from .end import EndTerms
-from .reachable import Limits, reachable
+from .reachable import InventoryLimits, reachable
 from .records import Contract, StorageCase
-from .schedule import Day, Discounts, Flows, State, Terms
+from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 
 
 class StorageSimulator(Simulator):
@@ -172,11 +172,11 @@ class StorageSimulator(Simulator):
             **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
         )
 
-    def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
+    def _terms(self, inputs: dict[str, Any], constants, last) -> ContractTerms:
         contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)
         end = contract.at_end.terms(inputs)
         fixed = use(inputs, contract.fixed_costs) * discounts.fixed(rates)
-        return Terms(
+        return ContractTerms(
             inventory=use(inputs, contract.inventory),
             end_levels=end.levels,
             end_values=end.values,
@@ -191,11 +191,11 @@ class StorageSimulator(Simulator):
             rate_scale=jnp.asarray(self.rate_scale),
         )
 
-    def limits(self, inputs: dict[str, Any]) -> Limits:
+    def limits(self, inputs: dict[str, Any]) -> InventoryLimits:
         """Inventory limits, rates after outages, losses and forced flows per day."""
         contract, rows = self.contract, self.contract.ratchets
         out, into = contract.withdrawal_factor[:, None], contract.injection_factor[:, None]
-        return Limits(
+        return InventoryLimits(
             minimum=use(inputs, contract.min_inventory)[:-1],
             maximum=use(inputs, contract.max_inventory)[:-1],
             inventory_loss=use(inputs, contract.inventory_loss),
@@ -214,14 +214,16 @@ class StorageSimulator(Simulator):
         )
         return contract.at_end.interval(inputs, low, high)
 
-    def initial(self, constants: Terms, noise) -> State:
-        return State(constants.inventory, self.process.initial(constants.price, noise))
+    def initial(self, constants: ContractTerms, noise) -> StoreState:
+        return StoreState(constants.inventory, self.process.initial(constants.price, noise))
 
-    def observe(self, constants: Terms, now: Day, state: State) -> Float[Array, " features"]:
+    def observe(
+        self, constants: ContractTerms, now: Day, state: StoreState
+    ) -> Float[Array, " features"]:
         spot, flows = self.spot(constants, now, state), self.flows(now, state, Exact())
         return observation(self.process, constants, now, state, spot, flows)
 
-    def step(self, constants: Terms, now: Day, state: State, action, noise, smooth):
+    def step(self, constants: ContractTerms, now: Day, state: StoreState, action, noise, smooth):
         spot = self.spot(constants, now, state)
         flows = self.flows(now, state, smooth, constants.rate_scale)
         injection = smooth.positive_part(flows.base, constants.rate_scale)
@@ -234,7 +236,7 @@ class StorageSimulator(Simulator):
             + state.inventory * now.inventory_cost * now.flow_discount
         )
         sold = withdrawal * (1 - now.withdrawal_fuel) - injection * (1 + now.injection_fuel)
-        after = State(
+        after = StoreState(
             flows.keep + injection - withdrawal,
             self.process.step(constants.price, now.price, state.price, noise),
         )
@@ -249,7 +251,7 @@ class StorageSimulator(Simulator):
             },
         )
 
-    def _weighed(self, state: State, outputs: dict[str, Any]) -> dict[str, Any]:
+    def _weighed(self, state: StoreState, outputs: dict[str, Any]) -> dict[str, Any]:
         """Outputs times the likelihood ratio of the prices so far (see `Process.weight`)."""
         weight = self.process.weight(state.price)
         return {name: weight * output for name, output in outputs.items()}
@@ -257,7 +259,9 @@ class StorageSimulator(Simulator):
     def in_mean(self):
         return self.process.in_mean()
 
-    def _control(self, constants: Terms, now: Day, state: State, after: State, spot):
+    def _control(
+        self, constants: ContractTerms, now: Day, state: StoreState, after: StoreState, spot
+    ):
         """The day's part of the control variate."""
         if now.innovation is not None:
             factors = self.process.gaussian(state.price)
@@ -266,7 +270,7 @@ class StorageSimulator(Simulator):
         innovation = spot - self.process.forward(constants.price, now.price)
         return {"forward_hedge": now.hedge * now.gas_discount * innovation}
 
-    def terminal(self, constants: Terms, state: State, smooth):
+    def terminal(self, constants: ContractTerms, state: StoreState, smooth):
         def price():
             return self.process.level(constants.price, constants.end_price, state.price)
 
@@ -278,11 +282,11 @@ class StorageSimulator(Simulator):
             outputs["value_surprise"] = of_end(constants.innovation, factors, state.inventory)
         return self._weighed(state, outputs) | {"fixed_costs": constants.fixed_costs}
 
-    def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:
+    def spot(self, constants: ContractTerms, now: Day, state: StoreState) -> Float[Array, ""]:
         """The day's spot price."""
         return self.process.level(constants.price, now.price, state.price)
 
-    def flows(self, now: Day, state: State, smooth, scale: Any = 1.0) -> Flows:
+    def flows(self, now: Day, state: StoreState, smooth, scale: Any = 1.0) -> FlowLimits:
         """The day's forced net flow, and the least and the most that is feasible."""
         kind = self.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
@@ -298,7 +302,7 @@ class StorageSimulator(Simulator):
         maximum, minimum = jax.lax.optimization_barrier((maximum, minimum))
         maximum = jnp.maximum(maximum, minimum)
         base = smooth.minimum(smooth.maximum(0.0, minimum, scale), maximum, scale)
-        return Flows(keep, base, maximum, minimum)
+        return FlowLimits(keep, base, maximum, minimum)
 
     def control_variates(self) -> tuple[str, ...]:
         if self.innovations is not None:
@@ -306,7 +310,7 @@ class StorageSimulator(Simulator):
         hedged = self.hedge is not None and self.process.martingale
         return ("forward_hedge",) if hedged else ()
 
-    def slack(self, constants: Terms, now: Day, state: State, outputs):
+    def slack(self, constants: ContractTerms, now: Day, state: StoreState, outputs):
         return {
             "min_inventory": state.inventory - now.next_low,
             "max_inventory": now.next_high - state.inventory,

@@ -15,7 +15,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
-from ..contract.schedule import State
+from ..contract.schedule import StoreState
 from ..contract.simulator import StorageSimulator, simulator_of
 from .network import StoragePolicy
 from .observation import HEAD, Economics
@@ -32,7 +32,7 @@ class Triggers(NamedTuple):
     withdrawal: Float[np.ndarray, " n"]
 
 
-class Decision(NamedTuple):
+class TriggerDecision(NamedTuple):
     """Volumes injected and withdrawn on a day, at given inventories: [n] each."""
 
     injection: np.ndarray
@@ -61,7 +61,7 @@ def decide(
     day: int,
     inventory: np.ndarray,
     spot: np.ndarray | None = None,
-) -> Decision:
+) -> TriggerDecision:
     """The decision of a day at each inventory [n] and spot price [n], by default the forward."""
     with jax.enable_x64(True):
         schedule = problem.schedule
@@ -72,7 +72,7 @@ def decide(
         # Made longer to a round number, so that few lengths are ever compiled.
         stock, price = (np.pad(x, (0, -count % ROUND), mode="edge") for x in (stock, price))
         values = (simulator_of(problem), schedule.constants, policy, now, stock, price)
-        return Decision(*(np.asarray(x)[:count] for x in _decided(*values)))
+        return TriggerDecision(*(np.asarray(x)[:count] for x in _decided(*values)))
 
 
 @compiled_sooner
@@ -81,7 +81,7 @@ def _decided(
 ):
     def one(inventory, spot):
         price = simulator.process.state_at(constants.price, now.price, spot)
-        state = State(inventory, price)
+        state = StoreState(inventory, price)
         observed = simulator.observe(constants, now, state)
         action, noise = policy(observed, Exact()), jnp.zeros(simulator.noise_size)
         _, outputs = simulator.step(constants, now, state, action, noise, Exact())
@@ -96,7 +96,7 @@ def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, i
 
     def one(now, inventory, spot) -> tuple[Array, Array]:
         price = simulator.process.state_at(constants.price, now.price, spot)
-        state = State(inventory, price)
+        state = StoreState(inventory, price)
         observed = simulator.observe(constants, now, state)
         value, economics = policy.marginal_value(observed), Economics(*observed[:HEAD])
         return value.first_in - economics.buy, economics.sell - value.first_out

@@ -8,14 +8,14 @@ import numpy as np
 
 from snapo.case.given import CaseInput, FilePosition
 from snapo.case.quantity import Quantity, Range, stacked
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 from snapo.problem.process import Factors
 
 from .factor_prices import FactorPrices
 from .process import REVERSION, VOLATILITY, Delivery, Times, use
 
 
-class FactorTable(Table):
+class FactorTable(CaseTable):
     """A factor: { mean_reversion = 12.0, volatility = 0.6 }"""
 
     mean_reversion: CaseInput = REVERSION("speed at which a factor returns to zero")
@@ -43,7 +43,7 @@ class GivenFactors(FactorPrices):
     fast_factor: int = eqx.field(static=True)
 
     @classmethod
-    def read(cls, section: Section, table: FactorTable, delivery: Delivery):
+    def read(cls, section: TableContext, table: FactorTable, delivery: Delivery):
         return cls.of(delivery, **read_factors(section, [table], [], [], delivery))
 
     @classmethod
@@ -81,7 +81,7 @@ class GivenFactors(FactorPrices):
 
 
 def read_factors(
-    section: Section,
+    section: TableContext,
     factors: Sequence[FactorTable],
     correlation: Sequence[float],
     positions: Sequence[FilePosition],

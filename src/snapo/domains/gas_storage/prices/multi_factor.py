@@ -6,13 +6,13 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.given import Copies
-from snapo.case.table import Section, Table, parse
+from snapo.case.table import CaseTable, TableContext, parse
 
 from .given_factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, register
 
 
-class MultiFactorTable(Table):
+class MultiFactorTable(CaseTable):
     """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
 
     kind: Literal["multi-factor"]
@@ -32,7 +32,7 @@ class MultiFactor(GivenFactors):
     table = MultiFactorTable
 
     @classmethod
-    def read(cls, section: Section, table: MultiFactorTable, delivery: Delivery):
+    def read(cls, section: TableContext, table: MultiFactorTable, delivery: Delivery):
         file = str(section.file)
         factors = [
             parse(
@@ -55,7 +55,7 @@ class MultiFactor(GivenFactors):
         return "Correlated mean-reverting factors"
 
 
-def _correlation(section: Section, values, size: int) -> list[float]:
+def _correlation(section: TableContext, values, size: int) -> list[float]:
     """The strict lower triangle of a matrix that is checked to be a correlation matrix."""
     if values is None and size == 1:
         return []

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
@@ -45,7 +45,7 @@ REVERSION = Quantity(
 )
 
 
-class SingleFactorTable(Table):
+class SingleFactorTable(CaseTable):
     """The factor of a price that has one: { mean_reversion = 12.0, volatility = 0.6 }"""
 
     mean_reversion: CaseInput = REVERSION("speed at which the factor returns to zero")
@@ -135,11 +135,11 @@ class PriceProcess(Process):
     """
 
     kind: eqx.AbstractClassVar[str]
-    table: eqx.AbstractClassVar[type[Table]]
+    table: eqx.AbstractClassVar[type[CaseTable]]
     proportional: eqx.AbstractVar[bool]
 
     @classmethod
-    def read(cls, section: Section, table: Any, delivery: Delivery) -> Self:
+    def read(cls, section: TableContext, table: Any, delivery: Delivery) -> Self:
         """The process from its table in the case file: its numbers, on the delivery days."""
         return cls.of(delivery, **on_dates(table, delivery.dates, section.notes))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse, record_kinds
+from snapo.case.table import TableContext, parse, record_kinds
 
 from .process import KINDS, Delivery, PriceProcess
 
@@ -23,7 +23,7 @@ def kinds() -> dict[str, type[PriceProcess]]:
     return dict(KINDS)
 
 
-def read_prices(section: Section, data: Mapping[str, Any], delivery: Delivery) -> PriceProcess:
+def read_prices(section: TableContext, data: Mapping[str, Any], delivery: Delivery) -> PriceProcess:
     """The price process of the table `[model]`, here `data`."""
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)

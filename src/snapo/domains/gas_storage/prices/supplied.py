@@ -11,7 +11,7 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 from snapo.problem.scenarios import Sources, Supplied
 from snapo.problem.simulator import Schedule
 
@@ -19,7 +19,7 @@ from ..read.tables import FileName
 from .process import Delivery, PriceProcess, Times, register
 
 
-class SuppliedTable(Table):
+class SuppliedTable(CaseTable):
     """`[model]` of kind "supplied"."""
 
     kind: Literal["supplied"]
@@ -29,7 +29,7 @@ class SuppliedTable(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class SuppliedPaths:
     """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] where
     the end date needs a price."""
 
@@ -60,17 +60,17 @@ class SuppliedPrices(PriceProcess):
     martingale = False
     delivery: Times
     scale: Float[np.ndarray, ""]
-    paths: Paths
+    paths: SuppliedPaths
     rescaled: bool = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=1)
 
     @classmethod
-    def read(cls, section: Section, table: SuppliedTable, delivery: Delivery):
+    def read(cls, section: TableContext, table: SuppliedTable, delivery: Delivery):
         days, numbers = delivery.price_days, delivery.curve.used()
         size = np.asarray(np.mean(np.abs(numbers)) or 1.0) if len(numbers) else np.ones(())
         if not days:
             # No decision is left: whatever the paths say is over.
-            none = Paths(np.zeros((2, 0)), np.zeros((2, 0)))
+            none = SuppliedPaths(np.zeros((2, 0)), np.zeros((2, 0)))
             return cls(delivery.times, size, none, table.rescale_to_curve)  # pyright: ignore
         span = f"one for each day from {days[0]} to {days[-1]}"
         references = [
@@ -88,7 +88,7 @@ class SuppliedPrices(PriceProcess):
                 _noise(mention.name, array, days)
                 for mention, array in zip(references, arrays, strict=True)
             ]
-        paths = Paths(*arrays)
+        paths = SuppliedPaths(*arrays)
         return cls(delivery.times, size, paths, table.rescale_to_curve)  # pyright: ignore
 
     @property

@@ -12,14 +12,14 @@ from jaxtyping import Float
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 from snapo.problem.process import Factors
 
 from .factor_prices import FactorPrices
 from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use
 
 
-class SeasonalTable(Table):
+class SeasonalTable(CaseTable):
     """`[model]` of kind "three-factor-seasonal"."""
 
     kind: Literal["three-factor-seasonal"]

@@ -17,7 +17,7 @@ from snapo.case.settings import (
     read_objective,
     read_training,
 )
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..contract.feasibility import check_feasible
 from ..contract.records import StorageCase
@@ -50,7 +50,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     notes: list[str] = []
     contract_table, market_table = _parse_both(top, str(file), notes)
     valuation, end = market_table.valuation_date, contract_table.end
-    where = Section(file, "contract", notes)
+    where = TableContext(file, "contract", notes)
     if end <= contract_table.start:
         message = f"the first day without a decision must come after start, {contract_table.start}"
         raise where.error("end", end, message)
@@ -59,10 +59,10 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     price_days = (*days, end) if pays_by_price(contract_table) and not expired else days
     unit = f"{contract_table.currency}/{contract_table.volume_unit}"
     limits = read_limits(where, contract_table, days)
-    section = Section(file, "market", notes)
+    section = TableContext(file, "market", notes)
     market = read_market(section, market_table, days, price_days, limits.moving(), unit)
     contract = read_contract(where, contract_table, days, valuation, limits, market.gas_day)
-    section = Section(file, "model", notes)
+    section = TableContext(file, "model", notes)
     delivery = Delivery(days, price_days, end, valuation, market.forward_curve)
     model = read_prices(section, top.model, delivery)
     check_curve(market_table.forward_curve, model, delivery)

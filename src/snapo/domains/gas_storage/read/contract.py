@@ -11,11 +11,11 @@ from snapo.case.dates import ordinals
 from snapo.case.given import CaseInput
 from snapo.case.plausible import more
 from snapo.case.quantity import Quantity
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..contract.end import EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
 from ..contract.records import Contract
-from .limits import Limits
+from .limits import LimitRows
 from .ratchets import small_move
 from .settlement import payment_days
 from .tables import GROUP, OF_SPOT, POINTS, STOCK, ContractTable
@@ -42,11 +42,11 @@ def pays_by_price(table: ContractTable) -> bool:
 
 
 def read_contract(
-    section: Section,
+    section: TableContext,
     table: ContractTable,
     days: Sequence[datetime.date],
     valuation: datetime.date,
-    limits: Limits,
+    limits: LimitRows,
     gas_day: np.ndarray,
 ) -> Contract:
     """The contract on its decision days [T], and on the end date where limits are concerned."""
@@ -82,7 +82,7 @@ def read_contract(
     )
 
 
-def _stock(level: CaseInput, limits: Limits) -> CaseInput:
+def _stock(level: CaseInput, limits: LimitRows) -> CaseInput:
     """An inventory; one of zero moves by more than the least inventory does, and stays above it."""
     return replace(level, move=2 * small_move(limits.ratchets))
 
@@ -107,7 +107,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     return amount.from_rows("fixed_costs", rows, labels, index=due), when[due]
 
 
-def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule:
+def _read_end(section: TableContext, table: ContractTable, limits: LimitRows) -> EndRule:
     if table.end_inventory != "free":
         if table.end_value not in (None, 0.0):
             message = 'a value of the gas left needs end_inventory = "free"'

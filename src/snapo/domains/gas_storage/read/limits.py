@@ -10,7 +10,7 @@ import numpy as np
 from snapo.case.csv import DAY, FileReference, read_rows
 from snapo.case.dates import ordinals
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..contract.records import Ratchets
 from .ratchets import read_ratchets, small_move
@@ -18,7 +18,7 @@ from .tables import ContractTable
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class LimitRows:
     """The fields of `Contract` with the same names."""
 
     min_inventory: CaseInput
@@ -34,14 +34,16 @@ class Limits:
         return (injection > 0) | (withdrawal > 0)
 
 
-def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.date]) -> Limits:
+def read_limits(
+    section: TableContext, table: ContractTable, days: Sequence[datetime.date]
+) -> LimitRows:
     """The limits on the decision days [T], those of inventory also on the end date."""
     dates = (*days, table.end)
     minimum = table.min_inventory.on(dates, section.notes)
     maximum = table.max_inventory.on(dates, section.notes)
     _check_limits(section, dates, minimum, maximum)
     ratchets = read_ratchets(section, table, days, minimum.used(), maximum.used())
-    return Limits(
+    return LimitRows(
         replace(minimum, move=small_move(ratchets)),
         maximum,
         ratchets,
@@ -49,7 +51,7 @@ def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.
     )
 
 
-def _check_limits(section: Section, dates, minimum: CaseInput, maximum: CaseInput) -> None:
+def _check_limits(section: TableContext, dates, minimum: CaseInput, maximum: CaseInput) -> None:
     crossed = np.flatnonzero(minimum.used() > maximum.used())
     if len(crossed):
         t = crossed[0]
@@ -58,7 +60,7 @@ def _check_limits(section: Section, dates, minimum: CaseInput, maximum: CaseInpu
 
 
 def read_outages(
-    section: Section, table: ContractTable, days: Sequence[datetime.date]
+    section: TableContext, table: ContractTable, days: Sequence[datetime.date]
 ) -> tuple[np.ndarray, np.ndarray]:
     """[T] shares of the injection and the withdrawal rates that outages leave; the least counts."""
     factors = np.ones((2, len(days)))
@@ -72,7 +74,7 @@ def read_outages(
     return factors[0], factors[1]
 
 
-def _note_outages(section: Section, table: ContractTable, outages: "list[Outage]") -> None:
+def _note_outages(section: TableContext, table: ContractTable, outages: "list[Outage]") -> None:
     """Remarks on outages that change nothing, and on days that have several."""
     for first, last, *_ in outages:
         if last < table.start or first >= table.end:
@@ -92,7 +94,7 @@ def _note_outages(section: Section, table: ContractTable, outages: "list[Outage]
 Outage = tuple[datetime.date, datetime.date, float, float]
 
 
-def _outages(section: Section, values: list[str] | str) -> list[Outage]:
+def _outages(section: TableContext, values: list[str] | str) -> list[Outage]:
     if isinstance(values, str):
         columns = ("from", "to", "injection_factor", "withdrawal_factor")
         rows = []

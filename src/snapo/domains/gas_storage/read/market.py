@@ -11,21 +11,21 @@ import numpy as np
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SheetCell
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
-from ..contract.records import Market
+from ..contract.records import GasMarket
 from .settlement import payment_days
 from .tables import FORWARD, MarketTable
 
 
 def read_market(
-    section: Section,
+    section: TableContext,
     table: MarketTable,
     days: Sequence[datetime.date],
     price_days: Sequence[datetime.date],
     moving: np.ndarray,
     unit: str,
-) -> Market:
+) -> GasMarket:
     """The market of a contract that trades on `days` and needs prices on `price_days`.
 
     `moving`: [T] whether gas can move on the day.
@@ -34,10 +34,12 @@ def read_market(
     valuation = table.valuation_date
     rate, rate_day = _nodes(table.interest_rate, valuation)
     gas_day = payment_days(section, "settlement", table.settlement, days, valuation, moving)
-    return Market(curve, rate, rate_day, gas_day)
+    return GasMarket(curve, rate, rate_day, gas_day)
 
 
-def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit: str) -> CaseInput:
+def read_curve(
+    section: TableContext, name: str, days: Sequence[datetime.date], unit: str
+) -> CaseInput:
     """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
     rows = read_rows(FileReference(section, "forward_curve", name), ("date", "price"))
     by_day, by_month = quotes(rows)
@@ -72,10 +74,10 @@ class Quote(NamedTuple):
     cell: SheetCell
 
 
-Quotes = tuple[Mapping[datetime.date, Quote], Mapping[tuple[int, int], Quote]]
+CurveQuotes = tuple[Mapping[datetime.date, Quote], Mapping[tuple[int, int], Quote]]
 
 
-def quotes(rows: Sequence[Row]) -> Quotes:
+def quotes(rows: Sequence[Row]) -> CurveQuotes:
     """Prices by day and by (year, month), each quoted once; in any order."""
     by_day: dict[datetime.date, Quote] = {}
     by_month: dict[tuple[int, int], Quote] = {}

@@ -12,7 +12,7 @@ from snapo.case.dates import ordinals
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..contract.records import Ratchets
 from .tables import FLOW, GROUP, ContractTable
@@ -31,7 +31,7 @@ WITHDRAWAL = replace(
 
 
 def read_ratchets(
-    section: Section,
+    section: TableContext,
     table: ContractTable,
     days: Sequence[datetime.date],
     minimum: np.ndarray,
@@ -76,15 +76,15 @@ def small_move(ratchets: Ratchets) -> float:
     return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
 
 
-Block = tuple[datetime.date, list[int]]
+RatchetBlock = tuple[datetime.date, list[int]]
 
 
-def read_blocks(rows: Sequence[Row]) -> list[Block]:
+def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
     """Groups rows by date: each block with its date and its row numbers, inventories rising.
 
     A row continues the block when its date is empty, or the same again.
     """
-    blocks: list[Block] = []
+    blocks: list[RatchetBlock] = []
     for number, row in enumerate(rows):
         date = row.day("date") if row.cells["date"] else None
         if date is None and not blocks:
@@ -107,7 +107,7 @@ def _check_rises(before: Row, row: Row) -> None:
         raise row.error("inventory", message)
 
 
-def _rows_by_day(name: str, blocks: Sequence[Block], days) -> np.ndarray:
+def _rows_by_day(name: str, blocks: Sequence[RatchetBlock], days) -> np.ndarray:
     """[T, K] row numbers of the block of each day; short blocks repeat their last row."""
     maximum = max(len(numbers) for _, numbers in blocks)
     padded = np.array([numbers + numbers[-1:] * (maximum - len(numbers)) for _, numbers in blocks])

@@ -9,7 +9,7 @@ import numpy as np
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.dates import ordinals
 from snapo.case.error import CaseError
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from .tables import AfterDays, MonthsAfter, OnDate, Settlement
 
@@ -17,7 +17,7 @@ LATE = 731  # days after which a payment deserves a remark
 
 
 def payment_days(
-    section: Section,
+    section: TableContext,
     key: str,
     rule: Settlement,
     days: Sequence[datetime.date],

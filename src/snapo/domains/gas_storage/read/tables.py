@@ -13,7 +13,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range, choice
-from snapo.case.table import TITLE, Table, Title
+from snapo.case.table import TITLE, CaseTable, NotNegative, Title
 
 
 def _plain_day(value: Any) -> Any:
@@ -26,9 +26,8 @@ def _plain_day(value: Any) -> Any:
     return value
 
 
-Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
+DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 FileName = Annotated[str, Field(min_length=1)]
-NotNegative = Annotated[float, Field(ge=0)]
 Days = Annotated[int, Field(ge=0, le=36500)]
 
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
@@ -74,19 +73,19 @@ FORWARD = Quantity(
 )  # fmt: skip
 
 
-class AfterDays(Table):
+class AfterDays(CaseTable):
     """{ days = 10 }: so many calendar days after the flow."""
 
     days: Days
 
 
-class OnDate(Table):
+class OnDate(CaseTable):
     """{ date = 2019-10-20 }: everything on one date."""
 
-    date: Day
+    date: DateKey
 
 
-class MonthsAfter(Table):
+class MonthsAfter(CaseTable):
     """{ months = 1, day = 20 }: that day of the month so many months after delivery."""
 
     months: Annotated[int, Field(ge=0, le=1200)]
@@ -97,13 +96,13 @@ CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter
 Settlement = Literal["flow"] | str | AfterDays | OnDate | MonthsAfter
 
 
-class ContractTable(Table):
+class ContractTable(CaseTable):
     """`[contract]`"""
 
     volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
     currency: FileName = Field("EUR", description='a name such as "EUR"')
-    start: Day = Field(description=DATE)
-    end: Day = Field(description=DATE)
+    start: DateKey = Field(description=DATE)
+    end: DateKey = Field(description=DATE)
     inventory: CaseInput = STOCK("gas in store at the start")
     max_inventory: CaseInput = LIMIT("most gas in store")
     min_inventory: CaseInput = LIMIT("least gas in store", 0.0, before=0.0)
@@ -143,16 +142,16 @@ class ContractTable(Table):
     first_decision: Literal["valuation-date", "next-day"] = choice("valuation-date", "next-day")
 
 
-class MarketTable(Table):
+class MarketTable(CaseTable):
     """`[market]`"""
 
-    valuation_date: Day = Field(description=DATE)
+    valuation_date: DateKey = Field(description=DATE)
     forward_curve: FileName = Field(description="a CSV file with columns date,price")
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)
 
 
-class StorageTable(Table):
+class StorageTable(CaseTable):
     """The whole file."""
 
     kind: Literal["gas-storage"] = Field(description='"gas-storage"')

@@ -6,14 +6,14 @@ import numpy as np
 from scipy.special import ndtr
 
 
-class Call(NamedTuple):
+class BlackCall(NamedTuple):
     """A European call on a forward: its present value, and that value's derivative by it."""
 
     value: np.ndarray
     delta: np.ndarray
 
 
-def black_call(forward, strike, deviation, discount=1.0) -> Call:
+def black_call(forward, strike, deviation, discount=1.0) -> BlackCall:
     """Black (1976): discount x E[(F exp(deviation Z - deviation^2 / 2) - strike)+], Z normal.
 
     `deviation` is the standard deviation of ln S at expiry (0: the intrinsic value); all
@@ -28,4 +28,4 @@ def black_call(forward, strike, deviation, discount=1.0) -> Call:
     upper = np.where(live, ratio / width + width / 2, np.where(forward > strike, np.inf, -np.inf))
     delta = ndtr(upper)
     exercised = ndtr(np.where(live, upper - width, upper))
-    return Call(discount * (forward * delta - strike * exercised), discount * delta)
+    return BlackCall(discount * (forward * delta - strike * exercised), discount * delta)

@@ -16,7 +16,7 @@ Interpolation = Literal["linear", "step"]
 POINT = 1e-9
 
 
-class Rates(NamedTuple):
+class DayRates(NamedTuple):
     """Daily rate limits of one day, linear between rising inventory levels, flat outside. [K]"""
 
     levels: np.ndarray
@@ -50,7 +50,7 @@ def volume_scale(schedule) -> float:
     return float(max(np.max(steps.high, initial=0.0), np.max(steps.next_high, initial=0.0), 1e-300))
 
 
-def rates(schedule, interpolation: Interpolation, t: int) -> Rates:
+def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
     """The day's ratchets as continuous piecewise-linear functions of the inventory.
 
     With step ratchets (the row at or below holds) a jump at a level becomes a ramp that ends at
@@ -61,15 +61,15 @@ def rates(schedule, interpolation: Interpolation, t: int) -> Rates:
     levels, first = np.unique(steps.levels[t], return_index=True)
     withdrawal, injection = steps.withdrawal_rate[t][first], steps.injection_rate[t][first]
     if interpolation == "linear" or len(levels) == 1:
-        return Rates(levels, withdrawal, injection)
+        return DayRates(levels, withdrawal, injection)
     ramp = POINT * volume_scale(schedule)
     knots = np.append(levels[0], np.stack([levels[1:] - ramp, levels[1:]], axis=1))
     row = np.arange(len(knots)) // 2
-    return Rates(knots, withdrawal[row], injection[row])
+    return DayRates(knots, withdrawal[row], injection[row])
 
 
 def flow_ends(
-    schedule, day_rates: Rates, t: int, inventory: np.ndarray
+    schedule, day_rates: DayRates, t: int, inventory: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(keep, down, up): inventories [n] after a day's loss, and after the least and most flow.
 
@@ -84,7 +84,7 @@ def flow_ends(
     return keep, keep + minimum, keep + maximum
 
 
-def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> FlowChoices:
+def moves(schedule, day_rates: DayRates, t: int, inventory: np.ndarray) -> FlowChoices:
     """The inventories at the end of day t that those at its start [n] can become.
 
     Source: rates are read at the start of the day; end = start (1 - loss) + in - out.

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .day_terms import Interpolation, UnitPrices, end_value, unit_prices
-from .piecewise import Line, best_move, day_value, visited
+from .piecewise import PiecewiseLine, best_move, day_value, visited
 
 
-class Plan(NamedTuple):
+class IntrinsicPlan(NamedTuple):
     """A plan of trades, fixed today.
 
     - `value`: present value on the valuation date, in the contract's currency.
@@ -21,7 +21,7 @@ class Plan(NamedTuple):
     inventory: np.ndarray
 
 
-def intrinsic(schedule, interpolation: Interpolation) -> Plan:
+def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
     """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
 
     Exact to rounding for every contract: ratchets of any shape, linear or step, any end value. It
@@ -37,7 +37,7 @@ def intrinsic(schedule, interpolation: Interpolation) -> Plan:
     return plan(schedule, inventory)
 
 
-def values_after(schedule, interpolation: Interpolation, low, high) -> list[Line]:
+def values_after(schedule, interpolation: Interpolation, low, high) -> list[PiecewiseLine]:
     """The value of gas at the END of each day, when all prices are today's forward prices.
 
     Exact on [low[t + 1], high[t + 1]], the T + 1 intervals being given; present values.
@@ -57,14 +57,14 @@ def forward_prices(schedule, t: int) -> UnitPrices:
     return unit_prices(schedule, t, schedule.steps.forward[t])
 
 
-def _end_line(schedule, low: float, high: float) -> Line:
+def _end_line(schedule, low: float, high: float) -> PiecewiseLine:
     levels = schedule.constants.end_levels
     inside = levels[(levels > low) & (levels < high)]
     at = np.unique(np.concatenate([[low], inside, [high]]))
-    return Line(at, end_value(schedule, at, schedule.constants.end_forward))
+    return PiecewiseLine(at, end_value(schedule, at, schedule.constants.end_forward))
 
 
-def plan(schedule, inventory: np.ndarray) -> Plan:
+def plan(schedule, inventory: np.ndarray) -> IntrinsicPlan:
     """Prices a plan [T + 1] at the forward curve: value and net volumes follow from the stock."""
     steps = schedule.steps
     net = inventory[1:] - inventory[:-1] * (1 - steps.inventory_loss)
@@ -73,4 +73,4 @@ def plan(schedule, inventory: np.ndarray) -> Plan:
         prices = forward_prices(schedule, t)
         value -= volume * (prices.pay if volume > 0 else prices.earn)
         value -= steps.inventory_cost[t] * steps.flow_discount[t] * inventory[t]
-    return Plan(float(value), net, inventory)
+    return IntrinsicPlan(float(value), net, inventory)

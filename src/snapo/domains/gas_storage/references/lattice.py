@@ -13,7 +13,7 @@ import numpy as np
 from ..prices.process import GaussianFactors
 from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
 from .factor_grid import FactorGrid, factor_grid
-from .lattice_day import Decisions, Volumes, decide, follow, free_volumes, inventory_nodes
+from .lattice_day import DayDecisions, Volumes, decide, follow, free_volumes, inventory_nodes
 from .piecewise import visited
 
 
@@ -123,7 +123,7 @@ def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes
     nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
     spots = constants.end_forward * grid.noise(horizon)
     value = end_value(schedule, nodes[:, None], spots)
-    days: list[Decisions] = []
+    days: list[DayDecisions] = []
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
         day_rates = rates(schedule, interpolation, t)
@@ -135,7 +135,7 @@ def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes
     return days[::-1], float(grid.start().expect(value)[0, 0])
 
 
-def _forward(schedule, grid: FactorGrid, days: list[Decisions]):
+def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
     """Follows the decisions from today: deltas, end delta, expected net flows and inventories."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(days)

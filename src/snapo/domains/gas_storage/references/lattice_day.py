@@ -5,9 +5,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .day_terms import (
+    DayRates,
     FlowChoices,
     Interpolation,
-    Rates,
     UnitPrices,
     cash,
     holding_cost,
@@ -26,7 +26,7 @@ def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
     return "every" if interpolation == "step" and schedule.steps.levels.shape[-1] > 1 else "free"
 
 
-class Decisions(NamedTuple):
+class DayDecisions(NamedTuple):
     """One day's best decisions, and the nodes that following them needs.
 
     - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
@@ -45,7 +45,7 @@ class Decisions(NamedTuple):
     move_to: np.ndarray | None
 
 
-class Flow(NamedTuple):
+class LatticeFlow(NamedTuple):
     """Expected volumes of one day by column [columns], and the weights after it [m, columns]."""
 
     injected: np.ndarray
@@ -67,14 +67,14 @@ def inventory_nodes(low: float, high: float, spacing: float, levels: np.ndarray)
 
 def decide(
     schedule,
-    day_rates: Rates,
+    day_rates: DayRates,
     t: int,
     prices: UnitPrices,
     inventory: np.ndarray,
     nodes: np.ndarray,
     after: np.ndarray,
     volumes: Volumes,
-) -> tuple[Decisions, np.ndarray]:
+) -> tuple[DayDecisions, np.ndarray]:
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
     `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
@@ -108,7 +108,7 @@ def decide(
     if volumes == "every":
         move_to = _try_every_node(today, prices, nodes, after, best, choice)
     value = best - holding_cost(schedule, t, inventory)[:, None]
-    return Decisions(inventory, nodes, choice, today, peaks[0], peaks[1], move_to), value
+    return DayDecisions(inventory, nodes, choice, today, peaks[0], peaks[1], move_to), value
 
 
 def _try_every_node(
@@ -127,7 +127,7 @@ def _try_every_node(
     return move_to
 
 
-def follow(day: Decisions, weight: np.ndarray) -> Flow:
+def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
     """Moves probabilities [n, columns] from the start of the day to its end."""
     after = np.zeros((len(day.nodes), weight.shape[1]))
     injected, withdrawn = np.zeros((2, weight.shape[1]))
@@ -153,4 +153,4 @@ def follow(day: Decisions, weight: np.ndarray) -> Flow:
         injected += np.bincount(column, np.maximum(net, 0.0), weight.shape[1])
         withdrawn += np.bincount(column, np.maximum(-net, 0.0), weight.shape[1])
         np.add.at(after, (node, column), moved)
-    return Flow(injected, withdrawn, after)
+    return LatticeFlow(injected, withdrawn, after)

@@ -5,10 +5,10 @@ import scipy.sparse as sparse
 from scipy.optimize import linprog
 
 from .day_terms import Interpolation, rates, volume_scale
-from .intrinsic import Plan, forward_prices, plan
+from .intrinsic import IntrinsicPlan, forward_prices, plan
 
 
-def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> Plan | None:
+def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> IntrinsicPlan | None:
     """The intrinsic value by HiGHS, or None where a linear program would overstate it.
 
     Variables: each day's injection, withdrawal and inventory at its end, and the end value. Every

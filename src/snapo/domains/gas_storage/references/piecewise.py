@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .day_terms import (
+    DayRates,
     Interpolation,
-    Rates,
     UnitPrices,
     holding_cost,
     moves,
@@ -25,7 +25,7 @@ COLLINEAR = 1e-12
 SAME = 1e-13
 
 
-class Line(NamedTuple):
+class PiecewiseLine(NamedTuple):
     """A continuous piecewise-linear function: rising breakpoints and its values there. [n]"""
 
     at: np.ndarray
@@ -40,10 +40,10 @@ def day_value(
     interpolation: Interpolation,
     t: int,
     prices: UnitPrices,
-    after: Line,
+    after: PiecewiseLine,
     low: float,
     high: float,
-) -> Line:
+) -> PiecewiseLine:
     """The value at the start of day t of every inventory in [low, high], given that at its end.
 
     `prices` are the day's two known unit prices, `after` spans all that [low, high] can reach.
@@ -69,7 +69,7 @@ def day_value(
                 finish = np.vstack([finish, np.where(within, line[1:], -np.inf)])
 
     value = _upper_envelope(points, start, finish)
-    value = Line(value.at, value.value - holding_cost(schedule, t, value.at))
+    value = PiecewiseLine(value.at, value.value - holding_cost(schedule, t, value.at))
     return _without_collinear(value)
 
 
@@ -78,7 +78,7 @@ def best_move(
     interpolation: Interpolation,
     t: int,
     prices: UnitPrices,
-    after: Line,
+    after: PiecewiseLine,
     inventory: float,
 ) -> float:
     """The inventory at the end of day t that earns most; among equals the smallest flow."""
@@ -113,7 +113,7 @@ def _cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
     return np.where(net > 0, -net * prices.pay, -net * prices.earn)
 
 
-def _breakpoints(schedule, day_rates: Rates, t, targets, low, high, scale) -> np.ndarray:
+def _breakpoints(schedule, day_rates: DayRates, t, targets, low, high, scale) -> np.ndarray:
     """Where today's value may bend: at a ratchet level, or where a move meets a bend of `after`."""
     levels = day_rates.levels
     knots = np.concatenate([[low], levels[(levels > low) & (levels < high)], [high]])
@@ -138,7 +138,7 @@ def _breakpoints(schedule, day_rates: Rates, t, targets, low, high, scale) -> np
     return points if len(points) > 1 else np.array([low, low])
 
 
-def _peaks(line: Line, price) -> np.ndarray:
+def _peaks(line: PiecewiseLine, price) -> np.ndarray:
     """Indices of the local maxima of value - price x inventory (the right end of a plateau)."""
     net = line.value - price * line.at
     left = np.append(-np.inf, net[:-1])
@@ -146,7 +146,7 @@ def _peaks(line: Line, price) -> np.ndarray:
     return np.flatnonzero((net >= left) & (net > right))
 
 
-def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -> Line:
+def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -> PiecewiseLine:
     """The greatest of C lines on each of n intervals, given at its two ends, [C, n] each."""
     value = np.maximum(
         np.append(start.max(axis=0), -np.inf), np.append(-np.inf, finish.max(axis=0))
@@ -168,10 +168,10 @@ def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -
         values.append(np.max(first[:, k] * (1 - theta) + end[:, k] * theta, axis=0))
     at, values = np.concatenate(at), np.concatenate(values)
     at, order = np.unique(at, return_index=True)
-    return Line(at, values[order])
+    return PiecewiseLine(at, values[order])
 
 
-def _without_collinear(line: Line) -> Line:
+def _without_collinear(line: PiecewiseLine) -> PiecewiseLine:
     """Drops breakpoints that lie on the chord of their neighbours, never two neighbours at once."""
     at, value = line
     tolerance = COLLINEAR * max(np.abs(value).max(), 1e-300)
@@ -183,4 +183,4 @@ def _without_collinear(line: Line) -> Line:
         straight[parity::2] = False
         at, value = at[~straight], value[~straight]
         parity, unchanged = 1 - parity, 0 if straight.any() else unchanged + 1
-    return Line(at, value)
+    return PiecewiseLine(at, value)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
 
@@ -28,12 +28,12 @@ class Demand(eqx.Module):
     """
 
     kind: ClassVar[str]
-    table: ClassVar[type[Table]]
+    table: ClassVar[type[CaseTable]]
     integer: ClassVar[bool] = False
 
     @classmethod
     @abc.abstractmethod
-    def read(cls, section: Section, table: Any, unit: str, maximum: float) -> Self:
+    def read(cls, section: TableContext, table: Any, unit: str, maximum: float) -> Self:
         """From its table; `unit` of demand in a period, `maximum` the largest factor of a
         period."""
 

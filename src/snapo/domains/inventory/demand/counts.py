@@ -32,7 +32,7 @@ TAIL = 1e-8  # the chance of a demand above those that are counted
 ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
 
 
-class Counts(Demand):
+class CountDemand(Demand):
     """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
 
     - `maximum`: static, the number of demands above zero that are told apart.

@@ -10,14 +10,14 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 
 from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
 
 FEWEST, MAXIMUM = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
 
 
-class EmpiricalTable(Table):
+class EmpiricalTable(CaseTable):
     """`[demand]` of kind "empirical"."""
 
     kind: Literal["empirical"]
@@ -33,7 +33,7 @@ class EmpiricalTable(Table):
 
 
 @register
-class Empirical(Demand):
+class EmpiricalDemand(Demand):
     """A period of the history, by chance.
 
     Where the history has a column `factor`, its demand is divided by it, and a period drawn is
@@ -48,7 +48,7 @@ class Empirical(Demand):
     spread: float | None = None
 
     @classmethod
-    def read(cls, section: Section, table: EmpiricalTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: EmpiricalTable, unit: str, maximum: float):
         reference = FileReference(section, "history", table.history)
         rows = read_rows(reference, ["period", "demand"], ["factor"])
         if not FEWEST <= len(rows) <= MAXIMUM:

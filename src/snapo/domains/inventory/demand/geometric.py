@@ -6,22 +6,22 @@ import jax.numpy as jnp
 from pydantic import Field
 from scipy import stats
 
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 
 from .base import MEAN, mean_given, register
-from .counts import ROOM, Counts, most_of
-from .sizes import MEANS, Mean
+from .counts import ROOM, CountDemand, most_of
+from .sizes import MEANS, MeanSize
 
 
-class GeometricTable(Table):
+class GeometricTable(CaseTable):
     """`[demand]` of kind "geometric"."""
 
     kind: Literal["geometric"]
-    mean: Mean = Field(description=MEANS)
+    mean: MeanSize = Field(description=MEANS)
 
 
 @register
-class Geometric(Counts):
+class GeometricDemand(CountDemand):
     """p(k) = (1 - q) q^k with q = m / (1 + m), m the mean of the period."""
 
     kind = "geometric"
@@ -31,7 +31,7 @@ class Geometric(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: GeometricTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: GeometricTable, unit: str, maximum: float):
         mean = ROOM * maximum * table.mean
         return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean, unit)
 

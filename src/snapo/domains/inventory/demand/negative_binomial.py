@@ -7,23 +7,23 @@ from jax.scipy.special import gammaln
 from pydantic import Field
 from scipy import stats
 
-from snapo.case.table import Positive, Section, Table
+from snapo.case.table import CaseTable, Positive, TableContext
 
 from .base import DEVIATION, MEAN, deviation_given, mean_given, register
-from .counts import ROOM, Counts, most_of
-from .sizes import MEANS, Mean
+from .counts import ROOM, CountDemand, most_of
+from .sizes import MEANS, MeanSize
 
 
-class NegativeBinomialTable(Table):
+class NegativeBinomialTable(CaseTable):
     """`[demand]` of kind "negative-binomial"."""
 
     kind: Literal["negative-binomial"]
-    mean: Mean = Field(description=MEANS)
+    mean: MeanSize = Field(description=MEANS)
     deviation: Positive = Field(description="a number above 0, above the root of the mean")
 
 
 @register
-class NegativeBinomial(Counts):
+class NegativeBinomialDemand(CountDemand):
     """p(k) = G(k + r) / (G(r) k!) (r / (r + m))^r (m / (r + m))^k, G the gamma function.
 
     r = mean^2 / (deviation^2 - mean) of a period with the factor 1, and the same for all periods.
@@ -37,7 +37,7 @@ class NegativeBinomial(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: NegativeBinomialTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: NegativeBinomialTable, unit: str, maximum: float):
         if table.deviation**2 <= 1.01 * table.mean:
             minimum = (1.01 * table.mean) ** 0.5
             message = f"allowed is a number above {minimum:.4g}, of a Poisson demand; see that kind"

@@ -4,12 +4,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from snapo.case.table import Positive, Section, Table
+from snapo.case.table import CaseTable, Positive, TableContext
 
 from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
 
 
-class NormalTable(Table):
+class NormalTable(CaseTable):
     """`[demand]` of kind "normal"."""
 
     kind: Literal["normal"]
@@ -18,7 +18,7 @@ class NormalTable(Table):
 
 
 @register
-class Normal(Demand):
+class NormalDemand(Demand):
     """mean + deviation z. Below zero it is goods that come back; rare from 3 deviations on."""
 
     kind = "normal"
@@ -28,7 +28,7 @@ class Normal(Demand):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: NormalTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: NormalTable, unit: str, maximum: float):
         if table.deviation > table.mean:
             message = f"allowed is at most the mean, {table.mean:g}: demand would often be below 0"
             raise section.error("deviation", table.deviation, message)

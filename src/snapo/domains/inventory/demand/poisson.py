@@ -7,22 +7,22 @@ from jax.scipy.special import gammaln
 from pydantic import Field
 from scipy import stats
 
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 
 from .base import MEAN, mean_given, register
-from .counts import ROOM, Counts, most_of
-from .sizes import MEANS, Mean
+from .counts import ROOM, CountDemand, most_of
+from .sizes import MEANS, MeanSize
 
 
-class PoissonTable(Table):
+class PoissonTable(CaseTable):
     """`[demand]` of kind "poisson"."""
 
     kind: Literal["poisson"]
-    mean: Mean = Field(description=MEANS)
+    mean: MeanSize = Field(description=MEANS)
 
 
 @register
-class Poisson(Counts):
+class PoissonDemand(CountDemand):
     """p(k) = e^-m m^k / k!, m the mean of the period."""
 
     kind = "poisson"
@@ -32,7 +32,7 @@ class Poisson(Counts):
     unit: str
 
     @classmethod
-    def read(cls, section: Section, table: PoissonTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: PoissonTable, unit: str, maximum: float):
         return cls(most_of(stats.poisson(ROOM * maximum * table.mean).ppf), table.mean, unit)
 
     def inputs(self):

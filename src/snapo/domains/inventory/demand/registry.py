@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from snapo.case.table import Section, parse, record_kinds
+from snapo.case.table import TableContext, parse, record_kinds
 
 from .base import KINDS, Demand
 
@@ -20,7 +20,9 @@ def kinds() -> dict[str, type[Demand]]:
     return dict(KINDS)
 
 
-def read_demand(section: Section, data: Mapping[str, Any], unit: str, maximum: float) -> Demand:
+def read_demand(
+    section: TableContext, data: Mapping[str, Any], unit: str, maximum: float
+) -> Demand:
     """The demand of the table `[demand]`; `maximum`: the largest factor of a period."""
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)

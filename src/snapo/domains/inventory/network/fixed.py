@@ -60,7 +60,7 @@ def placed(
     return Placed(orders, likelihood)
 
 
-class Weights:
+class LikelihoodWeights:
     """The number 1 by which outputs are multiplied, with the derivative of what has led to them.
 
     - `likelihood` [m]: of this period; None where no order has a cost of its own.

@@ -20,7 +20,7 @@ ENDLESS = 1e6  # deviations: nothing is sent, or an order waits for nothing
 BAND = 0.5  # deviations: where the search for one begins
 
 
-class Numbers(NamedTuple):
+class RuleNumbers(NamedTuple):
     """Of a classical rule, all in deviations of the demand that a place serves.
 
     - `above` [n]: how far its levels lie above those of the simulator.
@@ -43,11 +43,11 @@ def network_rules(setup: Setup) -> Iterator[tuple[str, EchelonRule, dict[str, fl
         yield name, echelon_rule(setup, *numbers), _for_planner(setup, numbers)
 
 
-def classical(setup: Setup) -> dict[str, Numbers]:
+def classical(setup: Setup) -> dict[str, RuleNumbers]:
     """{name: numbers of the rule}. After demand stores hold nothing back; bands before it are one
     more number of the search."""
     case = network_of(setup)
-    first = Numbers((0.0,) * len(case.sites), BAND if case.moving(True) else 0.0)
+    first = RuleNumbers((0.0,) * len(case.sites), BAND if case.moving(True) else 0.0)
     rules = {"newsvendor levels": first._replace(reserve=0.0), "best levels": best(setup, first)}
     name = "best levels"
     if case.fixed:
@@ -66,7 +66,7 @@ def echelon_rule(
     selected: float = 0.0,
     wait: Sequence[float] | None = None,
 ) -> EchelonRule:
-    """The rule with these `Numbers`."""
+    """The rule with these `RuleNumbers`."""
     problem, case = setup.problem, network_of(setup)
     rule = EchelonRule(case, problem.action, problem.features, key=jax.random.key(0), plain=True)
     after = len(case.moving(False))
@@ -76,17 +76,17 @@ def echelon_rule(
     return eqx.tree_at(lambda x: (x.first, x.reserve, x.wait), rule, values)
 
 
-def best(setup: Setup, start: Numbers) -> Numbers:
+def best(setup: Setup, start: RuleNumbers) -> RuleNumbers:
     """The best numbers from these on: levels, reorder points where it has some, and the band where
     there is one to choose."""
     case, cost_of = network_of(setup), cost_on_other_paths(setup)
     waits, banded = start.wait or (), bool(case.moving(True)) and start.reserve != ENDLESS
     n = len(start.above)
 
-    def numbers(point: tuple[float, ...]) -> Numbers:
+    def numbers(point: tuple[float, ...]) -> RuleNumbers:
         selected = point[-1] if banded else start.reserve
         wait = point[n : n + len(waits)] if start.wait is not None else None
-        return Numbers(point[:n], selected, wait)
+        return RuleNumbers(point[:n], selected, wait)
 
     def cost(point: tuple[float, ...]) -> float:
         if banded and point[-1] < 0:
@@ -107,7 +107,7 @@ def first_levels(setup: Setup) -> np.ndarray:
     return np.asarray(schedule.steps["level"][network_of(setup).warm_up], np.float64)
 
 
-def _for_planner(setup: Setup, numbers: Numbers) -> dict[str, float]:
+def _for_planner(setup: Setup, numbers: RuleNumbers) -> dict[str, float]:
     """Levels and reorder points, and the band in deviations."""
     case, level = network_of(setup), first_levels(setup)
     unit = np.asarray(setup.problem.schedule.constants["unit"])

@@ -27,7 +27,7 @@ from snapo.problem.actions import Actions, Box, Integers, Product
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from .fixed import Weights, choices, placed
+from .fixed import LikelihoodWeights, choices, placed
 from .inputs import demands, selling
 from .levels import levels, season, start
 from .records import NetworkCase
@@ -189,7 +189,7 @@ class NetworkSimulator(Simulator):
         if drawn is not None:
             amounts |= {"orders": (drawn.orders, case.fixed), "ordered": (requested, case.fixed)}
             after["likelihood"] = drawn.likelihood
-        weights = Weights(case, None if drawn is None else drawn.likelihood)
+        weights = LikelihoodWeights(case, None if drawn is None else drawn.likelihood)
         outputs = self._costs(here, after, left, short, moves, drawn, weights)
         outputs |= self._means(here, amounts, short, moves, weights, smooth)
         after["stock"] = left if case.lost else stock

@@ -9,14 +9,14 @@ import numpy as np
 
 from snapo.case.given import positions
 from snapo.case.plausible import CaseFiles
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..demand.registry import read_demand
 from ..item.records import InventoryCase, Item
 from .plausible import unit_slips
 from .season import no_season, read_season
 from .settings import read_settings
-from .tables import STOCK, HorizonTable, InventoryTable, ItemTable, ReportTable
+from .tables import STOCK, HorizonTable, InventoryTable, ItemReportTable, ItemTable
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
@@ -28,12 +28,14 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     top = parse(InventoryTable, data, name, "")
     table = parse(ItemTable, top.item, name, "item")
     horizon = parse(HorizonTable, top.horizon, name, "horizon")
-    season = read_season(Section(file, "season", notes), top.season) if top.season else no_season()
+    season = (
+        read_season(TableContext(file, "season", notes), top.season) if top.season else no_season()
+    )
     per = f"{table.unit}/{table.period}"
     maximum = float(season.values.max())
-    demand = read_demand(Section(file, "demand", notes), top.demand, per, maximum)
+    demand = read_demand(TableContext(file, "demand", notes), top.demand, per, maximum)
     item = _item(
-        Section(file, "item", notes),
+        TableContext(file, "item", notes),
         table,
         demand.integer or (demand.in_pieces() and len(season.values) == 1),
     )
@@ -53,11 +55,11 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         discount=horizon.discount,
         demand=demand,
         season=season,
-        other_leads=parse(ReportTable, top.report, name, "report").lead_time,
+        other_leads=parse(ItemReportTable, top.report, name, "report").lead_time,
     )
 
 
-def _item(section: Section, table: ItemTable, complete: bool) -> Item:
+def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
     arrivals = max(table.lead_time - 1, 0)
     if table.coming is not None and len(table.coming) != arrivals:
         message = (

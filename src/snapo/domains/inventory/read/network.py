@@ -10,7 +10,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
+from snapo.case.table import TITLE, CaseTable, NotNegative, Positive, TableContext, Title, parse
 
 from ..demand.registry import kinds, read_demand
 from ..network.records import NetworkCase, Pool, Site
@@ -23,9 +23,8 @@ from .tables import (
     NAME,
     HorizonTable,
     InventoryTable,
+    ItemName,
     ItemTable,
-    Name,
-    NotNegative,
 )
 
 MAXIMUM = 12  # places
@@ -33,17 +32,17 @@ PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
 PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 40 characters"
 
 
-class NetworkTable(Table):
+class NetworkTable(CaseTable):
     """`[network]`"""
 
     unmet: Literal["lost", "waits"] = Field("waits", description='"lost" or "waits"')
     whole: bool | None = Field(None, description="true or false")
-    currency: Name = Field("EUR", description=NAME)
-    unit: Name = Field("piece", description=NAME)
-    period: Name = Field("week", description=NAME)
+    currency: ItemName = Field("EUR", description=NAME)
+    unit: ItemName = Field("piece", description=NAME)
+    period: ItemName = Field("week", description=NAME)
 
 
-class PlaceTable(Table):
+class PlaceTable(CaseTable):
     """One `[[place]]`."""
 
     name: PlaceName = Field(description=PLACE)
@@ -58,13 +57,13 @@ class PlaceTable(Table):
     season: dict[str, Any] | None = Field(None, description="a table, as [season]")
 
 
-class ReportTable(Table):
+class NetworkReportTable(CaseTable):
     """`[report]` of a case with places."""
 
     lead_time: bool = Field(False, description="true or false")
 
 
-class TransshipmentTable(Table):
+class TransshipmentTable(CaseTable):
     """One `[[transshipment]]`."""
 
     between: Annotated[list[PlaceName], Field(min_length=2, max_length=MAXIMUM)] = Field(
@@ -75,7 +74,7 @@ class TransshipmentTable(Table):
     one_way: bool = Field(False, description="true or false")
 
 
-class NetworkFile(Table):
+class NetworkFile(CaseTable):
     """The whole file."""
 
     kind: Literal["inventory"] = Field(description='"inventory"')
@@ -112,8 +111,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     table = parse(NetworkTable, top.network, name, "network")
     horizon = parse(HorizonTable, top.horizon, name, "horizon")
     rows = [parse(PlaceTable, item, name, f"place[{i}]") for i, item in enumerate(top.place)]
-    sections = [Section(file, f"place[{i}]", notes) for i in range(len(rows))]
-    _check(rows, sections, Section(file, "network", notes), table.unmet)
+    sections = [TableContext(file, f"place[{i}]", notes) for i in range(len(rows))]
+    _check(rows, sections, TableContext(file, "network", notes), table.unmet)
     names = [row.name for row in rows]
     per = f"{table.unit}/{table.period}"
     positions = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
@@ -154,11 +153,13 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
         discount=horizon.discount,
-        other_leads=parse(ReportTable, top.report, name, "report").lead_time,
+        other_leads=parse(NetworkReportTable, top.report, name, "report").lead_time,
     )
 
 
-def _check(rows: list[PlaceTable], sections: list[Section], complete: Section, unmet: str) -> None:
+def _check(
+    rows: list[PlaceTable], sections: list[TableContext], complete: TableContext, unmet: str
+) -> None:
     """Names, suppliers without a circle, customers at every end, shortage where there are any."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MAXIMUM:
@@ -193,7 +194,7 @@ def _pools(
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
     pools, costs, labels = [], [], []
     for i, item in enumerate(tables):
-        section = Section(file, f"transshipment[{i}]", notes)
+        section = TableContext(file, f"transshipment[{i}]", notes)
         table = parse(TransshipmentTable, item, str(file), section.name)
         if unknown := [name for name in table.between if name not in sell]:
             message = f"the places with customers are {', '.join(sell)}"
@@ -220,7 +221,7 @@ def _pools(
                                np.arange(len(pools)), group="costs", meaning=text)  # fmt: skip
 
 
-def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Site:
+def _place(row: PlaceTable, section: TableContext, names: list[str], unit: str) -> Site:
     """The place of one table; `unit` of demand in a period."""
     supplier = names.index(row.supplier) if row.supplier is not None else None
     demand, season = None, None
@@ -242,8 +243,8 @@ def _demand(site: Site) -> Iterator[CheckedNumbers]:
         yield numbers._replace(name=f"{site.name}.{numbers.name}")
 
 
-def _inner(section: Section, name: str) -> Section:
-    return Section(section.file, f"{section.name}.{name}", section.notes)
+def _inner(section: TableContext, name: str) -> TableContext:
+    return TableContext(section.file, f"{section.name}.{name}", section.notes)
 
 
 def _whole(position: Site) -> bool:

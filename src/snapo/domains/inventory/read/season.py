@@ -8,7 +8,7 @@ import numpy as np
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from .tables import SeasonTable
 
@@ -16,7 +16,7 @@ SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
 WORDS = "demand of a period, relative to the mean"
 
 
-def read_season(section: Section, data: Mapping[str, Any]) -> CaseInput:
+def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
     """Factors of demand by place in the season, of the table `section`.
 
     **Raises:** `CaseError` for a table, a file or a number that is wrong.

@@ -9,10 +9,9 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity
-from snapo.case.table import TITLE, Table, Title
+from snapo.case.table import TITLE, CaseTable, NotNegative, Title
 
-Name = Annotated[str, Field(min_length=1, max_length=40)]
-NotNegative = Annotated[float, Field(ge=0)]
+ItemName = Annotated[str, Field(min_length=1, max_length=40)]
 
 AMOUNT = "a number of at least 0"
 NAME = "a name of at most 40 characters in quotation marks"
@@ -22,12 +21,12 @@ HOLDING = Quantity("{currency}/{unit}/{period}", POSITIVE, "costs")
 STOCK = Quantity("{unit}", NOT_NEGATIVE, "start", move=1.0)
 
 
-class ItemTable(Table):
+class ItemTable(CaseTable):
     """`[item]`"""
 
-    currency: Name = Field("EUR", description=NAME)
-    unit: Name = Field("piece", description=NAME)
-    period: Name = Field("week", description=NAME)
+    currency: ItemName = Field("EUR", description=NAME)
+    unit: ItemName = Field("piece", description=NAME)
+    period: ItemName = Field("week", description=NAME)
     unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
     lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
         description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
@@ -47,7 +46,7 @@ class ItemTable(Table):
     )  # fmt: skip
 
 
-class HorizonTable(Table):
+class HorizonTable(CaseTable):
     """`[horizon]`"""
 
     periods: Annotated[int, Field(ge=2, le=2000)] = Field(
@@ -61,19 +60,19 @@ class HorizonTable(Table):
     )
 
 
-class SeasonTable(Table):
+class SeasonTable(CaseTable):
     """`[season]`: of an item; of a place of a network, its key `season`"""
 
-    file: Name = Field(description="the name of a CSV file with columns period,factor")
+    file: ItemName = Field(description="the name of a CSV file with columns period,factor")
 
 
-class ReportTable(Table):
+class ItemReportTable(CaseTable):
     """`[report]`"""
 
     lead_time: bool = Field(True, description="true or false")
 
 
-class InventoryTable(Table):
+class InventoryTable(CaseTable):
     """The whole file."""
 
     kind: Literal["inventory"] = Field(description='"inventory"')

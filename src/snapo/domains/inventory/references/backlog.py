@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 
-class BaseStock(NamedTuple):
+class BaseStockResult(NamedTuple):
     """The level up to which the inventory position is raised, and the cost of a period."""
 
     level: float
@@ -18,7 +18,7 @@ class BaseStock(NamedTuple):
 
 def best_base_stock(
     mean: float, deviation: float, lead_time: int, holding: float, shortage: float
-) -> BaseStock:
+) -> BaseStockResult:
     """S = (L + 1) mean + z s with s = deviation sqrt(L + 1); cost (h + p) phi(z) s.
 
     `holding` by unit and period, `shortage` by unit that waits and period; z is the normal
@@ -27,7 +27,7 @@ def best_base_stock(
     z = float(stats.norm.ppf(shortage / (shortage + holding)))
     spread = deviation * np.sqrt(lead_time + 1)
     cost = (holding + shortage) * float(stats.norm.pdf(z)) * spread
-    return BaseStock((lead_time + 1) * mean + z * spread, float(cost))
+    return BaseStockResult((lead_time + 1) * mean + z * spread, float(cost))
 
 
 def base_stock_cost(

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 
-class Line(NamedTuple):
+class SupplyLine(NamedTuple):
     """Echelon levels [n], from the customer up, and the cost of a period."""
 
     levels: np.ndarray
@@ -26,7 +26,7 @@ def serial_line(
     periods: np.ndarray,
     shortage: float,
     width: float = 0.01,
-) -> Line:
+) -> SupplyLine:
     """The best echelon levels, and the least average cost.
 
     - `holding` [n] local costs, `periods` [n] of demand that pass from an order to its arrival,
@@ -55,4 +55,4 @@ def serial_line(
         cost = float(expected[best])
         carried = expected[np.minimum(np.arange(len(grid)), best)]
         carried[:first] = inner[0] + (grid[:first] - grid[first]) * (inner[1] - inner[0]) / width
-    return Line(np.array(levels), cost)
+    return SupplyLine(np.array(levels), cost)

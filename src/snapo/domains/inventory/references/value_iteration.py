@@ -20,7 +20,7 @@ class Costs(NamedTuple):
     order: float = 0.0
 
 
-class Optimum(NamedTuple):
+class ExactOptimum(NamedTuple):
     """The least average cost of a period, between `low` and `high`, and the best orders.
 
     - `orders`: by stock [0 …] and the orders on their way, the next one to arrive first; of
@@ -46,7 +46,7 @@ def lost_sales(
     most_stock: int,
     most_order: int,
     tolerance: float = 1e-6,
-) -> Optimum:
+) -> ExactOptimum:
     """Unmet demand is lost; the shortage cost is of every unit lost.
 
     - `probabilities`: of demands 0, 1, …; `mean`: of the whole distribution, its tail included.
@@ -82,7 +82,7 @@ def backlogged(
     minimum: int,
     maximum: int,
     tolerance: float = 1e-6,
-) -> Optimum:
+) -> ExactOptimum:
     """Unmet demand waits; the shortage cost is of every unit that waits, every period.
 
     The state is the inventory position before the order, `minimum` to `maximum`: an order now is
@@ -120,7 +120,7 @@ def _period(probabilities, mean: float, costs: Costs, most_stock: int):
     return moves, costs.holding * left + costs.shortage * (mean - stocks + left)
 
 
-def _iterate(values, value: np.ndarray, tolerance: float, maximum: int = 20_000) -> Optimum:
+def _iterate(values, value: np.ndarray, tolerance: float, maximum: int = 20_000) -> ExactOptimum:
     """Relative value iteration until both bounds are within `tolerance`."""
     for _ in range(maximum):
         every = values(value)
@@ -128,6 +128,6 @@ def _iterate(values, value: np.ndarray, tolerance: float, maximum: int = 20_000)
         change = after - value
         low, high = float(change.min()), float(change.max())
         if high - low < tolerance:
-            return Optimum(low, high, every.argmin(-1))
+            return ExactOptimum(low, high, every.argmin(-1))
         value = after - after.flat[0]
     raise ValueError(f"value iteration: {high - low:g} are left after {maximum} rounds.")  # pyright: ignore

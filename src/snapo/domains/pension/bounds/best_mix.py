@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 
 
-class Limits(NamedTuple):
+class MixBounds(NamedTuple):
     """Of the weights: bounds [n]; `group` [n] the group of each class, groups [k] with bounds
     (a class without a group is one of its own); of the swaps: `minimum`, `maximum` [b] shares."""
 
@@ -22,7 +22,7 @@ class Limits(NamedTuple):
     maximum: np.ndarray
 
 
-def limits(case: PensionCase) -> Limits:
+def limits(case: PensionCase) -> MixBounds:
     """Those of a case; of swaps that are sized by payments, what leverage leaves to each."""
     assets, overlay = case.assets, case.overlay
     low, high = np.array(assets.low, float), np.array(assets.high, float)
@@ -44,11 +44,11 @@ def limits(case: PensionCase) -> Limits:
     else:
         maximum = np.full(case.buckets, float(overlay.leverage.used()))
         minimum = -maximum
-    return Limits(low, high, group, np.array(group_low), np.array(group_high), minimum, maximum)
+    return MixBounds(low, high, group, np.array(group_low), np.array(group_high), minimum, maximum)
 
 
 def best_mix(
-    limits: Limits, value: Float[Array, " n"], swaps: Float[Array, " b"]
+    limits: MixBounds, value: Float[Array, " n"], swaps: Float[Array, " b"]
 ) -> Float[Array, ""]:
     """max over weights and shares of weights @ worth + shares @ swaps.
 

@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 
 from snapo.problem.smooth import Exact
 
-from ..fund.books import State, balance, opening
+from ..fund.books import FundState, balance, opening
 from ..fund.plan import contribution, indexation
-from ..fund.schedule import Period, Terms
+from ..fund.schedule import FundTerms, Period
 from ..fund.simulator import PensionSimulator
 from ..market.state import Market
 
@@ -31,12 +31,12 @@ class Extremes(NamedTuple):
 
 
 def extremes(
-    simulator: PensionSimulator, terms: Terms, steps: Period, before: Market, after: Market
+    simulator: PensionSimulator, terms: FundTerms, steps: Period, before: Market, after: Market
 ) -> Extremes:
     """Of a path whose markets `before` and `after` each step have leaves [T, …]."""
     case = simulator.case
 
-    def step(rights: tuple[State, State], values):
+    def step(rights: tuple[FundState, FundState], values):
         now, market, then = values
         lower, maximum = (right._replace(market=market) for right in rights)
         received = _most_received(simulator, terms, now, lower, maximum)
@@ -51,7 +51,9 @@ def extremes(
     return Extremes(received, last.liability)
 
 
-def _most_received(simulator, terms: Terms, now: Period, minimum: State, maximum: State) -> Array:
+def _most_received(
+    simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
+) -> Array:
     """Contributions without assets against the most rights, less benefits on the least."""
     case = simulator.case
     books = balance(case, terms, now.people, now.shape, maximum)
@@ -74,7 +76,7 @@ def _most_received(simulator, terms: Terms, now: Period, minimum: State, maximum
     return highest - benefit - now.people.expenses * jnp.exp(minimum.market.log_price)
 
 
-def _increases(simulator, terms: Terms, now: Period, market: Market, then: Market, last: Array):
+def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: Market, last: Array):
     """(least, most) net increase at the end of the step, whatever the funding ratio."""
     rule = simulator.case.plan.indexation
     if rule.kind == "none" and not rule.cut_years:

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..fund.schedule import Period, Terms
+from ..fund.schedule import FundTerms, Period
 from ..market.assets.asset_class import by_kind
 from ..market.dynamics import move, noise_size
 from ..market.state import Market
 from ..records.case import PensionCase
 
 
-class Returns(NamedTuple):
+class GaussianReturns(NamedTuple):
     """Log returns over cash, linear in the step's normals [Z].
 
     - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
@@ -32,10 +32,12 @@ class Returns(NamedTuple):
 
 
 # The axes over paths.
-ACROSS = Returns(0, 0, None, None, 0)  # pyright: ignore
+ACROSS = GaussianReturns(0, 0, None, None, 0)  # pyright: ignore
 
 
-def gaussian_returns(case: PensionCase, terms: Terms, now: Period, market: Market) -> Returns:
+def gaussian_returns(
+    case: PensionCase, terms: FundTerms, now: Period, market: Market
+) -> GaussianReturns:
     """Those of one step on one path."""
 
     def over_cash(noise):
@@ -48,7 +50,7 @@ def gaussian_returns(case: PensionCase, terms: Terms, now: Period, market: Marke
     calm = jnp.zeros(noise_size(case))
     mean, bonds, shares = over_cash(calm)
     load, bond_load = jax.jacfwd(lambda noise: over_cash(noise)[:2])(calm)
-    return Returns(mean, load, bonds, bond_load, shares)
+    return GaussianReturns(mean, load, bonds, bond_load, shares)
 
 
 class Worth(NamedTuple):
@@ -60,7 +62,9 @@ class Worth(NamedTuple):
     money: Array
 
 
-def discounted_growth(case: PensionCase, returns: Returns, price: Float[Array, " Z"]) -> Worth:
+def discounted_growth(
+    case: PensionCase, returns: GaussianReturns, price: Float[Array, " Z"]
+) -> Worth:
     """E[exp(-price @ noise - price^2 / 2) exp(return over cash)]."""
     exponent = _exponent(returns.mean, returns.load, price)
     bonds = jnp.expm1(_exponent(returns.bonds, returns.bond_load, price))
@@ -80,7 +84,7 @@ def _exponent(mean: Array, load: Array, price: Array) -> Array:
     return mean + jnp.sum(load**2, axis=-1) / 2 - load @ price
 
 
-def fair(returns: Returns) -> np.ndarray:
+def fair(returns: GaussianReturns) -> np.ndarray:
     """[Z] the least prices of risk at which no investment earns more than another, of the first
     step on the first of many paths."""
     load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])

@@ -33,16 +33,16 @@ from ..market.dynamics import noise_size
 from .best_mix import best_mix, limits
 from .conjugate import IN_MONEY, conjugate
 from .extremes import Extremes, extremes
-from .gaussian import ACROSS, Returns, Worth, discounted_growth, fair, gaussian_returns
+from .gaussian import ACROSS, GaussianReturns, Worth, discounted_growth, fair, gaussian_returns
 
 PATHS, STREAM = 512, 258  # on which prices are fitted
 SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
-class Paths(NamedTuple):
+class FundPaths(NamedTuple):
     """The market of paths, whatever the prices: leaves [T, N, …], of bonds [T, …]."""
 
-    returns: Returns
+    returns: GaussianReturns
     noise: Float[Array, "T N Z"]
 
 
@@ -114,12 +114,12 @@ class FundRelaxation:
         result = minimize_scalar(upper_bound, (-3.0, 0.0))
         return float(result.fun), float(np.exp(result.x))
 
-    def _paths(self, rollout: Rollout, draws: Draws) -> Paths:
+    def _paths(self, rollout: Rollout, draws: Draws) -> FundPaths:
         before = rollout.record["state"].market
         across = jax.vmap(gaussian_returns, (None, None, None, 0), ACROSS)
         terms, steps = self.schedule.constants, self.schedule.steps
         returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.case, terms, steps, before)
-        return Paths(returns, self._noise(draws))
+        return FundPaths(returns, self._noise(draws))
 
     def _extremes(self, rollout: Rollout) -> Extremes:
         """[N, …] the least and the most that decisions can bring about on these paths."""
@@ -136,11 +136,11 @@ class FundRelaxation:
         one = jax.vmap(lambda d, s: d.noise(s, size, jnp.float64), (draws.axes(), None))
         return jax.vmap(one, (None, 0))(draws, steps)
 
-    def _deflated(self, price: Any, paths: Paths) -> Deflated:
+    def _deflated(self, price: Any, paths: FundPaths) -> Deflated:
         case = self.simulator.case
         price = jnp.asarray(price)
 
-        def step(returns: Returns, noise):
+        def step(returns: GaussianReturns, noise):
             units = discounted_growth(case, returns, price)
             upper = best_mix(self.limits, units.classes, units.swaps)
             log = -noise @ price - price @ price / 2
@@ -153,7 +153,7 @@ class FundRelaxation:
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
         return Deflated(before / maximum, after, units)
 
-    def _split(self, price: Any, paths: Paths, bounds: Extremes) -> tuple[Array, Array]:
+    def _split(self, price: Any, paths: FundPaths, bounds: Extremes) -> tuple[Array, Array]:
         """[N] each, over the assets now: D L at the end, or D where the objective is in money;
         these assets and all money received, deflated."""
         result, assets = self._deflated(price, paths), self.schedule.constants.assets

@@ -88,7 +88,7 @@ class LimitBreaches:
 
 
 @dataclass(frozen=True)
-class FirstDecision:
+class FirstAllocation:
     """Today's weights [n] and places of the notionals in their ranges [b]: alike on all paths."""
 
     weights: Floats
@@ -103,7 +103,7 @@ class PathTables:
     policy_map: PolicyMap
     mix: MeanMix
     limits: dict[str, LimitBreaches]
-    first_decision: FirstDecision
+    first_decision: FirstAllocation
     recorded_paths: int
     recovery: RecoveryCourse | None = None
 
@@ -123,7 +123,7 @@ def measure(run: StudyRun) -> PathTables:
         policy_map(record),
         mean_mix(record),
         limits_by_step(record, SLACK),
-        FirstDecision(record.weights[0, 0], record.overlay[0, 0]),
+        FirstAllocation(record.weights[0, 0], record.overlay[0, 0]),
         record.action.shape[1],
         recovered,
     )

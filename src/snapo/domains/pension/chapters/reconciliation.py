@@ -20,7 +20,7 @@ from ..regulation.bases import Bases, bases
 from ..regulation.stand import RecoveryCourse, Stand, stand
 from ..results.figures.in_words import in_words
 from ..results.figures.lines import examine
-from ..results.figures.reconcile import BASIS_POINT, Figures, Line
+from ..results.figures.reconcile import BASIS_POINT, LiabilityFigures, ReconciledFigure
 from ..results.setup import case_of
 from ..run import PensionRun, share
 from .evidence import CONSISTENCY
@@ -69,7 +69,7 @@ class FundFigures:
     - `regulation`, `funding`: the fund before its regulator; None where the case names no rules.
     """
 
-    lines: tuple[Line, ...] = ()
+    lines: tuple[ReconciledFigure, ...] = ()
     remarks: tuple[str, ...] = ()
     in_words: tuple[str, ...] = ()
     liability: Number = np.nan
@@ -125,7 +125,7 @@ def measure(run: StudyRun) -> Reconciliation:
     return Reconciliation(result, local.liability, human.funding)
 
 
-def _key_rate_durations(case: PensionCase, figures: Figures) -> KeyRateDurations:
+def _key_rate_durations(case: PensionCase, figures: LiabilityFigures) -> KeyRateDurations:
     if not figures.liability:
         return KeyRateDurations()
     years = -figures.key_rate / BASIS_POINT / figures.liability
@@ -172,7 +172,7 @@ def _capitalized(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _row(line: Line) -> tuple[Any, ...]:
+def _row(line: ReconciledFigure) -> tuple[Any, ...]:
     name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
     if line.given is None:
         return name, "not given", local, number(None), ""

@@ -23,7 +23,7 @@ from ..market.smith_wilson import log_bond
 from ..read.stress import CURVES, PRICE, Shock, read_shocks
 from ..records.case import PensionCase
 from ..records.inputs import every_given
-from ..records.market import Curve
+from ..records.market import MarketCurve
 from ..results.balance import held_now
 from ..results.figures.reconcile import figures
 from ..results.setup import case_of
@@ -33,7 +33,7 @@ from .reconciliation import RECONCILIATION
 ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in their rates
 
 
-def zero_rates(curve: Curve) -> np.ndarray:
+def zero_rates(curve: MarketCurve) -> np.ndarray:
     """[n] continuous zero rates at the nodes, whatever is quoted."""
     if curve.quote == "zero":
         return curve.rate.used()
@@ -43,7 +43,7 @@ def zero_rates(curve: Curve) -> np.ndarray:
     return np.cumsum(curve.rate.used() * np.diff(curve.tenor, prepend=0.0)) / curve.tenor
 
 
-def from_zero_rates(curve: Curve, zero: np.ndarray) -> np.ndarray:
+def from_zero_rates(curve: MarketCurve, zero: np.ndarray) -> np.ndarray:
     """The quotes of these zero rates: the inverse of `zero_rates`."""
     if curve.quote == "zero":
         return zero
@@ -53,18 +53,18 @@ def from_zero_rates(curve: Curve, zero: np.ndarray) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnums=0)
-def _of_swaps(curve: Curve, rate: Array) -> Array:
+def _of_swaps(curve: MarketCurve, rate: Array) -> Array:
     return -log_bond(curve, rate, jnp.asarray(curve.ultimate.used()), curve.tenor) / curve.tenor
 
 
 @partial(jax.jit, static_argnums=0)
-def _closer(curve: Curve, rate: Array, zero: Array) -> Array:
+def _closer(curve: MarketCurve, rate: Array, zero: Array) -> Array:
     """The swap rates after a step of Newton's method."""
     missed = _of_swaps(curve, rate) - zero
     return rate - jnp.linalg.solve(jax.jacfwd(_of_swaps, 1)(curve, rate), missed)
 
 
-def _to_swaps(curve: Curve, zero: np.ndarray) -> np.ndarray:
+def _to_swaps(curve: MarketCurve, zero: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         rate = jnp.asarray(curve.rate.used())
         for _ in range(ROUNDS):
@@ -131,7 +131,7 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
     return Stressed(name, values, price)
 
 
-def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
+def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
     """The quotes of a curve whose zero rates the lines move.
 
     "multiply" acts on annual rates, as the factors of regulators do; then "add", which on
@@ -144,7 +144,7 @@ def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
     return from_zero_rates(curve, _by_tenor(curve, [s for s in lines if s.kind == "add"], zero))
 
 
-def _by_tenor(curve: Curve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
+def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
     """Rates [n] moved by lines of one kind: those without a tenor move all of them alike, those
     with one by sizes that are linear between tenors and constant outside."""
     for line in lines:

@@ -9,12 +9,12 @@ from ..market.state import Market, log_factor
 from ..people.lpi import limited
 from ..people.lpi import log_factor as lpi_factor
 from ..records.case import PensionCase
-from .schedule import Terms
+from .schedule import FundTerms
 
 MINIMUM = 1e-6  # of the assets now: the liability counts as at least this much in ratios
 
 
-class State(NamedTuple):
+class FundState(NamedTuple):
     """The fund at the start of a step.
 
     `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
@@ -36,7 +36,7 @@ class State(NamedTuple):
     jump: Array
 
 
-class Balance(NamedTuple):
+class FundBalance(NamedTuple):
     """Value of the liability, its payment nodes [J], of the step's accrual; the funding ratio F."""
 
     liability: Array
@@ -45,10 +45,10 @@ class Balance(NamedTuple):
     ratio: Array
 
 
-def opening(terms: Terms) -> State:
+def opening(terms: FundTerms) -> FundState:
     """The state before the first decision."""
     zero, one = jnp.zeros_like(terms.assets), jnp.ones_like(terms.assets)
-    return State(
+    return FundState(
         market=terms.market.start,
         assets=terms.assets,
         weights=terms.weight,
@@ -62,7 +62,9 @@ def opening(terms: Terms) -> State:
     )
 
 
-def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State) -> Balance:
+def balance(
+    case: PensionCase, terms: FundTerms, people, shape: Array, state: FundState
+) -> FundBalance:
     """Values on the case's basis, at the market of `state`."""
     market = state.market
     factor = log_factor(terms.market, shape, market)
@@ -80,10 +82,10 @@ def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State)
     liability = jnp.sum(by_node)
     wage = jnp.exp(market.log_wage) / state.theta
     accrual = scale * wage * jnp.sum(people.accrual * factor)
-    return Balance(liability, by_node, accrual, _ratio(terms, state, liability))
+    return FundBalance(liability, by_node, accrual, _ratio(terms, state, liability))
 
 
-def _ratio(terms: Terms, state: State, liability: Array) -> Array:
+def _ratio(terms: FundTerms, state: FundState, liability: Array) -> Array:
     """Assets over liability; a fund without liabilities has a large one."""
     minimum = MINIMUM * terms.assets
     return state.assets / jnp.where(liability > minimum, liability, minimum)

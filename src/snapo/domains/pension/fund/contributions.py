@@ -10,7 +10,7 @@ from snapo.problem.smooth import Constraints
 from .terms import PlanTerms
 
 
-class Due(NamedTuple):
+class ContributionDue(NamedTuple):
     """A fund when a contribution is due: money, with the normal cost and salaries of the step.
 
     `step`: its length in years. `annuity`: years of level payments that a gap is worth, None where
@@ -38,7 +38,7 @@ class ContributionRule:
     by_cost: ClassVar[bool] = True
     responds: ClassVar[bool] = False
 
-    def amount(self, terms: PlanTerms, due: Due, smooth: Constraints) -> Array:
+    def amount(self, terms: PlanTerms, due: ContributionDue, smooth: Constraints) -> Array:
         """The payment of this step before its limits."""
         raise NotImplementedError
 
@@ -52,7 +52,7 @@ class NoContribution(ContributionRule):
         return jnp.zeros_like(due.salaries)
 
 
-class Fixed(ContributionRule):
+class FixedContribution(ContributionRule):
     """`rate` times salaries."""
 
     kind, takes, by_cost = "fixed", ("rate",), False
@@ -70,7 +70,7 @@ class NormalCost(ContributionRule):
         return due.normal
 
 
-class Spread(ContributionRule):
+class SpreadContribution(ContributionRule):
     """The normal cost and a yearly share of liability less assets; a surplus is spread too."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
@@ -79,7 +79,7 @@ class Spread(ContributionRule):
         return due.normal + due.step * terms.spread_factor * (due.liability - due.assets)
 
 
-class Target(ContributionRule):
+class TargetContribution(ContributionRule):
     """The normal cost and the gap to a funding ratio: level payments with interest until a fixed
     end, or always the same share of what is left, without interest."""
 
@@ -93,5 +93,12 @@ class Target(ContributionRule):
 
 
 CONTRIBUTIONS: dict[str, ContributionRule] = {
-    rule.kind: rule for rule in (NoContribution(), Fixed(), NormalCost(), Spread(), Target())
+    rule.kind: rule
+    for rule in (
+        NoContribution(),
+        FixedContribution(),
+        NormalCost(),
+        SpreadContribution(),
+        TargetContribution(),
+    )
 }

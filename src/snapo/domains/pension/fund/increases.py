@@ -32,7 +32,7 @@ class NoIncrease(IncreaseRule):
         return jnp.zeros_like(ratio)
 
 
-class Fixed(NoIncrease):
+class FixedIncrease(NoIncrease):
     """A fixed rate, which the payments hold already: nothing is granted on top."""
 
     kind, takes = "fixed", ("rate",)
@@ -69,5 +69,5 @@ class Conditional(Capped):
 
 
 INCREASES: dict[str, IncreaseRule] = {
-    rule.kind: rule for rule in (NoIncrease(), Fixed(), Full(), Capped(), Conditional())
+    rule.kind: rule for rule in (NoIncrease(), FixedIncrease(), Full(), Capped(), Conditional())
 }

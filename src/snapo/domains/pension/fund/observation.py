@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 
 if TYPE_CHECKING:
-    from .books import State
-    from .schedule import Period, Terms
+    from .books import FundState
+    from .schedule import FundTerms, Period
 
 RATIO = 0.2  # of ln F: a number of order one is a fifth of the funding ratio
 RATE = 0.02
@@ -27,9 +27,9 @@ class View(NamedTuple):
     """One path at the start of a step; `ratio` is the funding ratio F."""
 
     case: PensionCase
-    terms: "Terms"
+    terms: "FundTerms"
     now: "Period"
-    state: "State"
+    state: "FundState"
     ratio: Array
 
 
@@ -142,7 +142,7 @@ def slots(case: PensionCase) -> dict[str, slice]:
 
 
 def observe(
-    case: PensionCase, terms: "Terms", now: "Period", state: "State", ratio: Array
+    case: PensionCase, terms: "FundTerms", now: "Period", state: "FundState", ratio: Array
 ) -> Float[Array, " features"]:
     """The observation of one path at the start of a step; `ratio` is the funding ratio F."""
     view = View(case, terms, now, state, ratio)

@@ -9,14 +9,14 @@ from snapo.problem.smooth import Constraints
 
 from ..people.fixed_increases import due as increases_due
 from ..records.case import PensionCase
-from ..records.plan import Plan
-from .contributions import CONTRIBUTIONS, Due
+from ..records.plan import PensionPlan
+from .contributions import CONTRIBUTIONS, ContributionDue
 from .increases import INCREASES, RATIO
 from .terms import PlanTerms
 
 
 def contribution(
-    plan: Plan,
+    plan: PensionPlan,
     terms: PlanTerms,
     *,
     assets: ArrayLike,
@@ -39,7 +39,7 @@ def contribution(
     by_rate = rule.normal_cost == "rate"
     normal = terms.rate * salaries if by_rate else (1 + terms.loading) * normal_cost
     money = (jnp.asarray(assets), jnp.asarray(liability), salaries, jnp.asarray(normal))
-    due = Due(*money, step, annuity)
+    due = ContributionDue(*money, step, annuity)
     regular = CONTRIBUTIONS[rule.kind].amount(terms, due, smooth)
     if rule.has_floor:
         regular = smooth.maximum(regular, terms.c_floor * salaries, salaries)
@@ -52,7 +52,7 @@ def contribution(
 
 
 def indexation(
-    plan: Plan,
+    plan: PensionPlan,
     terms: PlanTerms,
     *,
     ratio: ArrayLike,

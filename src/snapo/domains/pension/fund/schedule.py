@@ -39,7 +39,7 @@ class Swaps(NamedTuple):
     nearest: Array
 
 
-class Terms(NamedTuple):
+class FundTerms(NamedTuple):
     """The numbers of the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
     the people and `last_shape` [J] the curve at the horizon; `liability` its value now."""
 
@@ -79,7 +79,7 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
     due, averaging = indexation_flags(case)
     assets = case.assets
-    constants = Terms(
+    constants = FundTerms(
         market=terms,
         plan=plan_terms(case, inputs),
         assets=use(inputs, assets.amount),

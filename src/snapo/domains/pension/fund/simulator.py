@@ -21,10 +21,10 @@ from ..market.dynamics import move, noise_size
 from ..market.state import Move
 from ..people.lpi import limited
 from ..records.case import PensionCase
-from .books import MINIMUM, Balance, State, balance, opening
+from .books import MINIMUM, FundBalance, FundState, balance, opening
 from .observation import observe
 from .plan import contribution, indexation
-from .schedule import Period, Terms, make_schedule
+from .schedule import FundTerms, Period, make_schedule
 from .trading import Holdings, drifted, trade
 
 # Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
@@ -65,7 +65,7 @@ EACH_STEP = (
 OUTPUTS = AT_END + EACH_STEP
 
 
-class Flows(NamedTuple):
+class FundFlows(NamedTuple):
     """Money of a step: contributions received, benefits and expenses paid."""
 
     contribution: Array
@@ -81,12 +81,12 @@ class Happened(NamedTuple):
     """A step: the books before it, the money, the sums `invested` and `held`, the market's move,
     the state after it, and the indexation `granted` and `cut` at its end."""
 
-    books: Balance
-    flows: Flows
+    books: FundBalance
+    flows: FundFlows
     invested: Array
     held: Holdings
     move: Move
-    after: State
+    after: FundState
     granted: Array
     cut: Array
 
@@ -116,18 +116,20 @@ class PensionSimulator(Simulator):
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         return make_schedule(self.case, inputs)
 
-    def initial(self, constants: Terms, noise) -> State:
+    def initial(self, constants: FundTerms, noise) -> FundState:
         return opening(constants)
 
-    def observe(self, constants: Terms, now: Period, state: State) -> Float[Array, " features"]:
+    def observe(
+        self, constants: FundTerms, now: Period, state: FundState
+    ) -> Float[Array, " features"]:
         books = balance(self.case, constants, now.people, now.shape, state)
         return observe(self.case, constants, now, state, books.ratio)
 
-    def step(self, constants: Terms, now: Period, state: State, action, noise, smooth):
+    def step(self, constants: FundTerms, now: Period, state: FundState, action, noise, smooth):
         done = self.happen(constants, now, state, action, noise, smooth)
         return done.after, self._outputs(constants, state, done, smooth)
 
-    def happen(self, constants: Terms, now: Period, state: State, action, noise, smooth):
+    def happen(self, constants: FundTerms, now: Period, state: FundState, action, noise, smooth):
         """One step in all its parts: a `Happened`."""
         case = self.case
         books = balance(case, constants, now.people, now.shape, state)
@@ -144,7 +146,9 @@ class PensionSimulator(Simulator):
     def _in_advance(self) -> bool:
         return self.case.plan.timing == "advance"
 
-    def _flows(self, constants: Terms, now: Period, state: State, books, smooth) -> Flows:
+    def _flows(
+        self, constants: FundTerms, now: Period, state: FundState, books, smooth
+    ) -> FundFlows:
         """Money received and paid; the rules look at the books before the step."""
         people, market = now.people, state.market
         received = contribution(
@@ -163,9 +167,11 @@ class PensionSimulator(Simulator):
             received = received + now.agreed
         alive = state.theta * jnp.exp(-state.deaths)
         benefit = alive * (people.benefit + state.fresh * people.fresh_benefit)
-        return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))
+        return FundFlows(received, benefit, people.expenses * jnp.exp(market.log_price))
 
-    def _settled(self, constants: Terms, after: State, flows, invested, held, move) -> State:
+    def _settled(
+        self, constants: FundTerms, after: FundState, flows, invested, held, move
+    ) -> FundState:
         """The state `after` with holdings and payments: assets, drifted weights, notionals."""
         growth = jnp.sum(held.weights * move.gross)
         assets = (invested - held.cost) * growth
@@ -184,7 +190,7 @@ class PensionSimulator(Simulator):
         weights = drifted(self.case.assets, held.weights * move.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
-    def _outputs(self, constants: Terms, state: State, done: Happened, smooth):
+    def _outputs(self, constants: FundTerms, state: FundState, done: Happened, smooth):
         """The named scalars of a step, see `EACH_STEP`."""
         books, flows, held = done.books, done.flows, done.held
         before = jnp.exp(state.market.log_discount)
@@ -210,7 +216,7 @@ class PensionSimulator(Simulator):
             "bound_excess": held.bound_excess,
         }
 
-    def _indexed(self, constants: Terms, now: Period, state: State, books, market, smooth):
+    def _indexed(self, constants: FundTerms, now: Period, state: FundState, books, market, smooth):
         """The state at the end of a step but for assets, and indexation granted and cut."""
         rule = self.case.plan.indexation
         granted = cut = jnp.zeros_like(state.theta)
@@ -224,7 +230,9 @@ class PensionSimulator(Simulator):
         after = self.rights(now, state, market, granted, cut)
         return after._replace(ratio_sum=ratio_sum * (1 - now.due)), granted, cut
 
-    def rights(self, now: Period, state: State, market, granted: Array, cut: Array) -> State:
+    def rights(
+        self, now: Period, state: FundState, market, granted: Array, cut: Array
+    ) -> FundState:
         """The rights at the end of a step, after an indexation `granted` and `cut`."""
         case, people = self.case, now.people
         theta, last, jump = state.theta, state.log_price_last, jnp.zeros_like(state.theta)
@@ -252,11 +260,11 @@ class PensionSimulator(Simulator):
         )
 
     @staticmethod
-    def _indexation_value(discount: Array, books: Balance, state: State) -> Array:
+    def _indexation_value(discount: Array, books: FundBalance, state: FundState) -> Array:
         """Present value of the indexation that the last step ended with."""
         return discount * books.liability * -jnp.expm1(-state.jump)
 
-    def terminal(self, constants: Terms, state: State, smooth):
+    def terminal(self, constants: FundTerms, state: FundState, smooth):
         books = balance(self.case, constants, constants.last, constants.last_shape, state)
         discount = jnp.exp(state.market.log_discount)
         surplus = state.assets - books.liability
@@ -280,7 +288,7 @@ class PensionSimulator(Simulator):
     def totals(self):
         return {"funding": "last", "bound_excess": "max"}
 
-    def slack(self, constants: Terms, now: Period, state: State, outputs):
+    def slack(self, constants: FundTerms, now: Period, state: FundState, outputs):
         table = {"weights": -outputs["bound_excess"]}
         if constants.swaps is not None:
             table["collateral"] = -outputs["collateral_shortfall"]

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..records.inputs import use
-from ..records.market import Curve
+from ..records.market import MarketCurve
 from . import smith_wilson
 
 
-def log_bond(curve: Curve, inputs: dict[str, Any], years: np.ndarray) -> Float[Array, " n"]:
+def log_bond(curve: MarketCurve, inputs: dict[str, Any], years: np.ndarray) -> Float[Array, " n"]:
     """ln P(0, t) at times `years` [n] >= 0; of break-evens, minus the log of the expected index.
 
     Zero rates: -z(t) t, z linear between nodes and flat before the first. Forward rates: minus

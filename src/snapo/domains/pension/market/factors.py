@@ -28,7 +28,7 @@ from ..records.inputs import use
 from .shocks import Slots, reach, slots
 
 
-class Factors(NamedTuple):
+class MarketFactors(NamedTuple):
     """The g factors: `volatility` [T, g] per step, all others [g].
 
     `decay` exp(-a d), `reach` B(d), `reached` the integral of B from 0 to d. `price_of_risk` is
@@ -59,7 +59,7 @@ class Moments(NamedTuple):
     total: Array
 
 
-def factors(case: PensionCase, inputs: dict[str, Any]) -> Factors:
+def factors(case: PensionCase, inputs: dict[str, Any]) -> MarketFactors:
     """Rates first, expected inflation last."""
     rates, inflation = case.rates, case.inflation
     both = [(rates.mean_reversion, inflation.mean_reversion)]
@@ -70,7 +70,7 @@ def factors(case: PensionCase, inputs: dict[str, Any]) -> Factors:
     )
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
     inner = reach(reversion[:, None], case.step * (nodes + 1) / 2)
-    return Factors(
+    return MarketFactors(
         mean_reversion=reversion,
         volatility=volatility,
         price_of_risk=0 * price if case.risk_neutral else price,
@@ -93,7 +93,7 @@ def real(case: PensionCase, inputs: dict[str, Any]) -> BondLoads:
 
 
 def moments(
-    case: PensionCase, factors: Factors, bond: BondLoads, covariance: Float[Array, "Z Z"]
+    case: PensionCase, factors: MarketFactors, bond: BondLoads, covariance: Float[Array, "Z Z"]
 ) -> Moments:
     """One pass over the steps; see the formulas of `_grow`."""
     position = slots(case)
@@ -117,7 +117,7 @@ def moments(
     return Moments(*(jnp.concatenate([zero[None], item]) for zero, item in zip(start, later)))
 
 
-def _grow(factors: Factors, bond: BondLoads, covariance: Array, position: Slots):
+def _grow(factors: MarketFactors, bond: BondLoads, covariance: Array, position: Slots):
     """Additions of a step's shocks: Cov(s zeta), Cov(s zeta, k), Var(k); k = sum l s iota + own."""
     zeta, iota, index = position.zeta, position.iota, position.index
     moved = factors.volatility
@@ -136,7 +136,7 @@ def shift(log_bond: Float[Array, " T1"], result: Moments) -> Float[Array, " T"]:
     return -jnp.diff(log_bond) + jnp.diff(result.total) / 2
 
 
-def slope(factors: Factors, bond: BondLoads, years: np.ndarray) -> Float[Array, "n g"]:
+def slope(factors: MarketFactors, bond: BondLoads, years: np.ndarray) -> Float[Array, "n g"]:
     """l B(u): by how much ln P(t, t+u) falls per unit of each factor."""
     return jnp.asarray(bond.loads) * reach(factors.mean_reversion, years[:, None])
 

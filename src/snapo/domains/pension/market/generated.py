@@ -11,13 +11,13 @@ from ..records.inputs import use
 from .assets.appraisal import shown_now
 from .assets.returns import asset_schedule, returns
 from .curve import log_bond
-from .factors import Factors, factors, moments, nominal, real, shape, shift, slope
+from .factors import MarketFactors, factors, moments, nominal, real, shape, shift, slope
 from .shocks import Slots, covariance, factor, slots
 from .spreads import next_spread, spread_now, spread_terms
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
 
-class Growth(NamedTuple):
+class PriceGrowth(NamedTuple):
     """Growth of ln I and ln W: `price` [T] the shift, `index_volatility` [T], and for wages on top
     `wage` (per step) and `wage_volatility`."""
 
@@ -27,7 +27,9 @@ class Growth(NamedTuple):
     wage_volatility: Array
 
 
-def growth(case: PensionCase, inputs: dict[str, Any], factors: Factors, shift: Array) -> Growth:
+def growth(
+    case: PensionCase, inputs: dict[str, Any], factors: MarketFactors, shift: Array
+) -> PriceGrowth:
     """`shift` [T] is that of nominal less that of real bonds: the break-even index, fitted.
 
     ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
@@ -36,7 +38,7 @@ def growth(case: PensionCase, inputs: dict[str, Any], factors: Factors, shift: A
     volatility = use(inputs, inflation.index_volatility)
     risk = use(inputs, inflation.index_price_of_risk) * (0.0 if case.risk_neutral else case.step)
     drift = factors.volatility[:, -1] * factors.price_of_risk[-1] * factors.reached[-1]
-    return Growth(
+    return PriceGrowth(
         price=shift + drift + volatility * risk,
         index_volatility=volatility,
         wage=use(inputs, inflation.real_wage_growth) * case.step,

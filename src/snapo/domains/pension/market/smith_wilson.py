@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.market import Curve
+from ..records.market import MarketCurve
 
 MINIMUM, MAXIMUM = 0.05, 1.0  # of the speed
 NEAR = 1e-4  # the distance of the forward rate at the convergence point
@@ -32,7 +32,7 @@ NEAR = 1e-4  # the distance of the forward rate at the convergence point
 SHARES, ROUNDS = np.linspace(0.0, 1.0, 96), 5
 
 
-class Fit(NamedTuple):
+class CurveFit(NamedTuple):
     """A fitted curve: `dates` [m] of the cash flows, `weights` Q b [m], `speed` a."""
 
     dates: np.ndarray
@@ -41,7 +41,7 @@ class Fit(NamedTuple):
 
 
 def log_bond(
-    curve: Curve, rate: Array, ultimate: Array, years: np.ndarray
+    curve: MarketCurve, rate: Array, ultimate: Array, years: np.ndarray
 ) -> Float[Array, " times"]:
     """ln P(0, t) at times `years` [times] >= 0; derivatives follow a speed that was found."""
     result = fit(curve, rate, ultimate)
@@ -49,14 +49,14 @@ def log_bond(
     return jnp.log1p(added) - ultimate * years
 
 
-def fit(curve: Curve, rate: Array, ultimate: Array) -> Fit:
+def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
     """The weights that meet the quotes `rate` [n]."""
     weights, speed = _fitted(curve, rate, ultimate)
-    return Fit(_dates(curve), weights, speed)
+    return CurveFit(_dates(curve), weights, speed)
 
 
 @partial(jax.jit, static_argnums=0)  # once for each curve: the search for a speed takes a second
-def _fitted(curve: Curve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
+def _fitted(curve: MarketCurve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     dates, flows = cash_flows(curve, rate)
     local = jnp.exp(-ultimate * dates)[:, None] * flows.T
     if curve.speed is not None:
@@ -66,13 +66,13 @@ def _fitted(curve: Curve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     return _weights(dates, local, speed), speed
 
 
-def _dates(curve: Curve) -> np.ndarray:
+def _dates(curve: MarketCurve) -> np.ndarray:
     if curve.quote == "zero":
         return curve.tenor
     return np.arange(1.0, curve.tenor[-1] + 0.5)
 
 
-def cash_flows(curve: Curve, rate: Array) -> tuple[np.ndarray, Float[Array, "n m"]]:
+def cash_flows(curve: MarketCurve, rate: Array) -> tuple[np.ndarray, Float[Array, "n m"]]:
     """Dates [m] and payments of n instruments of price 1: zero-coupon bonds, or par bonds that
     pay the swap rate every year."""
     dates = _dates(curve)

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from ..records.case import PensionCase
 from ..records.inputs import use
-from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, Members
+from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, FundMembers
 from .fixed_increases import grown, in_payment
 from .lives import Lives, drawing, entrants, joined, present, share_before, working
 from .mortality import log_survival, partner
@@ -178,7 +178,7 @@ def _partner_alive(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> A
 
 
 def _payroll(
-    case: PensionCase, inputs: dict[str, Any], members: Members, lives: Lives
+    case: PensionCase, inputs: dict[str, Any], members: FundMembers, lives: Lives
 ) -> Float[Array, " T+1"]:
     """Salaries per step at wages of time 0: as actives leave, or constant in an open plan."""
     steps = case.steps + 1

@@ -16,7 +16,7 @@ from ..records.inputs import use
 from .lives import Lives
 
 
-class Grown(NamedTuple):
+class GrownPensions(NamedTuple):
     """What a right of time 0 has grown to in each step: of a member [C, N], `member`; of a pension
     that has been in payment all the time [N], `payment`."""
 
@@ -41,7 +41,7 @@ def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[A
 
 def grown(
     case: PensionCase, inputs: dict[str, Any], lives: Lives, drawn: np.ndarray
-) -> Grown | None:
+) -> GrownPensions | None:
     """The growth of all rights; None where nothing grows by a fixed rate.
 
     **Arguments:**
@@ -53,7 +53,7 @@ def grown(
     if apart is None:
         if case.plan.indexation.kind != "fixed":
             return None
-        return Grown(jnp.broadcast_to(payment, drawn.shape), payment)
+        return GrownPensions(jnp.broadcast_to(payment, drawn.shape), payment)
     dates = jnp.asarray(_dates(case, count), float)
     active, deferred = ((1 + use(inputs, rate)) ** dates for rate in (apart.active, apart.deferred))
     before = jnp.where(lives.earning[:, None], active, deferred)
@@ -61,7 +61,9 @@ def grown(
     waits = drawn.shape[1] - np.count_nonzero(np.maximum.accumulate(drawn > 0, axis=1), axis=1)
     first = np.minimum(waits, count - 1)
     started = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
-    return Grown(jnp.where(np.arange(count) < waits[:, None], before, started * payment), payment)
+    return GrownPensions(
+        jnp.where(np.arange(count) < waits[:, None], before, started * payment), payment
+    )
 
 
 def _dates(case: PensionCase, count: int) -> np.ndarray:

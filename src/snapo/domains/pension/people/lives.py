@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ..records.case import PensionCase
 from ..records.inputs import use
-from ..records.people import ACTIVE, DEFERRED, FEMALE, MALE, Members
+from ..records.people import ACTIVE, DEFERRED, FEMALE, MALE, FundMembers
 from .mortality import log_survival, rounded_age
 
 TINY = 1e-9  # of a year
@@ -62,7 +62,7 @@ def drawing(case: PensionCase, lives: Lives, steps: int) -> np.ndarray:
     return np.where(lives.waiting[:, None], old, 1.0) * (time >= lives.entry[:, None])
 
 
-def present(case: PensionCase, inputs: dict[str, Any], members: Members, steps: int) -> Lives:
+def present(case: PensionCase, inputs: dict[str, Any], members: FundMembers, steps: int) -> Lives:
     """The cohorts of the case."""
     age = rounded_age(case.plan, members.age)
     earning = members.status == ACTIVE

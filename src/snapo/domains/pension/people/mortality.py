@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import FEMALE, SLOPE_AGES, Mortality
-from ..records.plan import Plan
+from ..records.plan import PensionPlan
 
 CERTAIN = 50.0  # the hazard of a year that nobody survives: exp(-50) is 2e-22
 TINY = 1e-9  # of a year: closer to a birthday than this is the birthday
@@ -47,14 +47,14 @@ def _hazard(q: Array) -> Array:
     return jnp.where(mortal, -jnp.log1p(-jnp.where(mortal, q, 0.0)), CERTAIN)
 
 
-def rounded_age(plan: Plan, age: np.ndarray) -> np.ndarray:
+def rounded_age(plan: PensionPlan, age: np.ndarray) -> np.ndarray:
     """Ages at time 0 as the valuation counts them."""
     if plan.age_basis == "exact":
         return np.asarray(age, float)
     return np.floor(np.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
 
 
-def partner(plan: Plan, sex: np.ndarray, age: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def partner(plan: PensionPlan, sex: np.ndarray, age: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sex and age of the spouse: the other sex, wives being younger by `spouse_age_gap`."""
     gap = np.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
     return 1 - sex, age + gap
@@ -150,7 +150,7 @@ def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:
     return jnp.concatenate([jnp.zeros_like(by_step[:, :1]), jnp.cumsum(by_step, axis=1)], axis=1)
 
 
-def _within(plan: Plan, rate: Array, until: np.ndarray) -> Array:
+def _within(plan: PensionPlan, rate: Array, until: np.ndarray) -> Array:
     """Hazard from the birthday to a fraction `until` of the year, all of it being `rate`."""
     if plan.fractional_ages == "constant-force":
         return rate * until

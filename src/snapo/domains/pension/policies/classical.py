@@ -17,7 +17,7 @@ from snapo.problem.smooth import EXACT, Exact
 from ..fund.observation import RATIO, slots
 from ..fund.swap_limits import limit_unit
 from ..records.case import PensionCase
-from .limits import Limits, logits_of, present
+from .limits import AllocationLimits, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn
@@ -28,11 +28,11 @@ UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as lar
 class ConstantMix(Policy):
     """The same weights and swaps always: `logits` [n + b] (see `policy.Limits`)."""
 
-    limits: Limits
+    limits: AllocationLimits
     logits: Array
 
     def __init__(self, case: PensionCase, weights: np.ndarray | None = None):
-        self.limits = Limits(case)
+        self.limits = AllocationLimits(case)
         start = present(case)
         if weights is not None:
             start[: len(weights)] = logits_of(case, weights)
@@ -50,7 +50,7 @@ class GlidePath(Policy):
     `bounds` [2] in `UNIT`. It starts at the same `mix` everywhere.
     """
 
-    limits: Limits
+    limits: AllocationLimits
     logits: Array
     bounds: Array
     slot: int = eqx.field(static=True)
@@ -81,7 +81,7 @@ class LiabilityDriven(Policy):
     It starts at a constant `mix`.
     """
 
-    limits: Limits
+    limits: AllocationLimits
     growth: Array
     mix: Array
     hedge: Array | None
@@ -140,7 +140,7 @@ def _floor(case: PensionCase, local: np.ndarray, grown: float):
 
 
 @compiled_sooner
-def _held(limits: Limits, logits: Array) -> Array:
+def _held(limits: AllocationLimits, logits: Array) -> Array:
     return limits.weights(logits, Exact())
 
 
@@ -150,7 +150,7 @@ class StockBond(Policy):
     `weights` [years, 2] of stock and bond with 0, 1, 2 … years left, linear between.
     """
 
-    limits: Limits
+    limits: AllocationLimits
     weights: Array
     stock: int = eqx.field(static=True)
     bond: int = eqx.field(static=True)
@@ -159,7 +159,7 @@ class StockBond(Policy):
     years: float = eqx.field(static=True)
 
     def __init__(self, case: PensionCase, rule, stock: int, bond: int):
-        self.limits, self.stock, self.bond = Limits(case), stock, bond
+        self.limits, self.stock, self.bond = AllocationLimits(case), stock, bond
         self.cash = case.assets.cash
         self.slot, self.years = slots(case)["time"].start, case.steps * case.step
         left = np.arange(math.ceil(self.years) + 1)

@@ -18,7 +18,7 @@ from ..records.case import PensionCase
 MARGIN = 0.02  # of a range: a start nearer to a bound than this is moved inside, where it can learn
 
 
-class Limits(Policy):
+class AllocationLimits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
     Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
@@ -105,7 +105,8 @@ class Cover(eqx.Module):
 
 
 def present(case: PensionCase) -> np.ndarray:
-    """[n + b] the numbers from which `Limits` makes about the present weights and notionals."""
+    """[n + b] the numbers from which `AllocationLimits` makes about the present weights and
+    notionals."""
     assets, overlay = case.assets, case.overlay
     position = [_place(assets.weight.used(), assets.low, assets.high)]
     if overlay is not None:
@@ -117,7 +118,8 @@ def present(case: PensionCase) -> np.ndarray:
 
 
 def logits_of(case: PensionCase, weights: np.ndarray) -> np.ndarray:
-    """[n] the numbers from which `Limits` makes these weights, where no group limits them."""
+    """[n] the numbers from which `AllocationLimits` makes these weights, where no group limits
+    them."""
     inside = np.clip(_place(weights, case.assets.low, case.assets.high), 1e-3, 1 - 1e-3)
     return np.log(inside / (1 - inside))
 

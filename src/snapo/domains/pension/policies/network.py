@@ -9,7 +9,7 @@ from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import EXACT
 
 from ..records.case import PensionCase
-from .limits import Limits, present
+from .limits import AllocationLimits, present
 
 
 class PensionPolicy(Policy):
@@ -21,14 +21,14 @@ class PensionPolicy(Policy):
     """
 
     network: Network
-    limits: Limits
+    limits: AllocationLimits
     start: Frozen
 
     def __init__(self, case: PensionCase, features: int, *, key, hidden: tuple[int, ...]):
         start = present(case)
         widths = (features, *hidden, len(start))
         self.network = Network(widths, key=key, activation=jax.nn.tanh)
-        self.limits, self.start = Limits(case), Frozen(start)
+        self.limits, self.start = AllocationLimits(case), Frozen(start)
 
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)

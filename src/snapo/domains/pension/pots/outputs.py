@@ -1,6 +1,6 @@
 """The outputs of a path that a fund of pots has beside those of every fund."""
 
-from ..records.people import Members
+from ..records.people import FundMembers
 
 # At the horizon: the mean pension over that of today, weighted by the pots of today, and the
 # reserve's share of the assets. Sums over steps: money into the reserve at the ends of years, and
@@ -8,6 +8,6 @@ from ..records.people import Members
 POT_OUTPUTS = ("pension", "reserve", "filled", "released")
 
 
-def pensions(members: Members | None) -> tuple[str, ...]:
+def pensions(members: FundMembers | None) -> tuple[str, ...]:
     """The output of each cohort: its pension at the horizon over that of today."""
     return () if members is None else tuple(f"pension {name}" for name in members.names)

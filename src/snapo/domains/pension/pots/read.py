@@ -8,10 +8,10 @@ import numpy as np
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 
-from ..read.cells import Grid, TableContext, listed, rising, single
+from ..read.cells import TableReader, TimeGrid, listed, rising, single
 from ..read.tables import PotsTable
-from ..records.people import Members
-from ..records.plan import Liability, Plan
+from ..records.people import FundMembers
+from ..records.plan import Liability, PensionPlan
 from ..records.pots import PotRules, Pots
 from ..records.said import InputNumber, share
 from ..regulation.in_force import in_force
@@ -30,11 +30,11 @@ EXPOSURE = share("the weight of a cohort's pot in the excess return", "plan")
 
 
 def read_pots(
-    section: TableContext,
+    section: TableReader,
     table: PotsTable | None,
     day: datetime.date,
-    members: Members | None,
-    grid: Grid,
+    members: FundMembers | None,
+    grid: TimeGrid,
 ) -> Pots | None:
     """The pots of a case under the rules in force on `day`; None without the table.
 
@@ -82,7 +82,7 @@ def read_pots(
     )
 
 
-def check_pots(file: str, pots: Pots | None, plan: Plan, liability: Liability) -> None:
+def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liability) -> None:
     """Rules that do not go with pots are refused."""
     if pots is None:
         return

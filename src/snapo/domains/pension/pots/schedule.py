@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from snapo.problem.simulator import Schedule
 
-from ..fund.schedule import Period, Terms, added_rate, basis_log_bond, make_schedule
+from ..fund.schedule import FundTerms, Period, added_rate, basis_log_bond, make_schedule
 from ..market.state import log_factor
 from ..people.cash_flows import horizon, project
 from ..people.liability import forward_discount, on_nodes
@@ -68,7 +68,7 @@ class PotTerms(NamedTuple):
     contributions that it takes, `pots` [C] and `survivors` (the reserve) now, `level` of pots over
     annuities now; `last` [C, J] the cohorts' payments at the horizon."""
 
-    fund: Terms
+    fund: FundTerms
     reserve: Reserve
     fill: Array
     pots: Array
@@ -149,7 +149,7 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
 
 
 def annuity_values(
-    terms: Terms, value: Float[Array, "C J"], shape: Array, market
+    terms: FundTerms, value: Float[Array, "C J"], shape: Array, market
 ) -> Float[Array, " C"]:
     """Each cohort's annuity at a market."""
     return value @ jnp.exp(log_factor(terms.market, shape, market))

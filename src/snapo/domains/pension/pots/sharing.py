@@ -35,7 +35,7 @@ from snapo.problem.smooth import Constraints
 ROUND = 0.001  # of the assets, over which corners are rounded while training
 
 
-class Shared(NamedTuple):
+class SharedResult(NamedTuple):
     """Money of each cohort's pot [C] and of the reserve, and the collective `excess` return."""
 
     pots: Float[Array, " C"]
@@ -51,7 +51,7 @@ class Reserve(NamedTuple):
     largest: Array
 
 
-class Closed(NamedTuple):
+class ClosedPots(NamedTuple):
     """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
     was too large and was given back) and `released` from it."""
 
@@ -70,7 +70,7 @@ def shared(
     protection: Float[Array, " C"],
     exposure: Float[Array, " C"],
     smooth: Constraints,
-) -> Shared:
+) -> SharedResult:
     """The parts of a step's return `earned`, money.
 
     **Arguments:**
@@ -86,7 +86,9 @@ def shared(
     none = complete <= 0
     local = excess * reserve / jnp.where(none, 1.0, complete)
     local = smooth.maximum(local, -reserve - selected, ROUND * (jnp.sum(pots) + reserve))
-    return Shared(protected + (excess - local) * _parts(weights, pots), selected + local, excess)
+    return SharedResult(
+        protected + (excess - local) * _parts(weights, pots), selected + local, excess
+    )
 
 
 def closed(
@@ -97,7 +99,7 @@ def closed(
     exposure: Float[Array, " C"],
     rules: Reserve,
     smooth: Constraints,
-) -> Closed:
+) -> ClosedPots:
     """The end of a year: the reserve takes its share of the excess return `gained` in it, gives
     back what it holds beyond its largest size, and restores pensions.
 
@@ -118,7 +120,7 @@ def closed(
     released = smooth.minimum(needed, rules.release * reserve, scale)
     pots = pots + released * lack / jnp.where(needed > 0, needed, 1.0)
     released = jnp.where(needed > 0, released, 0.0)
-    return Closed(pots, reserve - released, filled, released)
+    return ClosedPots(pots, reserve - released, filled, released)
 
 
 def _parts(weights: Array, pots: Array) -> Float[Array, " C"]:

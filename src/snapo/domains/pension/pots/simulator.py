@@ -13,16 +13,16 @@ from jaxtyping import Array, Float
 
 from snapo.problem.simulator import Schedule
 
-from ..fund.books import State, balance, opening
+from ..fund.books import FundState, balance, opening
 from ..fund.observation import RATIO, observe
 from ..fund.plan import contribution
-from ..fund.simulator import Flows, Happened, PensionSimulator
+from ..fund.simulator import FundFlows, Happened, PensionSimulator
 from ..fund.trading import trade
 from ..market.dynamics import move
 from ..market.state import log_factor
 from .outputs import pensions
 from .schedule import PotPeriod, PotTerms, annuity_values, pot_schedule
-from .sharing import Shared, closed, shared
+from .sharing import SharedResult, closed, shared
 
 RESERVE = 0.1  # of the assets: a number of order one of the reserve, as the policy sees it
 MINIMUM = 1e-9  # of an annuity of today, below which a cohort has no more payments
@@ -33,7 +33,7 @@ class PotState(NamedTuple):
     pensions of this year, as multiples of those earned at time 0; `gained`: the excess return of
     the year so far."""
 
-    fund: State
+    fund: FundState
     pots: Array
     reserve: Array
     level: Array
@@ -48,7 +48,7 @@ class PotState(NamedTuple):
 class Paid(NamedTuple):
     """Money of a step in and out: the fund's `flows`, and of each pot [C] and the reserve."""
 
-    flows: Flows
+    flows: FundFlows
     pots: Array
     reserve: Array
 
@@ -118,13 +118,13 @@ class PotSimulator(PensionSimulator):
         benefit = state.level * now.benefit
         expenses = people.expenses * jnp.exp(market.log_price)
         borne = state.pots / jnp.where(jnp.sum(state.pots) > 0, jnp.sum(state.pots), 1.0)
-        flows = Flows(received, jnp.sum(benefit), expenses)
+        flows = FundFlows(received, jnp.sum(benefit), expenses)
         local = (1 - constants.fill) * received * now.payroll - benefit - expenses * borne
         return Paid(flows, local, flows.net - jnp.sum(local))
 
     def _shared(
         self, constants: PotTerms, now: PotPeriod, state: PotState, paid: Paid, *values
-    ) -> Shared:
+    ) -> SharedResult:
         """Pots and reserve after the return of the step, and the excess return in it.
 
         `values`: money earned, cash's return, the annuities before and after the step, `smooth`.
@@ -141,10 +141,16 @@ class PotSimulator(PensionSimulator):
         # A cohort without payments has nothing to protect.
         returned = jnp.where(there, growth * jnp.exp(-now.unwound) - 1, cash)
         parts = shared(*holding, earned, returned, cash, now.protection, now.exposure, smooth)
-        return Shared(pots + parts.pots, reserve + parts.reserve, parts.excess)
+        return SharedResult(pots + parts.pots, reserve + parts.reserve, parts.excess)
 
     def _year(
-        self, constants: PotTerms, now: PotPeriod, state: PotState, held: Shared, annuity, smooth
+        self,
+        constants: PotTerms,
+        now: PotPeriod,
+        state: PotState,
+        held: SharedResult,
+        annuity,
+        smooth,
     ):
         """The state after the end of a year, where there is one, and what happened then."""
         pots, reserve, _ = held

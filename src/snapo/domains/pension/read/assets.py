@@ -8,17 +8,17 @@ import numpy as np
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
-from ..market.assets.asset_class import SPECIAL, AssetClass, Names
+from ..market.assets.asset_class import SPECIAL, AssetClass, AssetNames
 from ..market.assets.registry import KINDS
-from ..records.assets import Assets, Group
+from ..records.assets import AssetGroup, Assets
 from ..records.regulation import RISKS
 from ..records.said import YEARLY, amount, rate, share, volatility
 from .cells import (
     WHOLE,
-    Grid,
     PiecewiseNumber,
+    TimeGrid,
     empty,
     listed,
     number,
@@ -48,7 +48,7 @@ AMOUNT = "the market value of all assets today"
 
 
 def read_assets(
-    section: Section, table: AssetsTable, amount_now: float, grid: Grid, names: Names
+    section: TableContext, table: AssetsTable, amount_now: float, grid: TimeGrid, names: AssetNames
 ) -> Assets:
     """The table of asset classes; costs and fees of classes without one are zero."""
     rows = read_rows(
@@ -111,7 +111,7 @@ def _cash(classes: Sequence[AssetClass]) -> int:
     return next(i for i, class_ in enumerate(classes) if class_.is_cash)
 
 
-def _class(row: Row, names: Names) -> AssetClass:
+def _class(row: Row, names: AssetNames) -> AssetClass:
     """One row: the fields that all kinds have, and those of its own."""
     kind = KINDS[word(row, "kind", tuple(KINDS))]
     for special in SPECIAL:
@@ -136,7 +136,7 @@ def _mean(row: Row) -> float:
 
 
 def _volatilities(
-    section: Section, rows: Sequence[Row], local: Sequence[int], grid: Grid
+    section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
     """Of the classes `local` with a shock of their own, side by side."""
     if not local:
@@ -146,7 +146,7 @@ def _volatilities(
     return side_by_side("asset_volatility", parts, names, VOLATILITY)
 
 
-def _volatility(section: Section, row: Row, grid: Grid) -> PiecewiseNumber:
+def _volatility(section: TableContext, row: Row, grid: TimeGrid) -> PiecewiseNumber:
     """A number, or the name of a CSV with columns from_year,value."""
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
@@ -176,7 +176,7 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _weights(
-    section: Section, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
+    section: TableContext, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
 ) -> list[float]:
     """Of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the class
     go."""
@@ -190,7 +190,7 @@ def _weights(
 
 def _groups(
     rows: Sequence[Row], classes: Sequence[AssetClass], low: np.ndarray, high: np.ndarray
-) -> tuple[Group, ...]:
+) -> tuple[AssetGroup, ...]:
     """Groups in the order in which they appear; limits may stand in any of a group's rows.
 
     Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
@@ -210,12 +210,12 @@ def _groups(
                 if value != values[0]:
                     raise row.error(limit, f"the group {name} has {values[0]:g} further up")
             limits.append(values[0] if values else default)
-        groups.append(Group(name, members, limits[0], limits[1]))
+        groups.append(AssetGroup(name, members, limits[0], limits[1]))
     return tuple(groups)
 
 
 def _check_bounds(
-    section: Section, low: np.ndarray, high: np.ndarray, groups: Sequence[Group]
+    section: TableContext, low: np.ndarray, high: np.ndarray, groups: Sequence[AssetGroup]
 ) -> None:
     """There must be weights within all bounds that add up to one."""
     minimum, maximum = float(low.sum()), float(high.sum())

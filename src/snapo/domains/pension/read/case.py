@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
@@ -17,24 +17,24 @@ from snapo.case.settings import (
     read_evaluation,
     read_training,
 )
-from snapo.case.table import Table, load, parse
+from snapo.case.table import AnyTable, CaseTable, load, parse
 
 from ..fund.observation import FEATURES
-from ..market.assets.asset_class import Names
+from ..market.assets.asset_class import AssetNames
 from ..market.correlation import all_names
 from ..pots.outputs import POT_OUTPUTS, pensions
 from ..pots.read import check_pots, read_pots
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.parts import PARTS, missing_parts
-from ..records.plan import Plan
+from ..records.plan import PensionPlan
 from ..records.plausible import unit_slips
 from ..regulation.bases import read_funding
 from ..regulation.read import read_regulation
 from . import people, plan, tables, tables_people
 from .assets import read_assets
-from .cash_plan import Clock
-from .cells import Grid, TableContext, known_words
+from .cash_plan import PlanClock
+from .cells import TableReader, TimeGrid, known_words
 from .correlation import read_correlations
 from .curve import read_curve, read_inflation, read_rates
 from .holdings import read_credit, read_currencies, read_overlay
@@ -44,9 +44,8 @@ from .scenarios import read_scenarios
 from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
 
-AnyTable = TypeVar("AnyTable", bound=Table)
 # All tables but those that are read with what they name.
-FORMATS: dict[str, type[Table]] = {
+FORMATS: dict[str, type[CaseTable]] = {
     "fund": tables.FundTable,
     "curve": tables.CurveTable,
     "rates": tables.RatesTable,
@@ -68,7 +67,7 @@ FORMATS: dict[str, type[Table]] = {
     "scenarios": tables.ScenariosTable,
     "policy": tables.PolicyTable,
     "sensitivity": tables.SensitivityTable,
-    "report": tables.ReportTable,
+    "report": tables.FundReportTable,
     "regulation": tables.RegulationTable,
     "funding": tables.FundingTable,
     "pots": tables.PotsTable,
@@ -94,12 +93,12 @@ class _Reader:
 
     file: Path
     top: PensionTable
-    read: dict[str, Table]
+    read: dict[str, CaseTable]
     notes: list[str]
     defaulted: set[str]
 
-    def context(self, name: str) -> TableContext:
-        return TableContext(self.file, name, self.notes, self.defaulted)
+    def context(self, name: str) -> TableReader:
+        return TableReader(self.file, name, self.notes, self.defaulted)
 
     def table(self, kind: type[AnyTable], name: str) -> AnyTable:
         """The table `name`, which the case has or which has a default for every key."""
@@ -112,7 +111,7 @@ class _Reader:
         return self.table(kind, name) if name in self.read else None
 
 
-def parsed(file: Path, top: PensionTable) -> dict[str, Table]:
+def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
     """The tables of a case by name, "" the whole file.
 
     **Raises:** `CaseError` where a key is wrong, or has no meaning in this case.
@@ -120,7 +119,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, Table]:
     if top.rates is None and top.scenarios is None:
         message = "this table is missing; only ready-made [scenarios] go without it"
         raise CaseError(str(file), "rates", None, message)
-    table: dict[str, Table] = {"": top}
+    table: dict[str, CaseTable] = {"": top}
     for name, kind in FORMATS.items():
         above, _, key = name.rpartition(".")
         data = getattr(table[above], key)
@@ -135,7 +134,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")
-    grid = Grid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
+    grid = TimeGrid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
     market = _market(reader, grid, fund.assets)
     classes = [class_.name for class_ in market["assets"].classes]
     annual = reader.table(tables.CurveTable, "curve").compounding == "annual"
@@ -204,7 +203,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
         notes=tuple(reader.notes),
         parts=known_parts(
             file,
-            reader.table(tables.ReportTable, "report").parts,
+            reader.table(tables.FundReportTable, "report").parts,
             PARTS,
             missing_parts(case, stress=top.stress is not None),
         ),
@@ -216,7 +215,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     return replace(case, notes=(*case.notes, *slips.values()), slips=tuple(slips))
 
 
-def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
+def _market(reader: _Reader, grid: TimeGrid, amount: float) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
     position, optional = reader.context, reader.optional_table
     curve = reader.table(tables.CurveTable, "curve")
@@ -226,7 +225,7 @@ def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     currencies = read_currencies(
         position("currencies"), optional(tables.CurrenciesTable, "currencies")
     )
-    names = Names(grid.step, credit.names, currencies.names)
+    names = AssetNames(grid.step, credit.names, currencies.names)
     table = reader.table(tables.AssetsTable, "assets")
     assets = read_assets(position("assets"), table, amount, grid, names)
     motions = all_names(rates.factors, credit.names, currencies.names, assets)
@@ -248,10 +247,10 @@ def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     }
 
 
-def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
+def _plan(reader: _Reader, grid: TimeGrid, start: datetime.date) -> PensionPlan:
     """`[plan]` with the two tables below it."""
     table, money = reader.table(tables_people.PlanTable, "plan"), grid.currency
-    timer = Clock(grid, start, table.timing == "arrears")
+    timer = PlanClock(grid, start, table.timing == "arrears")
     names = ("plan.indexation", "plan.revaluation", "plan.contribution")
     indexation = reader.table(tables_people.IndexationTable, names[0])
     revaluation = reader.optional_table(tables_people.RevaluationTable, names[1])
@@ -266,7 +265,9 @@ def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
     )
 
 
-def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> dict[str, Any]:
+def _people(
+    reader: _Reader, rules: PensionPlan, grid: TimeGrid, start: datetime.date
+) -> dict[str, Any]:
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
     table, section = reader.table(tables_people.MembersTable, "members"), reader.context("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")

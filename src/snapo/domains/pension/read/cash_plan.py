@@ -16,21 +16,21 @@ from snapo.case.error import CaseError, Unquoted
 
 from ..records.plan import CashPlan
 from ..records.said import amount
-from .cells import NEVER, Grid, listed, years
+from .cells import NEVER, TimeGrid, listed, years
 
 AMOUNT = "a payment agreed in money, on top of the rule of contributions"
 HALF = datetime.timedelta(15)  # of a month: a later day belongs to the next one
 
 
-class Clock(NamedTuple):
+class PlanClock(NamedTuple):
     """The time of a case: its `grid`, the valuation date, and whether payments are in arrears."""
 
-    grid: Grid
+    grid: TimeGrid
     start: datetime.date
     arrears: bool
 
 
-def read_cash_plan(reference: FileReference, timer: Clock) -> CashPlan:
+def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
     """The payments within the horizon; a note tells of later ones, which are left out."""
     rows = read_rows(reference, ("amount",), ("date", "year"))
     column = _column(rows)
@@ -64,7 +64,7 @@ def _column(rows: list[Row]) -> str:
     return present[0]
 
 
-def _due(row: Row, column: str, timer: Clock) -> tuple[str, float]:
+def _due(row: Row, column: str, timer: PlanClock) -> tuple[str, float]:
     """The label of a payment, and its time in years from now: whole months."""
     if column == "year":
         value = row.number("year", 0.0, 100.0)
@@ -73,7 +73,7 @@ def _due(row: Row, column: str, timer: Clock) -> tuple[str, float]:
     return row.label("date"), (12 * (day.year - start.year) + day.month - start.month) / 12
 
 
-def _step(row: Row, column: str, due: float, timer: Clock) -> int:
+def _step(row: Row, column: str, due: float, timer: PlanClock) -> int:
     """The step in which a payment is made."""
     steps = due / timer.grid.step
     if timer.arrears:

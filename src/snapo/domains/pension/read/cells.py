@@ -10,7 +10,7 @@ import numpy as np
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, Table, nearest
+from snapo.case.table import CaseTable, TableContext, nearest
 
 from ..records.said import InputNumber
 
@@ -20,7 +20,7 @@ NEVER = 1e-9  # of a year: two times closer than this are one
 WHOLE = 1e-6  # of a step, or of all weights: closer than this is a whole
 
 
-class Grid(NamedTuple):
+class TimeGrid(NamedTuple):
     """The grid of all tables: the number of decisions, the years of a step, the currency."""
 
     steps: int
@@ -29,12 +29,12 @@ class Grid(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TableContext(Section):
+class TableReader(TableContext):
     """A table of a case while it is read; `defaulted` collects the numbers left at a default."""
 
     defaulted: set[str]
 
-    def input(self, table: Table, key: str, values: CaseInput) -> CaseInput:
+    def input(self, table: CaseTable, key: str, values: CaseInput) -> CaseInput:
         """A number from `key`; where the case does not have the key, it is no input."""
         if key not in table.model_fields_set:
             self.defaulted.add(values.name)
@@ -58,7 +58,7 @@ def listed(
     return metadata.input(name, values, labels, np.arange(len(values)))
 
 
-def per_factor(section: Section, table: Table, key: str, count: int) -> list[Any]:
+def per_factor(section: TableContext, table: CaseTable, key: str, count: int) -> list[Any]:
     """The entries of a key that has one for each of `count` factors; one 0 stands for all."""
     value = getattr(table, key)
     result = value if isinstance(value, list) else [value]
@@ -144,7 +144,7 @@ class PiecewiseNumber(NamedTuple):
 
 
 def piecewise(
-    inputs: float | str, read: Callable[[], list[Row]], grid: Grid, low: float
+    inputs: float | str, read: Callable[[], list[Row]], grid: TimeGrid, low: float
 ) -> PiecewiseNumber:
     """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
     if not isinstance(inputs, str):
@@ -162,7 +162,7 @@ def piecewise(
 
 
 def stepwise(
-    section: Section, key: str, values: float | str, grid: Grid, low: float = 0.0
+    section: TableContext, key: str, values: float | str, grid: TimeGrid, low: float = 0.0
 ) -> PiecewiseNumber:
     """The same for a key of the TOML file."""
     reference = FileReference(section, key, str(values))

@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..market.correlation import check_correlation, nearest
 from ..records.market import Correlation
@@ -20,7 +20,7 @@ EQUAL = 1e-9
 
 
 def read_correlations(
-    section: Section, table: CorrelationsTable | None, available: Sequence[str]
+    section: TableContext, table: CorrelationsTable | None, available: Sequence[str]
 ) -> Correlation:
     """The matrix in `table`; without it, everything is independent."""
     folded = [name.lower() for name in available]

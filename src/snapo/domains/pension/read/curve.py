@@ -15,10 +15,21 @@ from snapo.case.table import nearest
 from ..market.rates.registry import MODELS
 from ..market.rates.short_rate import ShortRate
 from ..market.smith_wilson import MAXIMUM, cash_flows, distance, fit, log_bond
-from ..records.market import Curve, Inflation
+from ..records.market import Inflation, MarketCurve
 from ..records.people import PAYMENT_YEARS
 from ..records.said import SQUARE_ROOT, YEARLY, InputNumber, number, quiet_volatility, rate
-from .cells import NEVER, Grid, TableContext, alone, empty, listed, rising, single, stepwise, years
+from .cells import (
+    NEVER,
+    TableReader,
+    TimeGrid,
+    alone,
+    empty,
+    listed,
+    rising,
+    single,
+    stepwise,
+    years,
+)
 from .tables import CurveTable, InflationTable, RatesTable
 
 SPEED = 0.1  # towards an ultimate rate, where the case does not say
@@ -53,7 +64,7 @@ SAID = {
 }
 
 
-class Quotes(NamedTuple):
+class RateQuotes(NamedTuple):
     """Where a curve stands: the key and the name of its file; by column the name of the input and
     its meaning; the name of the rate far out."""
 
@@ -63,16 +74,18 @@ class Quotes(NamedTuple):
     far: str
 
 
-def read_curve(section: TableContext, table: CurveTable) -> Curve:
+def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
     """The nominal curve; inputs "zero_rate", "forward_rate" or "swap_rate"."""
     annual = table.compounding == "annual"
     columns = {"zero": ("zero_rate", ZERO), "forward": ("forward_rate", FORWARD)}
     columns |= {"swap": ("swap_rate", SWAP)}
-    curve = quotes(section, table, Quotes("file", table.file, columns, "ultimate_forward"), annual)
+    curve = quotes(
+        section, table, RateQuotes("file", table.file, columns, "ultimate_forward"), annual
+    )
     return _smith_wilson(section, table, curve)
 
 
-def _smith_wilson(section: TableContext, table: CurveTable, curve: Curve) -> Curve:
+def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
     """The curve with the numbers of the method; others as they are.
 
     **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
@@ -98,7 +111,7 @@ def _smith_wilson(section: TableContext, table: CurveTable, curve: Curve) -> Cur
     return curve
 
 
-def _possible(section: TableContext, table: CurveTable, curve: Curve) -> None:
+def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> None:
     @jax.jit
     def price_all(rate, ultimate):
         result = fit(curve, rate, ultimate)
@@ -125,8 +138,8 @@ def _possible(section: TableContext, table: CurveTable, curve: Curve) -> None:
 
 
 def quotes(
-    section: TableContext, table: CurveTable | InflationTable, values: Quotes, annual: bool
-) -> Curve:
+    section: TableReader, table: CurveTable | InflationTable, values: RateQuotes, annual: bool
+) -> MarketCurve:
     """Nodes from a CSV whose second column says which rate is quoted."""
     rows = read_rows(FileReference(section, values.key, values.file), ("tenor",))
     column = _quoted(rows, tuple(values.columns))
@@ -146,7 +159,7 @@ def quotes(
         ultimate = float(np.log1p(table.ultimate)) if annual else table.ultimate
         far = single(values.far, ultimate, ULTIMATE)
     name, metadata = values.columns[column]
-    return Curve(
+    return MarketCurve(
         tenor=tenor,
         rate=listed(name, rates.tolist(), [years(t) for t in tenor], metadata),
         quote=QUOTES.get(column, "zero"),
@@ -156,9 +169,7 @@ def quotes(
     )
 
 
-def _liquid(
-    section: TableContext, table: CurveTable | InflationTable, rows: list[Row]
-) -> list[Row]:
+def _liquid(section: TableReader, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
     """The rows up to the last liquid tenor, where the case names one."""
     last = getattr(table, "last_liquid", None)
     if last is None:
@@ -178,7 +189,7 @@ def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:
     return present[0]
 
 
-def read_rates(section: TableContext, table: RatesTable | None, grid: Grid) -> ShortRate:
+def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -> ShortRate:
     """The model with its numbers; without the table, one at rest."""
     if table is None:
         return MODELS[IDLE].at_rest(grid.steps)
@@ -190,7 +201,7 @@ def read_rates(section: TableContext, table: RatesTable | None, grid: Grid) -> S
 
 
 def read_inflation(
-    section: TableContext, table: InflationTable, grid: Grid, compounding: str
+    section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
     """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
     rates of the case, where the table has none of its own."""
@@ -207,7 +218,7 @@ def read_inflation(
         return section.input(table, key, alone(name, part, SAID[key]))
 
     columns = {"rate": ("break_even", BREAK_EVEN), "forward": ("break_even", BREAK_EVEN)}
-    values = Quotes("break_evens", table.break_evens, columns, "ultimate_break_even")
+    values = RateQuotes("break_evens", table.break_evens, columns, "ultimate_break_even")
     return Inflation(
         break_even=quotes(section, table, values, annual),
         mean_reversion=one("inflation_mean_reversion", "mean_reversion", SAID["mean_reversion"]),

@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
@@ -15,8 +15,8 @@ from ..records.regulation import MARKETS
 from ..records.said import YEARLY, InputNumber, amount, rate, share, volatility
 from ..records.said import number as pure
 from .cells import (
-    Grid,
-    TableContext,
+    TableReader,
+    TimeGrid,
     above_zero,
     empty,
     listed,
@@ -64,7 +64,7 @@ def column(
     )
 
 
-def read_credit(section: Section, table: CreditTable | None) -> Credit:
+def read_credit(section: TableContext, table: CreditTable | None) -> Credit:
     """Spreads by rating; none without the table."""
     if table is None:
         return Credit((), **{name: empty(f"credit_{name}") for name in CREDIT})
@@ -87,7 +87,7 @@ def read_credit(section: Section, table: CreditTable | None) -> Credit:
     )
 
 
-def read_currencies(section: Section, table: CurrenciesTable | None) -> Currencies:
+def read_currencies(section: TableContext, table: CurrenciesTable | None) -> Currencies:
     """Foreign currencies; none without the table."""
     if table is None:
         none: dict[str, Any] = {name: empty(f"currency_{name}") for name in CURRENCY}
@@ -111,7 +111,9 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
 SWAPS = ("rates", "zero-coupon", "inflation")  # kinds of swaps of the overlay
 
 
-def read_overlay(section: TableContext, table: OverlayTable | None, grid: Grid) -> Overlay | None:
+def read_overlay(
+    section: TableReader, table: OverlayTable | None, grid: TimeGrid
+) -> Overlay | None:
     """Swaps by tenor bucket."""
     if table is None:
         return None

@@ -7,11 +7,11 @@ import numpy as np
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..records.people import FEMALE, MALE, SLOPE_AGES, LeeCarter, Mortality
 from ..records.said import SQUARE_ROOT, InputNumber, amount, rate
-from .cells import TableContext, empty, single, word
+from .cells import TableReader, empty, single, word
 from .tables_people import LeeCarterTable, MortalityTable
 
 SEX = ("male", "female")
@@ -28,7 +28,7 @@ HALF = 0.5  # a death probability at which nearly all are dead soon
 FEWEST = 10  # ages of a table that can be closed
 
 
-def read_mortality(section: TableContext, table: MortalityTable, start: datetime.date) -> Mortality:
+def read_mortality(section: TableReader, table: MortalityTable, start: datetime.date) -> Mortality:
     """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers; improvement
     counts from their year on, else from `start`, the valuation date."""
     if table.kind == "table":
@@ -58,7 +58,7 @@ def read_mortality(section: TableContext, table: MortalityTable, start: datetime
     )
 
 
-def _since(section: TableContext, table: MortalityTable, start: datetime.date) -> float:
+def _since(section: TableReader, table: MortalityTable, start: datetime.date) -> float:
     """Years of improvement up to time 0, and a remark where something about them was left out."""
     improves, day = bool(table.improvement), start + datetime.timedelta(15)
     now = day.year + (day.month - 1) / 12  # time 0 begins a month
@@ -77,7 +77,7 @@ def _since(section: TableContext, table: MortalityTable, start: datetime.date) -
     return now - table.year
 
 
-def _ages(section: TableContext, file: str, first: int, q: np.ndarray) -> int:
+def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
     """The number of ages: those of the table, or up to `LAST_AGE` where it ends before nearly all
     are dead. Such a table is closed by the slope of its oldest ages, see `Mortality`."""
     count = q.shape[1]
@@ -106,7 +106,7 @@ def _ages(section: TableContext, file: str, first: int, q: np.ndarray) -> int:
     return LAST_AGE - first + 1
 
 
-def _table(section: Section, file: str) -> tuple[int, CaseInput]:
+def _table(section: TableContext, file: str) -> tuple[int, CaseInput]:
     """First age and q [2, G]: both sexes, every age from the first to the last."""
     rows = read_rows(FileReference(section, "file", file), ("sex", "age", "q"))
     numbers: dict[tuple[int, int], float] = {}
@@ -140,7 +140,7 @@ def _whole_age(row: Row) -> int:
     return int(age)
 
 
-def _gompertz(section: Section, table: MortalityTable) -> CaseInput:
+def _gompertz(section: TableContext, table: MortalityTable) -> CaseInput:
     """alpha, beta and makeham by sex [2, 3]."""
     values: list[float] = []
     for key in SEX:
@@ -156,7 +156,7 @@ def _gompertz(section: Section, table: MortalityTable) -> CaseInput:
 
 
 def _banded(
-    section: TableContext,
+    section: TableReader,
     table: MortalityTable,
     key: str,
     name: str,
@@ -203,7 +203,7 @@ def bands(
 
 
 def read_lee_carter(
-    section: Section, table: LeeCarterTable | None, mortality: Mortality
+    section: TableContext, table: LeeCarterTable | None, mortality: Mortality
 ) -> LeeCarter | None:
     """The stochastic factor of mortality, where the case has one."""
     if table is None:

@@ -6,14 +6,14 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
-from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, Members, Mortality
+from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, FundMembers, Mortality
 from ..records.said import amount
 from .cells import (
     WHOLE,
-    Grid,
-    TableContext,
+    TableReader,
+    TimeGrid,
     empty,
     listed,
     number,
@@ -34,8 +34,12 @@ FLOW, COST = "an expected payment", "the value of the accrual of a step today"
 
 
 def read_members(
-    section: Section, table: MembersTable, mortality: Mortality, retirement_age: float, grid: Grid
-) -> Members:
+    section: TableContext,
+    table: MembersTable,
+    mortality: Mortality,
+    retirement_age: float,
+    grid: TimeGrid,
+) -> FundMembers:
     """Cohorts, each within the ages of the mortality table."""
     columns = ("name", "status", "sex", "age", "number", "pension")
     more = ("salary", "service", "mortality")
@@ -52,7 +56,7 @@ def read_members(
         if item != ACTIVE and number(row, "salary", 0.0) != 0:
             raise row.error("salary", "only active members have a salary")
     money = grid.currency
-    return Members(
+    return FundMembers(
         names=names,
         status=status,
         sex=sex,
@@ -103,7 +107,7 @@ def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> CaseI
 
 
 def read_cash_flows(
-    section: TableContext, table: MembersTable, arrears: bool, grid: Grid
+    section: TableReader, table: MembersTable, arrears: bool, grid: TimeGrid
 ) -> CashFlows:
     """The actuary's expected payments; their times in years from now are whole steps."""
     name = str(table.cash_flows)

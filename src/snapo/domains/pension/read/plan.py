@@ -8,15 +8,15 @@ import numpy as np
 from snapo.case.csv import FileReference
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
 from ..records.case import Frontier, PensionCase
-from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile, Revaluation
+from ..records.plan import Contribution, Indexation, Liability, PensionPlan, Reconcile, Revaluation
 from ..records.said import YEARLY, InputNumber, amount, rate, share, time
-from .cash_plan import Clock, read_cash_plan
-from .cells import WHOLE, TableContext, empty, single, years
+from .cash_plan import PlanClock, read_cash_plan
+from .cells import WHOLE, TableReader, empty, single, years
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,
@@ -41,13 +41,13 @@ LIMITS = ("floor", "cap", "sponsor_limit")
 
 
 def read_plan(
-    section: Section,
+    section: TableContext,
     table: PlanTable,
     indexation: Indexation,
     revaluation: Revaluation | None,
     contribution: Contribution,
     money: str,
-) -> Plan:
+) -> PensionPlan:
     """Terms of the scheme; numbers that nothing was said about are no inputs."""
 
     def input(name: str, metadata: InputNumber) -> CaseInput:
@@ -63,7 +63,7 @@ def read_plan(
     yearly = f"{money}/year"
     married = input("married_share", MARRIED) if table.spouse_share else _nothing("married")
 
-    return Plan(
+    return PensionPlan(
         timing=table.timing,
         retirement_age=table.retirement_age,
         accrual_rate=input("accrual_rate", ACCRUAL),
@@ -88,7 +88,7 @@ def _nothing(name: str) -> CaseInput:
     return empty(name, ())
 
 
-def read_indexation(section: Section, table: IndexationTable) -> Indexation:
+def read_indexation(section: TableContext, table: IndexationTable) -> Indexation:
     """Increases once a year; cap and floor only where the rule has them."""
     kind = table.kind
     used = INCREASES[kind].takes
@@ -121,7 +121,7 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     )
 
 
-def read_revaluation(section: TableContext, table: RevaluationTable | None) -> Revaluation | None:
+def read_revaluation(section: TableReader, table: RevaluationTable | None) -> Revaluation | None:
     """Rates of increase before payment; None where rights grow as pensions in payment do."""
     if table is None:
         return None
@@ -134,7 +134,9 @@ def read_revaluation(section: TableContext, table: RevaluationTable | None) -> R
     return Revaluation(deferred=input("deferred"), active=input("active"))
 
 
-def read_contribution(section: Section, table: ContributionTable, timer: Clock) -> Contribution:
+def read_contribution(
+    section: TableContext, table: ContributionTable, timer: PlanClock
+) -> Contribution:
     """The rule of contributions with its limits, and payments agreed in money."""
     kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], timer.grid.currency
     schedule = None
@@ -191,7 +193,7 @@ def read_contribution(section: Section, table: ContributionTable, timer: Clock) 
     )
 
 
-def read_liability(section: Section, table: LiabilityTable, annual: bool) -> Liability:
+def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -> Liability:
     """How payments are valued; `annual`: the compounding of the case."""
     requested = table.basis != "risk-free"
     if requested and table.rate is None:
@@ -223,7 +225,9 @@ def check_limited(case: PensionCase) -> None:
         raise CaseError(str(case.file), "liability.future_indexation", "capped", message)
 
 
-def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> Frontier | None:
+def read_frontier(
+    section: TableContext, table: FrontierTable | None, plan: PensionPlan
+) -> Frontier | None:
     """The sweep of contributions against the shortfall, where one is asked for."""
     if table is None:
         return None

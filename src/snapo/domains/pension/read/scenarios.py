@@ -7,10 +7,10 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError, Unquoted, show
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..records.market import SuppliedScenarios
-from .cells import Grid
+from .cells import TimeGrid
 from .tables import ScenariosTable
 
 
@@ -22,10 +22,10 @@ class Columns(NamedTuple):
 
 
 def read_scenarios(
-    section: Section,
+    section: TableContext,
     table: ScenariosTable | None,
     classes: Sequence[str],
-    grid: Grid,
+    grid: TimeGrid,
     start: str,
     annual: bool,
 ) -> SuppliedScenarios | None:
@@ -78,7 +78,7 @@ def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
 
 
 def _paths(
-    reference: FileReference, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
+    reference: FileReference, rows: Sequence[Row], columns: Columns, grid: TimeGrid, start: str
 ) -> np.ndarray:
     """[paths, T, K] without a hole."""
     numbers: dict[str, int] = {}
@@ -107,7 +107,7 @@ def _paths(
     return paths
 
 
-def _step(row: Row, grid: Grid, start: str) -> int:
+def _step(row: Row, grid: TimeGrid, start: str) -> int:
     """The step of a row, from 0: counted from 1 in the file, or by the date at its end."""
     monthly = grid.step < 1
     name = "month" if monthly else "year"

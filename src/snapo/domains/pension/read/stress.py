@@ -14,7 +14,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.plausible import CheckedNumbers
-from snapo.case.table import Section, load, nearest, parse
+from snapo.case.table import TableContext, load, nearest, parse
 
 from ..records.case import PensionCase
 from ..records.inputs import every_given
@@ -53,7 +53,7 @@ def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
     if data is None:
         return ()
     table = parse(StressTable, data, str(case.file), "stress")
-    reference = FileReference(Section(case.file, "stress", []), "file", table.file)
+    reference = FileReference(TableContext(case.file, "stress", []), "file", table.file)
     rows = read_rows(reference, ("scenario", "input", "label", "kind", "size"))
     return tuple(_shock(case, row) for row in rows)
 

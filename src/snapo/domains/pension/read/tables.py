@@ -10,8 +10,8 @@ import pydantic
 from pydantic import Field
 
 from snapo.case.meaning import Only
-from snapo.case.parts import Names, names_of_parts
-from snapo.case.table import TITLE, Table, Title
+from snapo.case.parts import PartNames, names_of_parts
+from snapo.case.table import TITLE, CaseTable, NotNegative, Positive, Title
 
 
 def _plain_day(value: Any) -> Any:
@@ -23,10 +23,8 @@ def _plain_day(value: Any) -> Any:
 
 Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 Name = Annotated[str, Field(min_length=1)]
-NotNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Rate = Annotated[float, Field(gt=-1, lt=1)]
+YearlyRate = Annotated[float, Field(gt=-1, lt=1)]
 
 DATE = "a date, YYYY-MM-DD"
 RATE = "a number between -1 and 1, like 0.02 for 2 %"
@@ -78,7 +76,7 @@ def one_of(*available: str, default: Any = ...) -> Any:
     return Field(default, description=text)
 
 
-class FundTable(Table):
+class FundTable(CaseTable):
     """`[fund]`: the horizon, its steps and the money."""
 
     valuation_date: Day = Field(description=DATE)
@@ -88,7 +86,7 @@ class FundTable(Table):
     currency: Name = Field("EUR", description='a name such as "EUR"')
 
 
-class CurveTable(Table):
+class CurveTable(CaseTable):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
     file: Name = csv("tenor,zero (or tenor,forward or tenor,swap)")
@@ -99,7 +97,7 @@ class CurveTable(Table):
     extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = one_of(
         "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
-    ultimate: Rate | None = Field(None, description=RATE)
+    ultimate: YearlyRate | None = Field(None, description=RATE)
     speed: Annotated[Positive | None, NOT_FLAT] = Field(None, description=ABOVE)
     last_liquid: Positive | None = Field(None, description=f"a tenor in years, {ABOVE}")
     convergence: Annotated[Positive | None, SMITH_WILSON, SOUGHT] = Field(
@@ -107,7 +105,7 @@ class CurveTable(Table):
     )
 
 
-class RatesTable(Table):
+class RatesTable(CaseTable):
     """`[rates]`: the model of the short rate; lists have one number per factor."""
 
     kind: Name = Field(description='the name of a model, such as "hull-white" or "g2++"')
@@ -122,7 +120,7 @@ class RatesTable(Table):
     )
 
 
-class InflationTable(Table):
+class InflationTable(CaseTable):
     """`[inflation]`: break-evens, expected inflation, prices and wages."""
 
     break_evens: Name = csv("tenor,rate (or tenor,forward)")
@@ -132,18 +130,18 @@ class InflationTable(Table):
     extrapolation: Literal["flat-forward", "ultimate"] = one_of(
         "flat-forward", "ultimate", default="flat-forward"
     )
-    ultimate: Rate | None = Field(None, description=RATE)
+    ultimate: YearlyRate | None = Field(None, description=RATE)
     speed: Annotated[Positive, ULTIMATE] = Field(0.1, description=ABOVE)
     mean_reversion: Positive = Field(0.3, description=ABOVE)
     volatility: NotNegative | Name = Field(0.007, description=VOLATILITY)
     price_of_risk: float = Field(0.0, description="a number")
     index_volatility: NotNegative | Name = Field(0.01, description=VOLATILITY)
     index_price_of_risk: float = Field(0.0, description="a number")
-    real_wage_growth: Rate = Field(0.0, description=RATE)
+    real_wage_growth: YearlyRate = Field(0.0, description=RATE)
     wage_volatility: NotNegative = Field(0.0, description=MINIMUM)
 
 
-class AssetsTable(Table):
+class AssetsTable(CaseTable):
     """`[assets]`: the classes, and the sense of their means."""
 
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
@@ -154,26 +152,26 @@ class AssetsTable(Table):
     )
 
 
-class CreditTable(Table):
+class CreditTable(CaseTable):
     """`[credit]`"""
 
     file: Name = csv("rating,spread,mean_spread,mean_reversion,volatility,default_loss")
 
 
-class CurrenciesTable(Table):
+class CurrenciesTable(CaseTable):
     """`[currencies]`"""
 
     file: Name = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
-class CorrelationsTable(Table):
+class CorrelationsTable(CaseTable):
     """`[correlations]`"""
 
     file: Name = Field(description="the name of a CSV file: a square matrix with names on top")
     repair: bool = Field(False, description="true or false")
 
 
-class OverlayTable(Table):
+class OverlayTable(CaseTable):
     """`[overlay]`: receiver swaps by tenor, at par unless their kind says otherwise."""
 
     file: Name = csv("tenor,kind,notional,low,high,cost")
@@ -182,14 +180,14 @@ class OverlayTable(Table):
     collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")
 
 
-class ScenariosTable(Table):
+class ScenariosTable(CaseTable):
     """`[scenarios]`: ready-made scenarios in place of the generator."""
 
     training: Name = Field(description="the name of a CSV file")
     evaluation: Name = Field(description="the name of another CSV file")
 
 
-class PolicyTable(Table):
+class PolicyTable(CaseTable):
     """`[policy]`: the observation, and the widths of the hidden layers."""
 
     observation: list[str] | None = Field(None, description="a list of names")
@@ -198,13 +196,13 @@ class PolicyTable(Table):
     )
 
 
-class SensitivityTable(Table):
+class SensitivityTable(CaseTable):
     """`[sensitivity]`: the numbers that are held fixed."""
 
     held: list[str] = Field([], description="a list of names of inputs")
 
 
-class FrontierTable(Table):
+class FrontierTable(CaseTable):
     """`[frontier]`: contributions against the shortfall, from a sweep."""
 
     points: Annotated[int, Field(ge=2, le=20)] = Field(5, description="a whole number from 2 to 20")
@@ -214,19 +212,19 @@ class FrontierTable(Table):
     )
 
 
-class StressTable(Table):
+class StressTable(CaseTable):
     """`[stress]`: shocks for the table of the report."""
 
     file: Name = csv("scenario,input,label,kind,size")
 
 
-class ReportTable(Table):
+class FundReportTable(CaseTable):
     """`[report]`: the parts of a run that are wanted."""
 
-    parts: Names = names_of_parts("sensitivities")
+    parts: PartNames = names_of_parts("sensitivities")
 
 
-class RegulationTable(Table):
+class RegulationTable(CaseTable):
     """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
 
     rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
@@ -237,7 +235,7 @@ class RegulationTable(Table):
     active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
 
 
-class PotsTable(Table):
+class PotsTable(CaseTable):
     """`[pots]`: personal pots by cohort, with a solidarity reserve."""
 
     rules: Name = Field(description='"dutch-wtp", or the name of a TOML file of rules')
@@ -249,17 +247,17 @@ class PotsTable(Table):
     largest: Share | None = Field(None, description=f"a share of the assets, {SHARE}")
 
 
-class FundingTable(Table):
+class FundingTable(CaseTable):
     """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
 
     rules: Name = Field(description='"uk", or the name of a TOML file of rules')
-    technical_provisions: Rate = Field(description=f"over gilts, {RATE}")
-    low_dependency: Rate | None = Field(None, description=f"over gilts, {RATE}")
-    buy_out: Rate = Field(description=f"over gilts, {RATE}")
+    technical_provisions: YearlyRate = Field(description=f"over gilts, {RATE}")
+    low_dependency: YearlyRate | None = Field(None, description=f"over gilts, {RATE}")
+    buy_out: YearlyRate = Field(description=f"over gilts, {RATE}")
     recovery_years: Positive | None = Field(None, description=ABOVE)
 
 
-class PensionTable(Table):
+class PensionTable(CaseTable):
     """The whole file."""
 
     kind: Literal["pension"] = Field(description='"pension"')

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from snapo.case.meaning import Only, Tables
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
@@ -20,8 +20,8 @@ from .tables import (
     Name,
     NotNegative,
     Positive,
-    Rate,
     Share,
+    YearlyRate,
     csv,
     one_of,
 )
@@ -136,10 +136,10 @@ COMPARED = Only(
 )
 
 
-Formula = Annotated[list[float], Field(min_length=2, max_length=3)]
+FormulaTable = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
-class MembersTable(Table):
+class MembersTable(CaseTable):
     """`[members]`: cohorts, or the actuary's cash flows."""
 
     file: Name | None = csv(
@@ -154,21 +154,21 @@ class MembersTable(Table):
     )
 
 
-class MortalityTable(Table):
+class MortalityTable(CaseTable):
     """`[mortality]`: death probabilities or a formula, with improvement and multipliers."""
 
     kind: Literal["table", "gompertz-makeham"] = one_of("table", "gompertz-makeham")
     file: Annotated[Name | None, _of_mortality("table")] = csv("sex,age,q", None)
-    male: Annotated[Formula | None, _of_mortality("gompertz-makeham")] = Field(
+    male: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
         None, description="[alpha, beta] or [alpha, beta, makeham]"
     )
-    female: Annotated[Formula | None, _of_mortality("gompertz-makeham")] = Field(
+    female: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
         None, description="[alpha, beta] or [alpha, beta, makeham]"
     )
     year: Annotated[int, Field(ge=1900, le=2200)] | None = Field(
         None, description="the calendar year of these probabilities, from 1900 to 2200"
     )
-    improvement: Rate | Name = Field(
+    improvement: YearlyRate | Name = Field(
         0.0, description="a number between -1 and 1, or a CSV file with columns sex,age,value"
     )
     multiplier: Positive | Name = Field(
@@ -176,14 +176,14 @@ class MortalityTable(Table):
     )
 
 
-class LeeCarterTable(Table):
+class LeeCarterTable(CaseTable):
     """`[lee_carter]`: the stochastic factor of mortality."""
 
     volatility: NotNegative = Field(description=MINIMUM)
     file: Name = csv("sex,age,loading")
 
 
-class PlanTable(Table):
+class PlanTable(CaseTable):
     """`[plan]`: benefits, and the two tables below it."""
 
     timing: Literal["advance", "arrears"] = one_of("advance", "arrears", default="arrears")
@@ -221,20 +221,20 @@ class PlanTable(Table):
     contribution: dict = Field({}, description="the table [plan.contribution]")
 
 
-class IndexationTable(Table):
+class IndexationTable(CaseTable):
     """`[plan.indexation]`: increases of pensions in payment, and of other rights alike where there
     is no `[plan.revaluation]`."""
 
     kind: Literal["none", "fixed", "full", "capped", "conditional"] = one_of(
         "none", "fixed", "full", "capped", "conditional", default="none"
     )
-    rate: Annotated[Rate | None, _increase("rate")] = Field(None, description=RATE)
+    rate: Annotated[YearlyRate | None, _increase("rate")] = Field(None, description=RATE)
     month: Annotated[int, Field(ge=1, le=12), INCREASING] = Field(1, description="a month, 1 to 12")
     averaging: Annotated[int, Field(ge=1, le=12), AVERAGED] = Field(
         12, description="a whole number of months, 1 to 12"
     )
-    cap: Annotated[Rate, _increase("cap")] = Field(0.5, description=RATE)
-    floor: Annotated[Rate, _increase("floor")] = Field(-0.5, description=RATE)
+    cap: Annotated[YearlyRate, _increase("cap")] = Field(0.5, description=RATE)
+    floor: Annotated[YearlyRate, _increase("floor")] = Field(-0.5, description=RATE)
     lower_ratio: Annotated[NotNegative, _increase("lower_ratio")] = Field(1.1, description=MINIMUM)
     upper_ratio: Annotated[NotNegative, _increase("upper_ratio")] = Field(1.3, description=MINIMUM)
     required_ratio: Annotated[NotNegative, CUTS] = Field(1.0, description=MINIMUM)
@@ -243,14 +243,14 @@ class IndexationTable(Table):
     )
 
 
-class RevaluationTable(Table):
+class RevaluationTable(CaseTable):
     """`[plan.revaluation]`: fixed increases of rights before payment, apart from payment."""
 
-    deferred: Rate = Field(0.0, description=f"of deferred members' rights, {RATE}")
-    active: Rate = Field(0.0, description=f"of rights in service, {RATE}")
+    deferred: YearlyRate = Field(0.0, description=f"of deferred members' rights, {RATE}")
+    active: YearlyRate = Field(0.0, description=f"of rights in service, {RATE}")
 
 
-class ContributionTable(Table):
+class ContributionTable(CaseTable):
     """`[plan.contribution]`"""
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = one_of(
@@ -283,13 +283,13 @@ class ContributionTable(Table):
     schedule: Name | None = csv("date,amount (or year,amount)", None)
 
 
-class LiabilityTable(Table):
+class LiabilityTable(CaseTable):
     """`[liability]`"""
 
     basis: Literal["risk-free", "spread", "fixed"] = one_of(
         "risk-free", "spread", "fixed", default="risk-free"
     )
-    rate: Annotated[Rate | None, ADDED] = Field(None, description=RATE)
+    rate: Annotated[YearlyRate | None, ADDED] = Field(None, description=RATE)
     expense_loading: Annotated[Share, PROMISED] = Field(
         0.0, description=f"a share of the value of the payments, {SHARE}"
     )
@@ -298,7 +298,7 @@ class LiabilityTable(Table):
     )
 
 
-class ReconcileTable(Table):
+class ReconcileTable(CaseTable):
     """`[reconcile]`: the actuary's own figures."""
 
     liability: Positive | None = Field(None, description=ABOVE)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class AssetGroup:
     """The classes `members` (positions) together weigh between `low` and `high`."""
 
     name: str
@@ -55,7 +55,7 @@ class Assets:
     weight: CaseInput
     low: np.ndarray
     high: np.ndarray
-    groups: tuple[Group, ...]
+    groups: tuple[AssetGroup, ...]
     amount: CaseInput
     max_sale: np.ndarray | None = None
     band: np.ndarray | None = None

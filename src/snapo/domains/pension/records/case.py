@@ -16,9 +16,9 @@ from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from .assets import Assets, Overlay
 from .funding import Funding
-from .market import Correlation, Credit, Currencies, Curve, Inflation, SuppliedScenarios
-from .people import CashFlows, LeeCarter, Members, Mortality
-from .plan import Liability, Plan, Reconcile
+from .market import Correlation, Credit, Currencies, Inflation, MarketCurve, SuppliedScenarios
+from .people import CashFlows, FundMembers, LeeCarter, Mortality
+from .plan import Liability, PensionPlan, Reconcile
 from .pots import Pots
 from .regulation import Regulation
 
@@ -67,7 +67,7 @@ class PensionCase:
     steps: int
     start_month: int
     measure: Literal["P", "Q"]
-    curve: Curve
+    curve: MarketCurve
     rates: "ShortRate"
     inflation: Inflation
     assets: Assets
@@ -75,11 +75,11 @@ class PensionCase:
     currencies: Currencies
     correlation: Correlation
     overlay: Overlay | None
-    members: Members | None
+    members: FundMembers | None
     mortality: Mortality | None
     lee_carter: LeeCarter | None
     cash_flows: CashFlows | None
-    plan: Plan
+    plan: PensionPlan
     liability: Liability
     reconcile: Reconcile | None
     scenarios: SuppliedScenarios | None

@@ -9,7 +9,7 @@ from snapo.case.given import CaseInput
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class MarketCurve:
     """Nominal zero curve, or break-evens of the same form (then rates are of inflation).
 
     - `tenor`: [n] nodes in years, strictly rising, above zero.
@@ -45,7 +45,7 @@ class Inflation:
       `wage_volatility`: index []. `volatility`, `index_volatility`: index [T].
     """
 
-    break_even: Curve
+    break_even: MarketCurve
     mean_reversion: CaseInput
     volatility: CaseInput
     price_of_risk: CaseInput

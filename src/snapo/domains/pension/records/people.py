@@ -59,7 +59,7 @@ class LeeCarter:
 
 
 @dataclass(frozen=True, eq=False)
-class Members:
+class FundMembers:
     """Cohorts of a table; every array has length C.
 
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.

@@ -88,7 +88,7 @@ class Contribution:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PensionPlan:
     """Terms of the scheme: a pension of career average.
 
     - `revaluation`: of rights before payment; None: they grow as pensions in payment do.

@@ -12,7 +12,7 @@ from snapo.case.plausible import FRACTION, CaseFiles, CheckedNumbers, Plausible,
 
 from .case import PensionCase
 from .inputs import every_given
-from .market import Curve
+from .market import MarketCurve
 from .people import ACTIVE
 
 RATE = (-0.02, 0.15)  # zero rates, continuous
@@ -175,7 +175,7 @@ def _single(name: str, value: float, unit: str = "") -> CheckedNumbers:
     return CheckedNumbers(name, np.array([value]), ("",), unit)
 
 
-def _forwards(curve: Curve, name: str, tenor: str) -> Iterator[CheckedNumbers]:
+def _forwards(curve: MarketCurve, name: str, tenor: str) -> Iterator[CheckedNumbers]:
     """Tenors of a curve, and the forward rates between the nodes of zero rates."""
     labels = curve.rate.labels
     yield CheckedNumbers(tenor, curve.tenor, labels, "year")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..read.cells import TableContext
+from ..read.cells import TableReader
 from ..read.tables import FundingTable
 from ..records.case import PensionCase
 from ..records.funding import Funding
@@ -58,7 +58,7 @@ class Bases:
 
 
 def read_funding(
-    section: TableContext, table: FundingTable | None, day: datetime.date
+    section: TableReader, table: FundingTable | None, day: datetime.date
 ) -> Funding | None:
     """The bases of a case under the rules in force on `day`; None without the table."""
     if table is None:

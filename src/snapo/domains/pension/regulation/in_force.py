@@ -6,18 +6,18 @@ from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any, TypeVar
 
-from ..read.cells import TableContext
+from ..read.cells import TableReader
 
-Found = TypeVar("Found")
+AnyRules = TypeVar("AnyRules")
 
 
 def in_force(
-    section: TableContext,
+    section: TableReader,
     name: str,
     local: Mapping[str, str],
     day: datetime.date,
-    made: Callable[[dict[str, Any]], Found],
-) -> Found:
+    made: Callable[[dict[str, Any]], AnyRules],
+) -> AnyRules:
     """`made` of the newest version on `day` of the rules `name`, those of the package or a file.
 
     **Arguments:**

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..read.cells import TableContext
+from ..read.cells import TableReader
 from ..read.tables import RegulationTable
 from ..records.regulation import MARKETS, RISKS, Regulation, Rules
 from .in_force import in_force
@@ -20,7 +20,7 @@ CORRELATIONS = (
 
 
 def read_regulation(
-    section: TableContext, table: RegulationTable | None, day: datetime.date
+    section: TableReader, table: RegulationTable | None, day: datetime.date
 ) -> Regulation | None:
     """The rules in force on `day`; None without the table.
 

@@ -19,8 +19,8 @@ from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_values
 from ..records.case import PensionCase
-from ..records.market import Curve
-from .figures.reconcile import Figures
+from ..records.market import MarketCurve
+from .figures.reconcile import LiabilityFigures
 
 BASIS_POINT = 1e-4
 FARTHEST = 2000  # basis points up to which the headroom of collateral is looked for
@@ -100,7 +100,9 @@ def held_now(case: PensionCase) -> np.ndarray:
     return case.assets.weight.used() * float(case.assets.amount.used())
 
 
-def slopes(curve: Curve, inputs: dict[str, Any], value: Callable[[dict], Array]) -> np.ndarray:
+def slopes(
+    curve: MarketCurve, inputs: dict[str, Any], value: Callable[[dict], Array]
+) -> np.ndarray:
     """[k, nodes]: d `value` [k] / d quote at a node of `curve`."""
 
     def shifted(quotes):
@@ -111,7 +113,7 @@ def slopes(curve: Curve, inputs: dict[str, Any], value: Callable[[dict], Array])
 
 
 def ladder(
-    case: PensionCase, values: dict[str, Any], figure: Figures, notional: np.ndarray
+    case: PensionCase, values: dict[str, Any], figure: LiabilityFigures, notional: np.ndarray
 ) -> CurveLadder:
     """That of nominal rates, break-evens held.
 
@@ -128,7 +130,7 @@ def ladder(
 
 
 def inflation_ladder(
-    case: PensionCase, values: dict[str, Any], figure: Figures, notional: np.ndarray
+    case: PensionCase, values: dict[str, Any], figure: LiabilityFigures, notional: np.ndarray
 ) -> CurveLadder:
     """IE01: the same for +1 bp at each node of the break-evens, nominal rates held."""
     liability = np.asarray(figure.key_inflation)
@@ -137,7 +139,7 @@ def inflation_ladder(
 
 def _ladder(
     case: PensionCase,
-    curve: Curve,
+    curve: MarketCurve,
     values: dict[str, Any],
     notional: np.ndarray,
     liability: np.ndarray,
@@ -151,7 +153,9 @@ def _ladder(
     return CurveLadder(labels, curve.tenor, curve.quote, assets, swaps, liability)
 
 
-def _by_node(case: PensionCase, curve: Curve, values: dict, counted: np.ndarray) -> np.ndarray:
+def _by_node(
+    case: PensionCase, curve: MarketCurve, values: dict, counted: np.ndarray
+) -> np.ndarray:
     """[nodes]: change of value for +1 bp of the classes that are `counted` [n]."""
     held = slopes(curve, values, lambda moved: log_prices(case, moved))
     return BASIS_POINT * (counted * held_now(case)) @ held

@@ -13,8 +13,8 @@ from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.process import Run
-from ..quality.limits import Limits
+from ..flowsheet.process import ProcessRun
+from ..quality.limits import AttributeLimits
 from ..setpoints import HEADER, setpoints
 from ..shared import BATCH, open_loop
 from . import pictures
@@ -70,9 +70,9 @@ def measure(run: StudyRun) -> BatchResult:
     return result
 
 
-def one_batch(case: PharmaCase, batch: Run) -> BatchResult:
+def one_batch(case: PharmaCase, batch: ProcessRun) -> BatchResult:
     """Attributes with their limits, measures, and thinned trajectories."""
-    limits = Limits.of(case)
+    limits = AttributeLimits.of(case)
     values = np.array([batch.attributes.get(x.name, np.nan) for x in case.attributes])
     room = limits.distance(values)
     return BatchResult(
@@ -97,7 +97,7 @@ def _thin(table: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     }
 
 
-def _solubility(case: PharmaCase, batch: Run) -> dict[str, dict[str, np.ndarray]]:
+def _solubility(case: PharmaCase, batch: ProcessRun) -> dict[str, dict[str, np.ndarray]]:
     """{unit: temperatures and c* on them}, from the states that were recorded."""
     curves = {}
     for unit in case.units:

@@ -18,7 +18,7 @@ from snapo.study.study import StudyRun
 from ..flowsheet.process import Process
 from ..quality import design_space, ranges
 from ..quality.boundary import Boundary
-from ..quality.design_space import Box, in_case_unit
+from ..quality.design_space import LargestBox, in_case_unit
 from ..quality.interval import draws_for
 from ..shared import MESH, open_loop, sampled
 from . import pictures
@@ -56,7 +56,7 @@ class SpaceMap:
     required: Number
     nominal: tuple[Number, ...]
     normal: tuple[tuple[Number, Number], ...]
-    box: Box | None
+    box: LargestBox | None
     ends: tuple[Boundary, ...] | None = None
 
     @property

@@ -19,10 +19,10 @@ from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
-from ..quality.estimation import Fit, fit, model_of, numbers_of, variables_of
+from ..quality.estimation import ParameterFit, fit, model_of, numbers_of, variables_of
 from ..quality.interval import interval
 from ..quality.records import Estimation
-from ..read.entries import Numbers
+from ..read.entries import EntryNumbers
 from ..read.fitted import COLUMNS
 from ..shared import SOUND, open_loop
 from . import pictures
@@ -62,7 +62,7 @@ class Validation:
     batches: tuple[Agreement, ...]
 
 
-def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation | None:
+def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> Validation | None:
     """The batches that were held out; None where there are none."""
     if not estimation.held_out:
         return None
@@ -101,7 +101,7 @@ def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Estimates(Fit):
+class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
     - `measured_own`, `fitted_own`: in the owner's units, of `state`s in `state_unit`s at `time` of
@@ -153,7 +153,7 @@ def estimates(process: Process) -> Estimates:
     )  # fmt: skip
 
 
-def not_handed_on(result: Fit) -> list[str]:
+def not_handed_on(result: ParameterFit) -> list[str]:
     """Why the numbers of a fit are not handed on with their covariance, in sentences."""
     reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
     reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
@@ -173,13 +173,13 @@ def not_handed_on(result: Fit) -> list[str]:
     return reasons
 
 
-def fitted_rows(case: PharmaCase, result: Fit) -> list[tuple]:
+def fitted_rows(case: PharmaCase, result: ParameterFit) -> list[tuple]:
     """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
     request = case.estimation
     if request is None or not_handed_on(result):
         return []
     inputs = numbers_in((case.network, case.feeds, case.units))
-    numbers = Numbers({x.name: x for x in inputs}, case.network)
+    numbers = EntryNumbers({x.name: x for x in inputs}, case.network)
     deviation = np.sqrt(np.diag(np.asarray(result.covariance, float)))
     rows = []
     for i, entry in enumerate(zip(request.inputs, request.entries)):
@@ -240,7 +240,7 @@ def _agreement(result: Estimates) -> Chart:
     return Chart(svg, caption)
 
 
-def _weighed(result: Fit) -> str:
+def _weighed(result: ParameterFit) -> str:
     """How the covariance follows from the errors of the measurements."""
     scale = number(result.scale)
     if finite(result.tail) is None:

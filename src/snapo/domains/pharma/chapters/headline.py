@@ -18,7 +18,7 @@ from snapo.study.run_folder import case_files
 from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
-from ..quality.estimation import DOUBT, Fit
+from ..quality.estimation import DOUBT, ParameterFit
 from ..shared import open_loop
 from .attribution import ATTRIBUTION
 from .batch import ONE_BATCH, BatchResult
@@ -89,7 +89,7 @@ def status(run: StudyRun | RunFiles) -> str:
     return f"{100 * lost:.2g} % of the batches gave no finite result" if lost > LOST else "ok"
 
 
-def reservations(fit: Fit) -> str:
+def reservations(fit: ParameterFit) -> str:
     """Why a fit is in doubt, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"

@@ -17,7 +17,7 @@ from snapo.study.chapter import Chapter, Number
 from ..derivatives.sensitivities import entry_name
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
-from ..flowsheet.network import Network
+from ..flowsheet.network import FlowNetwork
 from ..given import Entry
 from ..quality.design_space import in_case_unit
 from ..quality.draws import entries, nominal
@@ -253,7 +253,7 @@ def _numbers(case: PharmaCase) -> tuple[NumberStatement, ...]:
     )
 
 
-def _reaction(network: Network, i: int) -> ReactionStatement:
+def _reaction(network: FlowNetwork, i: int) -> ReactionStatement:
     sides: list[list[str]] = [[], []]
     for name, amount in zip(network.species, network.stoichiometry[i]):
         if amount:

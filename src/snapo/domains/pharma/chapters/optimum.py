@@ -24,7 +24,7 @@ from snapo.study.study import StudyRun
 
 from ..given import Entry
 from ..quality import batches
-from ..quality.limits import Limits
+from ..quality.limits import AttributeLimits
 from ..recipe.optimise import Optimum, optimise
 from ..recipe.optimum import TOLERANCE
 from ..recipe.records import Optimise, Term
@@ -196,7 +196,7 @@ def _at(run: StudyRun, request: Optimise, x: np.ndarray) -> tuple[np.ndarray, Ke
     inputs, entries = batches.inputs_with(process, changes), batches.varied(process.case)
     both = np.concatenate([nominal, rows])
     values = process.batch(entries, both, chunk=batches.CHUNK, inputs=inputs).values
-    selected = Limits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
+    selected = AttributeLimits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
     share, error = proportion(selected.sum(), BATCHES)
     return values[0], KeptChance(float(share), float(error))
 

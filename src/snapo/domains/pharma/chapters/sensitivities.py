@@ -21,7 +21,7 @@ from ..flowsheet.process import Process
 from ..given import every_entry
 from ..quality import batches
 from ..quality.draws import all_entries
-from ..quality.limits import Limits
+from ..quality.limits import AttributeLimits
 from ..shared import MESH, SOUND, open_loop, process, sampled
 from . import pictures
 from .model import Statement, stated
@@ -116,7 +116,7 @@ def criticality(process: Process, seed: int, draws: int = DRAWS) -> CriticalityT
             moved[:, column] += end - here[0, column]
             rows.append(moved)
     values = batches.attributes(process, np.concatenate([here, *rows]))
-    room = Limits.of(case).distance(values[0])[:, None]
+    room = AttributeLimits.of(case).distance(values[0])[:, None]
     endpoints = values[1:].reshape(len(case.parameters), 2, 1 + draws, -1)
     half = (endpoints[:, 1] - endpoints[:, 0]).transpose(
         1, 2, 0
@@ -125,7 +125,7 @@ def criticality(process: Process, seed: int, draws: int = DRAWS) -> CriticalityT
     sizes = np.stack([np.abs(half[0]), *np.nanquantile(np.abs(half[1:]), LEVELS, axis=0)])
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(room > 0, sizes / room, np.where(sizes > 0, np.inf, 0.0))
-    shares = np.where(Limits.of(case).any()[:, None], shares, np.nan)
+    shares = np.where(AttributeLimits.of(case).any()[:, None], shares, np.nan)
     return CriticalityTable(half[0], low, high, *shares, draws=draws)
 
 

@@ -15,7 +15,7 @@ from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
 from ..flowsheet.case import PharmaCase
-from .loop import Loop, closed_loop
+from .loop import ControlLoop, closed_loop
 from .policy import Feedback
 from .records import Goal
 
@@ -87,7 +87,7 @@ class ClosedLoop:
         self.first: Feedback | None = None
 
     @cached_property
-    def loop(self) -> Loop:
+    def loop(self) -> ControlLoop:
         return closed_loop(self.case, seed=self.training.seed)
 
     @cached_property

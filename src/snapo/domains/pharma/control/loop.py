@@ -19,7 +19,7 @@ from .policy import Feedback
 from .stages import Stage, decided, staged
 
 
-class Loop(NamedTuple):
+class ControlLoop(NamedTuple):
     """A closed loop, ready for `snapo.solve`.
 
     - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy that sees nothing;
@@ -36,7 +36,9 @@ class Loop(NamedTuple):
     outputs: tuple[str, ...]
 
 
-def closed_loop(case: PharmaCase, inputs: dict[str, Any] | None = None, seed: int = 0) -> Loop:
+def closed_loop(
+    case: PharmaCase, inputs: dict[str, Any] | None = None, seed: int = 0
+) -> ControlLoop:
     """The simulator, a policy to train and the fixed recipe as a policy, at `inputs`."""
     if case.control is None:
         raise ValueError("closed_loop: the case has no [control].")
@@ -51,7 +53,7 @@ def closed_loop(case: PharmaCase, inputs: dict[str, Any] | None = None, seed: in
     recipe = nominal_recipe(case, stages, result)
     baseline = Feedback(recipe, features, key=jax.random.key(seed))
     names = tuple(f"attribute.{attribute.name}" for attribute in case.attributes)
-    return Loop(simulator, result, baseline.closed(), baseline, tuple(stages), names)
+    return ControlLoop(simulator, result, baseline.closed(), baseline, tuple(stages), names)
 
 
 def _stages(case: PharmaCase) -> list[Stage]:

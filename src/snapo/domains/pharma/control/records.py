@@ -64,7 +64,7 @@ class Cascade:
 
 
 @dataclass(frozen=True)
-class Rule:
+class ControlRule:
     """A rival of the policy: PI controllers about the recipe.
 
     `tuning`: of what is not given: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
@@ -90,7 +90,7 @@ class Control:
     steps: tuple[tuple[str, int], ...]
     substeps: int
     solubility_margin: float | None
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[ControlRule, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from ..flowsheet.case import PharmaCase
-from .records import PI, Control, Rule
+from .records import PI, Control, ControlRule
 from .rules import LoopConnection, Loops
 from .stages import Stage
 
@@ -81,7 +81,9 @@ class Tuned(NamedTuple):
     loops: tuple[PI, ...]
 
 
-def connected(case: PharmaCase, stages: tuple[Stage, ...], rule: Rule) -> tuple[list, list[PI]]:
+def connected(
+    case: PharmaCase, stages: tuple[Stage, ...], rule: ControlRule
+) -> tuple[list, list[PI]]:
     """Its wires and controllers, the outer one of a cascade before the inner one."""
     control = case.control
     assert control is not None
@@ -113,7 +115,11 @@ def _reading(control: Control, loop: PI, value: float) -> float:
 
 
 def first_settings(
-    case: PharmaCase, stages: tuple[Stage, ...], problem: Problem, rule: Rule, recipe: np.ndarray
+    case: PharmaCase,
+    stages: tuple[Stage, ...],
+    problem: Problem,
+    rule: ControlRule,
+    recipe: np.ndarray,
 ) -> Tuned:
     """A rule about a recipe, [T, size] actions: what is not given is found from steps."""
     connections, loops = connected(case, stages, rule)

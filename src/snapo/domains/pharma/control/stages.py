@@ -21,7 +21,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import feed
 from ..flowsheet.flow import crystal_sizes, requested_measures, sources, through, yields
-from ..flowsheet.ledger import Finish
+from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import smallest
 from ..flowsheet.stream import Stream, blank, flat, unflat
@@ -36,7 +36,7 @@ from .varied import Varied, drawn, varied
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
 
-State = dict[str, Any]
+StageState = dict[str, Any]
 
 
 def staged(case: PharmaCase) -> tuple[Timed, ...]:
@@ -128,7 +128,7 @@ class Stage(Simulator):
             inputs[name] = inputs[name].at[entry].set(draws[i])
         return inputs
 
-    def initial(self, constants, noise) -> State:
+    def initial(self, constants, noise) -> StageState:
         size = len(self.varied.inputs)
         draws = self.draw(constants, noise)
         firsts = [constants["inputs"][item.input][0] for item in self.control.manipulated]
@@ -145,7 +145,7 @@ class Stage(Simulator):
         }
         return self.enter(constants, state)
 
-    def enter(self, constants, state: State) -> State:
+    def enter(self, constants, state: StageState) -> StageState:
         """The state with which this stage begins."""
         if self.unit is None:
             return state | {"y": jnp.zeros(0), "past": state["past"][:, :0]}
@@ -162,7 +162,7 @@ class Stage(Simulator):
         observed = self.read(problem, values, past, state)
         return state | {"y": y, "seen": observed, "past": past}
 
-    def leave(self, constants, state: State) -> State:
+    def leave(self, constants, state: StageState) -> StageState:
         """The state with the streams and measures of this stage's unit."""
         assert self.unit is not None
         inputs = self.inputs_of(constants, state["draws"])
@@ -173,7 +173,7 @@ class Stage(Simulator):
             endpoints.append(state["control"][i] if i >= 0 else value[-1])
         return self.delivered(self.unit, problem.finish(state["y"], *endpoints), state)
 
-    def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
+    def delivered(self, unit: Unit, finish: LedgerFinish, state: StageState) -> StageState:
         """The state with the delivery of a timed unit."""
         requested = requested_measures(self.case)
         streams = {
@@ -187,7 +187,7 @@ class Stage(Simulator):
             "measures": state["measures"] | selected,
         }
 
-    def settle(self, inputs, state: State) -> State:
+    def settle(self, inputs, state: StageState) -> StageState:
         """The state with every timed unit run that has no stage and whose inlets flow by now."""
         case, fed, local = self.case, sources(self.case), staged(self.case)
         numerics = replace(case.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
@@ -235,7 +235,7 @@ class Stage(Simulator):
             results.append(states[name] if unit == self.unit.name else jnp.zeros(()))
         return jnp.stack(results) if results else jnp.zeros(0)
 
-    def read(self, problem: Dynamics, values, past, state: State) -> Float[Array, " M"]:
+    def read(self, problem: Dynamics, values, past, state: StageState) -> Float[Array, " M"]:
         """The readings of the sensors, this unit's new ones with their errors, of order one."""
         assert self.unit is not None
         steps, observed = problem.duration / self.horizon, []
@@ -252,14 +252,14 @@ class Stage(Simulator):
         assert self.unit is not None
         return float(self.unit.duration.used()) / self.horizon
 
-    def observe(self, constants, now, state: State) -> Float[Array, " features"]:
+    def observe(self, constants, now, state: StageState) -> Float[Array, " features"]:
         low = np.array([item.low for item in self.control.manipulated])
         high = np.array([entry.high for entry in self.control.manipulated])
         control = (state["control"] - low) / (high - low)
         timer = jnp.stack([now["clock"], now["share"]])
         return jnp.concatenate([timer, state["seen"], control])
 
-    def renewed(self, constants, state: State, noise) -> State:
+    def renewed(self, constants, state: StageState, noise) -> StageState:
         """The state with this step's disturbances and sensor errors."""
         uncertain = self.varied
         state = state | {"error": noise[len(uncertain.inputs) :]}
@@ -269,7 +269,7 @@ class Stage(Simulator):
         draws = jnp.where(repeated, self.draw(constants, noise), state["draws"])
         return state | {"draws": draws}
 
-    def target(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
+    def target(self, state: StageState, action, smooth, seconds) -> Float[Array, " n"]:
         """The controls after this decision, in their units and within their ramps."""
         control = state["control"]
         for position, i in enumerate(self.decided):
@@ -283,7 +283,7 @@ class Stage(Simulator):
             control = control.at[i].set(value)
         return control
 
-    def step(self, constants, now, state: State, action, noise, smooth):
+    def step(self, constants, now, state: StageState, action, noise, smooth):
         state = self.renewed(constants, state, noise)
         inputs = self.inputs_of(constants, state["draws"])
         if self.unit is None:
@@ -320,14 +320,14 @@ class Stage(Simulator):
         past = shifted(values, state["past"])
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
-    def _dosed(self, problem: Dynamics, state: State, flow, seconds) -> Float[Array, ""]:
+    def _dosed(self, problem: Dynamics, state: StageState, flow, seconds) -> Float[Array, ""]:
         """The share of a `flow` over this decision that what waits to be dosed is enough for."""
         assert problem.to_dose is not None
         requested = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
         waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
         return jnp.where(requested > waits, waits / jnp.where(requested > 0, requested, 1.0), 1.0)
 
-    def _advance(self, problem: Dynamics, state: State, trajectories, step, smooth):
+    def _advance(self, problem: Dynamics, state: StageState, trajectories, step, smooth):
         """y after the substeps, and the largest supersaturation on the way."""
         drive = problem.drive(*trajectories)
         margin = self.control.solubility_margin
@@ -345,7 +345,7 @@ class Stage(Simulator):
         first = state["y"], state["worst"]
         return jax.lax.scan(advance, first, (drive, endpoints))[0]
 
-    def terminal(self, constants, state: State, smooth):
+    def terminal(self, constants, state: StageState, smooth):
         """The other units, every attribute, whether all limits hold and by how much they do not.
 
         Only the last stage's counts: that of an earlier one is empty.

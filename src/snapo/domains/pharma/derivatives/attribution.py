@@ -12,7 +12,7 @@ import numpy as np
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from ..quality.records import Attribute, Parameter
-from .local import Block, Local
+from .local import DerivativeBlock, Local
 
 
 class Path(NamedTuple):
@@ -49,7 +49,9 @@ def split(case: PharmaCase, blocks: Local, raw: np.ndarray) -> Split:
     return Split(table, closure)
 
 
-def _paths(units: dict[str, Block], attribute: Attribute, parameter: Parameter) -> Iterator[Path]:
+def _paths(
+    units: dict[str, DerivativeBlock], attribute: Attribute, parameter: Parameter
+) -> Iterator[Path]:
     end = next(name for name, unit in units.items() if attribute.measure in unit.measures)
     row = units[end].measures.index(attribute.measure)
     entry: Entry = (parameter.input, parameter.entry)
@@ -66,7 +68,7 @@ def _paths(units: dict[str, Block], attribute: Attribute, parameter: Parameter) 
 
 
 def _onward(
-    units: dict[str, Block], here: str, changes: np.ndarray, end: str, row: int
+    units: dict[str, DerivativeBlock], here: str, changes: np.ndarray, end: str, row: int
 ) -> Iterator[tuple[tuple[str, ...], float]]:
     """Ways from the outlets of `here`, which change by `changes` [outlets, K], to the measure."""
     for name, block in units.items():

@@ -10,7 +10,7 @@ from ..flowsheet.process import Process
 from ..quality import batches
 from .certify import STEP
 from .grids import Cells
-from .jacobian import Matrix, matrix
+from .jacobian import Jacobian, matrix
 
 VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 
@@ -44,7 +44,7 @@ class Convergence:
     cells: tuple[Cells, ...] = ()
 
 
-def _own(process: Process, inputs) -> Matrix:
+def _own(process: Process, inputs) -> Jacobian:
     """By the parameters, from the function that gives a run its matrix: it is compiled once."""
     entries = batches.varied(process.case)
     result = matrix(process, inputs, entries=entries)
@@ -52,7 +52,7 @@ def _own(process: Process, inputs) -> Matrix:
     return result._replace(jacobian=result.jacobian[:, columns])
 
 
-def _differences(process: Process, inputs) -> Matrix:
+def _differences(process: Process, inputs) -> Jacobian:
     """By the parameters, as central differences of fourth order of single runs."""
     parameters = process.case.parameters
     here, values = process.at(process.entries, inputs), process.nominal_inputs(inputs)
@@ -68,7 +68,7 @@ def _differences(process: Process, inputs) -> Matrix:
         columns.append((8 * (high - low) - (far_high - far_low)) / (12 * step))
     reason = "differences of the error-controlled solution"
     runs = 4 * len(parameters)
-    return Matrix(process.values(inputs), np.stack(columns, 1), "forward", reason, runs)
+    return Jacobian(process.values(inputs), np.stack(columns, 1), "forward", reason, runs)
 
 
 def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Convergence:

@@ -13,7 +13,7 @@ from .mode import DERIVATIVES, Mode
 ADJOINT_COST = 1.1
 
 
-class Matrix(NamedTuple):
+class Jacobian(NamedTuple):
     """[Q, E] `jacobian`: owner's unit of the attribute per DOMAIN unit of the entry.
 
     `values`: [Q]; `mode`: "adjoint" or "forward", and the `reason` for it; `passes`: adjoint
@@ -33,7 +33,7 @@ def matrix(
     entries: tuple[Entry, ...] | None = None,
     attributes: tuple[str, ...] | None = None,
     mode: Literal["auto", "adjoint", "forward"] = "auto",
-) -> Matrix:
+) -> Jacobian:
     """Attributes by entries, by default those of the case's parameters."""
     entries = process.entries if entries is None else tuple(entries)
     names = process.names if attributes is None else tuple(attributes)
@@ -57,7 +57,7 @@ def matrix(
         process.nominal_inputs(inputs),
     )
     passes = len(rows) if mode == "adjoint" else len(entries)
-    return Matrix(values, jacobian, mode, reason, passes)
+    return Jacobian(values, jacobian, mode, reason, passes)
 
 
 def choose(

@@ -17,10 +17,10 @@ from ..given import Entry
 from .mode import of_method
 
 # From inlet streams and inputs to outlet streams and {measure with the unit's name}.
-Run = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ...], dict[str, Any]]]
+LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ...], dict[str, Any]]]
 
 
-class Block(NamedTuple):
+class DerivativeBlock(NamedTuple):
     """Derivatives of one unit alone: of its outlets and measures by its inlets and own numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
@@ -50,7 +50,7 @@ class Local(NamedTuple):
     name; its inlets are all streams that leave the flowsheet and all feeds.
     """
 
-    units: dict[str, Block]
+    units: dict[str, DerivativeBlock]
 
 
 def local(process: Process, inputs=None) -> Local:
@@ -59,7 +59,9 @@ def local(process: Process, inputs=None) -> Local:
     streams = process.run(inputs).streams
     fed, blocks = sources(case), {}
 
-    def block(name: str, into: tuple[str, ...], out: tuple[str, ...], entries, run: Run) -> None:
+    def block(
+        name: str, into: tuple[str, ...], out: tuple[str, ...], entries, run: LocalRun
+    ) -> None:
         blocks[name] = _block(process, name, into, out, entries, run, streams, values)
 
     for item in case.feeds:
@@ -78,11 +80,13 @@ def local(process: Process, inputs=None) -> Local:
     return Local(blocks)
 
 
-def _of_feed(record: Feed) -> Run:
+def _of_feed(record: Feed) -> LocalRun:
     return lambda streams, inputs: ((feed(record, inputs),), {})
 
 
-def _of_group(process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]) -> Run:
+def _of_group(
+    process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]
+) -> LocalRun:
     def run(streams, inputs):
         result = through(process.case, group, dict(zip(into, streams)), inputs)
         return tuple(result.streams[name] for name in out), result.measures
@@ -90,7 +94,7 @@ def _of_group(process: Process, group: Group, into: tuple[str, ...], out: tuple[
     return run
 
 
-def _of_process(process: Process, names: tuple[str, ...]) -> Run:
+def _of_process(process: Process, names: tuple[str, ...]) -> LocalRun:
     def run(streams, inputs):
         return (), yields(process.case, dict(zip(names, streams)))
 
@@ -104,7 +108,9 @@ def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
     return tuple((name, i) for name in names for i in range(process.inputs[name].size))
 
 
-def _block(process: Process, name, inlets, outlets, entries, run: Run, streams, inputs) -> Block:
+def _block(
+    process: Process, name, inlets, outlets, entries, run: LocalRun, streams, inputs
+) -> DerivativeBlock:
     fixed = tuple(streams[inlet] for inlet in inlets)
     size = max(len(flat(item)) for item in streams.values())
     labels: list[str] = []
@@ -129,4 +135,6 @@ def _block(process: Process, name, inlets, outlets, entries, run: Run, streams, 
 
     call = process.compiled(("local", name), lambda: derivatives)
     (stream, stream_by), (measure, measure_by) = call(process.at(entries, inputs), inputs, fixed)
-    return Block(inlets, outlets, stream, measure, tuple(labels), stream_by, measure_by, entries)
+    return DerivativeBlock(
+        inlets, outlets, stream, measure, tuple(labels), stream_by, measure_by, entries
+    )

@@ -13,8 +13,8 @@ from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from ..quality.draws import all_entries, deviation, nominal
-from ..quality.limits import Limits
-from .jacobian import Matrix
+from ..quality.limits import AttributeLimits
+from .jacobian import Jacobian
 
 VARIATION = 2.0  # standard deviations of the batches that are not there to be used
 BEYOND = 1e6  # above any share of a room
@@ -36,16 +36,16 @@ class MatrixForms(NamedTuple):
     zero: np.ndarray
 
 
-def table(case: PharmaCase, matrix: Matrix) -> MatrixForms:
+def table(case: PharmaCase, matrix: Jacobian) -> MatrixForms:
     """The three forms of `matrix`, whose entries are the case's parameters in order."""
     scale = np.array([parameter.scale for parameter in case.parameters])
     half = np.array([(item.normal_high - item.normal_low) / 2 for item in case.parameters])
     scaled = matrix.jacobian * half
-    room = Limits.of(case).distance(matrix.values)[:, None]
+    room = AttributeLimits.of(case).distance(matrix.values)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(room > 0, scaled / room, np.sign(scaled) * np.inf)
     share = np.where(matrix.jacobian == 0, 0.0, share)
-    share = np.where(Limits.of(case).any()[:, None], share, np.nan)
+    share = np.where(AttributeLimits.of(case).any()[:, None], share, np.nan)
     return MatrixForms(matrix.jacobian * scale, scaled, share, matrix.jacobian == 0)
 
 
@@ -62,20 +62,20 @@ class Rank:
     variance: Number
 
 
-def ranking(case: PharmaCase, forms: MatrixForms, matrix: Matrix, varied: "Spread") -> list[Rank]:
+def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
     about the set point. `outside`: the attribute stands beyond its limit already, `spent`: its
     variation alone takes the room; a share has then no meaning.
     """
-    room = Limits.of(case).distance(matrix.values)
+    room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(left > 0, np.abs(forms.scaled) / left, np.inf)
         variances = np.nan_to_num(varied.part**2 / (varied.part**2).sum(1, keepdims=True))
     shares = np.where(forms.zero, 0.0, shares)
-    shares = np.where(Limits.of(case).any()[:, None], shares, np.nan)
+    shares = np.where(AttributeLimits.of(case).any()[:, None], shares, np.nan)
     # Where no room is left, the room without variation decides which parameter comes first.
     plain = np.minimum(np.nan_to_num(np.abs(forms.share), posinf=BEYOND), BEYOND)
     ranks: list[Rank] = []

@@ -19,7 +19,7 @@ from ..recipe.records import Optimise
 from ..time.numerics import Numerics
 from ..units.operation import Unit
 from .feed import Feed
-from .network import Network
+from .network import FlowNetwork
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class PharmaCase:
     file: Path
     title: str
     purpose: str
-    network: Network
+    network: FlowNetwork
     feeds: tuple[Feed, ...]
     units: tuple[Unit, ...]
     connections: tuple[Connection, ...]

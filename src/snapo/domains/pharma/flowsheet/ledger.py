@@ -32,7 +32,7 @@ def ledger(species: int, **entries: Any) -> Ledger:
     return Ledger(none, none, none, none, zero, zero)._replace(**entries)
 
 
-class Finish(NamedTuple):
+class LedgerFinish(NamedTuple):
     """The delivery of a unit: its outlets in order, its measures and ledger."""
 
     outlets: tuple[Stream, ...]

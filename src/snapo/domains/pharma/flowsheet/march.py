@@ -30,7 +30,9 @@ from .flow import flow, problem_of
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
-Kind = Literal["shared", "drawn", "moving"]  # the same for all batches, or not, or with derivatives
+BatchKind = Literal[
+    "shared", "drawn", "moving"
+]  # the same for all batches, or not, or with derivatives
 
 
 class March(Simulator):
@@ -42,7 +44,7 @@ class March(Simulator):
 
     horizon: int = eqx.field(static=True)
     advance: Callable = eqx.field(static=True)
-    kinds: tuple[Kind, ...] = eqx.field(static=True)
+    kinds: tuple[BatchKind, ...] = eqx.field(static=True)
     action = Box(-np.inf, np.inf)
     noise_size = 0
 
@@ -161,7 +163,7 @@ class Marches:
 
         shapes, reached = self._reached(start)
         columns = np.flatnonzero([any(row) for row in np.transpose(reached)[:-1]])
-        kinds: tuple[Kind, ...] = tuple(_kind(row) for row in reached[1:])
+        kinds: tuple[BatchKind, ...] = tuple(_kind(row) for row in reached[1:])
         steps = made["steps"]
         march = March(  # pyright: ignore[reportCallIssue]
             horizon=len(steps["piece"]), advance=made["advance"], kinds=kinds
@@ -184,8 +186,10 @@ class Marches:
         )
         return shapes, spread(closed.jaxpr, jax.tree.leaves(marks))
 
-    def _enter(self, start: Callable, kinds: tuple[Kind, ...], columns: np.ndarray) -> Callable:
-        def of(kind: Kind, held: list) -> list:
+    def _enter(
+        self, start: Callable, kinds: tuple[BatchKind, ...], columns: np.ndarray
+    ) -> Callable:
+        def of(kind: BatchKind, held: list) -> list:
             return [item for item, local in zip(held, kinds) if local == kind]
 
         def one(draw, endpoints, d_ends, inputs):
@@ -202,7 +206,7 @@ class Marches:
         return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None), out_axes=(None, 0)))
 
 
-def _kind(reached) -> Kind:
+def _kind(reached) -> BatchKind:
     *columns, drawn = reached
     return "moving" if any(columns) else "drawn" if drawn else "shared"
 

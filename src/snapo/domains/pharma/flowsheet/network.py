@@ -20,7 +20,7 @@ SPENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class FlowNetwork:
     """Mass-action reactions: r_i = k_i exp(-E_i / (R T)) prod_s c_s^order_is, in kmol/m3/s.
 
     With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that
@@ -53,7 +53,9 @@ class Network:
         return (self.stoichiometry < 0) & (self.order == 0)
 
 
-def rate_constants(network: Network, inputs: dict[str, Any], temperature) -> Float[Array, "... R"]:
+def rate_constants(
+    network: FlowNetwork, inputs: dict[str, Any], temperature
+) -> Float[Array, "... R"]:
     """k_i exp(-E_i / R (1/T - 1/T_ref)), in (m3/kmol)^(n-1)/s; 1/T_ref is 0 for plain Arrhenius."""
     inverse = 1 / jnp.asarray(temperature)[..., None]
     if network.reference is not None:
@@ -62,7 +64,7 @@ def rate_constants(network: Network, inputs: dict[str, Any], temperature) -> Flo
     return use(inputs, network.prefactor) * jnp.exp(-energy * inverse)
 
 
-def rates(network: Network, constants: Array, concentration: Sequence[Array]) -> list[Array]:
+def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]) -> list[Array]:
     """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
 
     Written out reaction by reaction: species of order 0 appear only in what stops the reaction that
@@ -83,7 +85,7 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
     return results
 
 
-def fastest_rate(network: Network, temperature: np.ndarray, maximum: np.ndarray) -> float:
+def fastest_rate(network: FlowNetwork, temperature: np.ndarray, maximum: np.ndarray) -> float:
     """1/s: a bound on the norm of d r / d extents below concentrations `maximum` [S] in kmol/m3, at
     the given temperatures in K; infinite where an order lies between 0 and 1."""
     if ((network.order > 0) & (network.order < 1)).any():

@@ -30,7 +30,7 @@ ROUND_OFF = 1e-9  # of a unit's duration
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
 
 
-class Run(NamedTuple):
+class ProcessRun(NamedTuple):
     """One batch through the flowsheet.
 
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
@@ -139,7 +139,7 @@ class Process:
             result = self.compiled(("own", key), lambda: make(True))(*arguments)
         return result
 
-    def run(self, inputs=None) -> Run:
+    def run(self, inputs=None) -> ProcessRun:
         """One batch with all streams, measures and trajectories."""
         make = lambda local: partial(self._everything, nominal_steps=local)  # noqa: E731
         values = self.nominal_inputs(inputs)
@@ -147,7 +147,7 @@ class Process:
         streams, measures, attributes, trajectories, times, loops = either
         measured = {name: float(measure) for name, measure in measures.items()}
         held = {name: time[3] for name, time in times.items() if time[3] is not None}
-        return Run(
+        return ProcessRun(
             streams,
             measured,
             {name: float(attribute) for name, attribute in zip(self.names, attributes)},

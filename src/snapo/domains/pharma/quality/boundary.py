@@ -18,7 +18,7 @@ from snapo.study.chapter import Number
 
 from ..flowsheet.case import PharmaCase
 from .interval import LEVEL, interval
-from .limits import Limits
+from .limits import AttributeLimits
 
 PARTS = 16  # of a cell of the map, between which the share is straight
 FAR = 1e6  # margins: of a draw without a finite result, and of an attribute without limits
@@ -46,7 +46,10 @@ class Boundary:
 
 def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.ndarray, "*n Q"]:
     """Of every value to the nearest of its limits, in margins; below 0 beyond it."""
-    limits, margins = Limits.of(case), np.array([attribute.margin for attribute in case.attributes])
+    limits, margins = (
+        AttributeLimits.of(case),
+        np.array([attribute.margin for attribute in case.attributes]),
+    )
     room = np.minimum(limits.distance(values), values - limits.lower) / margins
     return np.clip(np.nan_to_num(room, nan=-FAR), -FAR, FAR)
 

@@ -10,7 +10,7 @@ from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from . import batches, draws
-from .limits import Limits
+from .limits import AttributeLimits
 
 if TYPE_CHECKING:
     from ..flowsheet.process import Process
@@ -63,7 +63,7 @@ def capability(process: "Process", count: int, seed: int) -> Capability:
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
     """The same from attributes [n, Q]; rows that are not finite broke down and break all limits."""
-    limits, count = Limits.of(case), len(values)
+    limits, count = AttributeLimits.of(case), len(values)
     selected = limits.hold(values)
     valid = np.isfinite(values).all(-1)
     finite = values[valid]
@@ -88,7 +88,7 @@ def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
     )
 
 
-def _cpk(limits: Limits, values: np.ndarray) -> np.ndarray:
+def _cpk(limits: AttributeLimits, values: np.ndarray) -> np.ndarray:
     """[..., Q] Cpk of attributes [..., n, Q]; NaN without a limit and without spread."""
     mean, deviation = values.mean(-2), values.std(-2, ddof=1)
     varies = limits.any() & (deviation > ROUND_OFF * np.abs(mean))
@@ -99,7 +99,7 @@ def _cpk(limits: Limits, values: np.ndarray) -> np.ndarray:
 def _apart(process: "Process", seed: int) -> dict[str, np.ndarray]:
     """Cpk between batches, and its interval over what is not known: `WORLDS` draws of that, and the
     same `INNER` batches in each."""
-    limits, uncertain = Limits.of(process.case), draws.unknown(process.case)
+    limits, uncertain = AttributeLimits.of(process.case), draws.unknown(process.case)
 
     def in_worlds(worlds: np.ndarray, inner: np.ndarray) -> np.ndarray:
         rows = np.tile(inner, (len(worlds), 1, 1))

@@ -14,7 +14,7 @@ from ..given import Entry
 from . import batches
 from .boundary import Boundary, boundaries, distances
 from .interval import interval
-from .limits import Limits
+from .limits import AttributeLimits
 from .records import Parameter
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Point(NamedTuple):
     high: np.ndarray
 
 
-class Map(NamedTuple):
+class ProbabilityMap(NamedTuple):
     """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array;
     `boundaries`: where the space ends along the lines of the map."""
 
@@ -52,7 +52,7 @@ class Map(NamedTuple):
     boundaries: tuple[Boundary, ...] = ()
 
 
-def probability_map(process: "Process", seed: int) -> Map:
+def probability_map(process: "Process", seed: int) -> ProbabilityMap:
     """The map that the case's `[design_space]` asks for; the same draws at every point."""
     case: PharmaCase = process.case
     space = case.design_space
@@ -69,7 +69,7 @@ def probability_map(process: "Process", seed: int) -> Map:
     local = tuple(in_case_unit(value, x) for value, x in zip(selected, grid))
     rooms = distances(case, values).reshape(shape + values.shape[1:])
     endpoints = boundaries(rooms, local, space.required)
-    return Map(space.axes, local, result, space.samples, tuple(endpoints))
+    return ProbabilityMap(space.axes, local, result, space.samples, tuple(endpoints))
 
 
 def at_points(
@@ -90,7 +90,7 @@ def drawn_values(
 def graded(case: PharmaCase, values: np.ndarray) -> Point:
     """Counts over the draws of `values` [n, samples, Q]."""
     samples = values.shape[1]
-    selected = Limits.of(case).hold(values)
+    selected = AttributeLimits.of(case).hold(values)
     all_kept = selected.all(-1).mean(-1)
     broken = (~selected).sum(1)
     finite = np.asarray(np.isfinite(values).all(-1))
@@ -121,7 +121,7 @@ def in_case_unit(item: Parameter, value):
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class LargestBox:
     """A box inside the design space, in owners' units, [axes] each; `volume`: share of the map."""
 
     low: Floats
@@ -129,7 +129,9 @@ class Box:
     volume: Number
 
 
-def largest_box(result: Map, nominal: Sequence[float], required: float) -> Box | None:
+def largest_box(
+    result: ProbabilityMap, nominal: Sequence[float], required: float
+) -> LargestBox | None:
     """The largest box between grid points that holds the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (owner's units),
@@ -160,7 +162,7 @@ def largest_box(result: Map, nominal: Sequence[float], required: float) -> Box |
     endpoints = [pair[i] for pair, i in zip(pairs, best)]
     low = np.array([grid[end[0]] for grid, end in zip(result.grid, endpoints)])
     high = np.array([grid[end[1]] for grid, end in zip(result.grid, endpoints)])
-    return Box(low, high, float(volume[best]))
+    return LargestBox(low, high, float(volume[best]))
 
 
 def _inside(summed: np.ndarray, pairs: list[np.ndarray]) -> np.ndarray:

@@ -37,7 +37,7 @@ AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ParameterFit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
@@ -77,7 +77,7 @@ class Fit:
     starts: int
 
 
-def fit(process: "Process", estimation: Estimation) -> Fit:
+def fit(process: "Process", estimation: Estimation) -> ParameterFit:
     """Least squares within the bounds, from the case's own numbers and from others."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
@@ -197,7 +197,7 @@ def _observed(process: "Process", inputs, experiment):
     return result
 
 
-def _judged(result, others, measured, resolved, low, high, names, estimation) -> Fit:
+def _judged(result, others, measured, resolved, low, high, names, estimation) -> ParameterFit:
     """The covariance where the data identify all numbers, and words where they do not."""
     log, width = np.array(estimation.logarithm), high - low
     count, size = result.jac.shape
@@ -237,7 +237,7 @@ def _judged(result, others, measured, resolved, low, high, names, estimation) ->
         np.outer(available, available), covariance / np.outer(sizes, sizes), np.eye(size)
     )
     tail = np.nan if estimation.errors == "relative" else chi_squared.sf(chi2, max(freedom, 1))
-    return Fit(
+    return ParameterFit(
         names=names,
         values=_numbers(result.x, log),
         low=np.where(free, np.nan, lowest),

@@ -8,7 +8,7 @@ from ..flowsheet.case import PharmaCase
 from ..flowsheet.possible import smallest
 
 
-class Limits(NamedTuple):
+class AttributeLimits(NamedTuple):
     """[Q] `low` and `high` in the attributes' units; infinite where there is none. `least`: the
     least value that is possible at all: a filtration time below 0 keeps no limit."""
 
@@ -17,7 +17,7 @@ class Limits(NamedTuple):
     lower: np.ndarray
 
     @classmethod
-    def of(cls, case: PharmaCase) -> "Limits":
+    def of(cls, case: PharmaCase) -> "AttributeLimits":
         low = [-np.inf if attribute.low is None else attribute.low for attribute in case.attributes]
         high = [np.inf if item.high is None else item.high for item in case.attributes]
         possible = [entry.scale * smallest(entry.measure) for entry in case.attributes]

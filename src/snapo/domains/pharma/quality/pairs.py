@@ -22,7 +22,7 @@ from snapo.study.chapter import Floats, Number
 
 from . import batches
 from .grades import Changes, Good, goods
-from .limits import Limits
+from .limits import AttributeLimits
 from .records import Parameter
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ MAXIMUM = (
     10  # pairs of which the probable ranges are searched, those with the least room at a corner
 )
 
-Ends = tuple[float, float]  # of a range, in the domain's unit
+PairEnds = tuple[float, float]  # of a range, in the domain's unit
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Pair:
     holds_normal: bool
 
 
-Ranges = Mapping[str, Ends | None]  # of each parameter
+Ranges = Mapping[str, PairEnds | None]  # of each parameter
 
 
 def pairs(
@@ -106,8 +106,8 @@ class _Way(NamedTuple):
 
     pair: int
     corner: tuple[int, int]
-    start: Ends
-    end: Ends
+    start: PairEnds
+    end: PairEnds
     parameters: tuple[Parameter, Parameter]
 
     def at(self, share: float) -> Changes:
@@ -171,7 +171,7 @@ def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list
     return [_ends(value) for value in observed]
 
 
-def _bracket(observed: dict[float, tuple]) -> Ends:
+def _bracket(observed: dict[float, tuple]) -> PairEnds:
     """The last share before the first failure, and that of the failure; equal where none fails."""
     last = 0.0
     for share in sorted(observed):
@@ -201,7 +201,7 @@ def _interactions(process: "Process", both: Sequence) -> list[tuple]:
             changes = {(p.input, p.entry): end for p, end in zip(pair, endpoints)}
             rows.append(batches.nominally(process, changes))
     values = batches.attributes(process, np.concatenate(rows))
-    limits = Limits.of(process.case)
+    limits = AttributeLimits.of(process.case)
     room = np.where(limits.any(), limits.distance(values[0]), np.nan)
     interactions = []
     for corners in values[1:].reshape(len(both), 4, -1):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..flowsheet.case import PharmaCase
 from .design_space import in_case_unit
-from .grades import Changes, Found, Good, goods
+from .grades import Changes, Good, GradedPoints, goods
 from .records import Parameter
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class ProvenRange:
     probable: AcceptableRange
 
 
-Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
+RangePoints = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
 
 
 def proven_ranges(
@@ -76,7 +76,7 @@ def proven_ranges(
     ]
 
 
-def changes(points: Points) -> list[Changes]:
+def changes(points: RangePoints) -> list[Changes]:
     """Every point as the change of one number."""
     return [{(p.input, p.entry): x} for p, x in points]
 
@@ -130,7 +130,7 @@ class _Seen:
     def __init__(self):
         self.points: dict[str, list[tuple[float, bool, bool]]] = {}
 
-    def add(self, points: Points, result: Found) -> None:
+    def add(self, points: RangePoints, result: GradedPoints) -> None:
         for (selected, x), certain, possible in zip(points, result.certain, result.possible):
             self.points.setdefault(selected.name, []).append(
                 (float(x), bool(certain), bool(possible))
@@ -140,16 +140,16 @@ class _Seen:
         return sorted(self.points[name])
 
 
-Ends = tuple[float, float] | None
+RangeEnds = tuple[float, float] | None
 
 
-def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[Ends, Ends]:
+def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[RangeEnds, RangeEnds]:
     """What is sure about the set point `here`, to the last point that is; and what is possible, to
     the first that is not."""
     values = [x for x, *_ in points]
     at = values.index(here)
 
-    def endpoints(grade: int, outside: int) -> Ends:
+    def endpoints(grade: int, outside: int) -> RangeEnds:
         valid = [point[grade] for point in points]
         if not valid[at]:
             return None
@@ -197,7 +197,11 @@ def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[
 
 
 def _range(
-    parameter: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
+    parameter: Parameter,
+    low: _Edge,
+    high: _Edge,
+    names: list[str],
+    reach: tuple[RangeEnds, RangeEnds],
 ) -> AcceptableRange:
     below, above = ("" if edge.fails < 0 else names[edge.fails] for edge in (low, high))
     if low.inner != low.inner:

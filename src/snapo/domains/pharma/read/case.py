@@ -10,14 +10,14 @@ from snapo.case.parts import known_parts
 from snapo.case.plausible import CaseFiles
 from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
-from snapo.case.table import Section, load, parse
+from snapo.case.table import TableContext, load, parse
 
 from ..flowsheet.case import PharmaCase
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
 from .connections import ordered, read_connections
-from .entries import Numbers
+from .entries import EntryNumbers
 from .estimation import read_estimation
 from .fitted import read_fitted
 from .goal import read_design_space, read_goal
@@ -107,7 +107,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
     units = read_units(file, top.units, network.species, notes)
     connections = read_connections(file, top.connections, feeds, units)
     units = ordered(file, units, connections)
-    numbers = Numbers(
+    numbers = EntryNumbers(
         {values.name: values for values in numbers_in((network, feeds, units))}, network
     )
     fit = read_fitted(file, top.fitted, numbers, notes)
@@ -176,8 +176,8 @@ def _read_pairs(file, raw: list[list[str]], names: list[str]) -> tuple[tuple[str
     return tuple((one, other) for one, other in raw)
 
 
-def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[str]:
-    section = Section(file, "case", [])
+def _read_held(file, raw: list[str], numbers: EntryNumbers, parameters) -> frozenset[str]:
+    section = TableContext(file, "case", [])
     for name in raw:
         numbers.all(section, "held", name)
         for parameter in parameters:

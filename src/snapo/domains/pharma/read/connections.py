@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import Connection
 from ..flowsheet.feed import Feed
@@ -29,7 +29,7 @@ def read_connections(
     connections: list[Connection] = []
     used: dict[tuple[str, str], str] = {}  # an inlet and an outlet of a unit may share a name
     for i, item in enumerate(raw):
-        where = Section(file, f"connections[{i}]", [])
+        where = TableContext(file, f"connections[{i}]", [])
         table = parse(ConnectionTable, item, str(file), where.name)
         start, end = getattr(table, "from"), table.to  # pyright: ignore[reportAttributeAccessIssue]
         for key, port, available in (("from", start, sources), ("to", end, targets)):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from snapo.case.given import CaseInput
 
-from ..flowsheet.network import Network
+from ..flowsheet.network import FlowNetwork
 from ..given import Entry
 from .numbers import Location, suggest
 from .quantities import prefactor_unit
@@ -15,11 +15,11 @@ TINY = 1e-300  # the smallest number above 0
 ENTRY = re.compile(r"([^\[\]]+)(?:\[([^\[\]]+)\])?")
 
 
-class Numbers(NamedTuple):
+class EntryNumbers(NamedTuple):
     """Every number of the case by its name, with the unit of each entry."""
 
     givens: dict[str, CaseInput]
-    network: Network
+    network: FlowNetwork
 
     def unit(self, name: str, entry: int) -> str:
         """The domain's unit of one entry: those of powers and rate constants differ."""

@@ -7,14 +7,14 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.possible import smallest
 from ..flowsheet.process import ROUND_OFF
 from ..given import Entry
 from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
-from .entries import Numbers
+from .entries import EntryNumbers
 from .numbers import ANY, NOT_NEGATIVE, POSITIVE, ValueRange, quantity, suggest, unit_of
 from .quantities import conversion, own_basis
 from .tables import EstimationTable, ExperimentTable, FitTable
@@ -24,7 +24,7 @@ COLUMNS = ("time", "state", "value", "error")
 
 
 def read_estimation(
-    file, raw: dict | None, numbers: Numbers, species, units: Sequence[Unit], notes
+    file, raw: dict | None, numbers: EntryNumbers, species, units: Sequence[Unit], notes
 ) -> Estimation | None:
     """Which numbers are fitted, within which bounds, to which experiments."""
     if raw is None:
@@ -32,7 +32,7 @@ def read_estimation(
     table = parse(EstimationTable, raw, str(file), "estimation")
     which, lows, highs, logarithms, local, scales = [], [], [], [], [], []
     for i, item in enumerate(table.fit):
-        section = Section(file, f"estimation.fit[{i}]", notes)
+        section = TableContext(file, f"estimation.fit[{i}]", notes)
         fit = parse(FitTable, item, str(file), section.name)
         entry = numbers.one(section, "of", fit.of)
         if entry in which:
@@ -74,7 +74,7 @@ def read_estimation(
     )
     measured = sum(len(each.time) for each in resolved)
     if measured <= len(which):
-        section = Section(file, "estimation", notes)
+        section = TableContext(file, "estimation", notes)
         message = f"{measured} measurements are too few to fit {len(which)} numbers"
         raise section.error("experiments", None, message)
     return Estimation(
@@ -85,11 +85,11 @@ def read_estimation(
 
 
 def _experiment(
-    file, raw, i: int, numbers: Numbers, available, endpoints: dict[str, Entry], fit, notes
+    file, raw, i: int, numbers: EntryNumbers, available, endpoints: dict[str, Entry], fit, notes
 ) -> Experiment:
     """`available`: {state: unit}; `endpoints`: where the duration of a unit stands; `fit`: {number:
     its lower bound}."""
-    section = Section(file, f"estimation.experiments[{i}]", notes)
+    section = TableContext(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)
     settings = []
     for text, inputs in table.settings.items():

@@ -4,15 +4,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 NUMBER = "a number, such as 1.32"
 
 
-Text = Annotated[str, Field(min_length=1)]
+TextKey = Annotated[str, Field(min_length=1)]
 
 
-Texts = Annotated[list[Text], Field(min_length=1)]
+Texts = Annotated[list[TextKey], Field(min_length=1)]
 
 
 def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> Any:
@@ -37,7 +37,7 @@ def word(*text: str, default: Any = ...) -> Any:
     return Field(default, description=" or ".join(f'"{item}"' for item in text))
 
 
-class ProfileTable(Table):
+class ProfileTable(CaseTable):
     """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
 
     nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')

@@ -6,18 +6,18 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ..given import Entry
 from ..quality.records import Distribution
-from .entries import Numbers
+from .entries import EntryNumbers
 from .numbers import ANY, NOT_NEGATIVE, quantity
 from .plausible.drawn import check_drawn
 
 COLUMNS = ("of", "value", "logarithm", "deviation", "correlation")
 
 
-class Fitted(NamedTuple):
+class FittedRows(NamedTuple):
     """`entries` with a `Distribution` each, and the correlation [F, F] of their normals."""
 
     entries: list[Entry]
@@ -25,7 +25,7 @@ class Fitted(NamedTuple):
     correlation: np.ndarray
 
 
-def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> Fitted:
+def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str]) -> FittedRows:
     """Puts the fitted values in the place of the case's own; returns how uncertain they are.
 
     A logarithm that is normal makes the number lognormal; all others are normal.
@@ -33,8 +33,8 @@ def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> F
     entries: list[Entry] = []
     distributions: list[Distribution] = []
     if name is None:
-        return Fitted(entries, distributions, np.zeros((0, 0)))
-    section = Section(file, "case", notes)
+        return FittedRows(entries, distributions, np.zeros((0, 0)))
+    section = TableContext(file, "case", notes)
     rows = read_rows(FileReference(section, "fitted", name), COLUMNS)
     for row in rows:
         line = _Line(row)
@@ -53,12 +53,12 @@ def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> F
         numbers.givens[entry[0]].values[entry[1]] = value
         distribution = Distribution("lognormal" if log else "normal", spread)
         if spread > 0:
-            check_drawn(Section(file, "fitted", notes), text, distribution, numbers, entry)
+            check_drawn(TableContext(file, "fitted", notes), text, distribution, numbers, entry)
         entries.append(entry)
         distributions.append(distribution)
     metadata = ", ".join(row.cells["of"] for row in rows)
     notes.append(f"{name} has the values and uncertainties of {metadata}, as fitted to data.")
-    return Fitted(entries, distributions, _correlation(rows))
+    return FittedRows(entries, distributions, _correlation(rows))
 
 
 def _correlation(rows: list[Row]) -> np.ndarray:

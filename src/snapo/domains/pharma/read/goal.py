@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..control.records import Goal
 from ..quality.records import Attribute, DesignSpace, Parameter
@@ -15,7 +15,7 @@ from .tables import DesignSpaceTable, GoalTable
 def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
     """`[goal]`: the probability of keeping all limits, or the mean or tail of an attribute."""
     table = parse(GoalTable, raw, str(file), "goal")
-    section = Section(file, "goal", [])
+    section = TableContext(file, "goal", [])
     names = [attribute.name for attribute in attributes]
     if table.kind == "probability" and "attribute" in raw:
         message = 'kind "probability" is of all limits together and has no such key'
@@ -36,7 +36,7 @@ def read_design_space(
     """`[design_space]`: its parameters, its points, and the probability it must keep."""
     if raw is None:
         return None
-    section = Section(file, "design_space", [])
+    section = TableContext(file, "design_space", [])
     table = parse(DesignSpaceTable, raw, str(file), "design_space")
     names = [parameter.name for parameter in parameters]
     for i, axis in enumerate(table.axes):

@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -11,7 +11,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 RESERVED = ("process", "kinetics")
 
 
-def check_name(section: Section, key: str, name: Any) -> str:
+def check_name(section: TableContext, key: str, name: Any) -> str:
     """A name of letters, digits, - and _, so that "unit.measure" can be taken apart."""
     if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
         message = "a name has letters, digits, - and _, and begins with a letter"

@@ -7,10 +7,10 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.feed import Feed
-from ..flowsheet.network import Network
+from ..flowsheet.network import FlowNetwork
 from .names import check_name
 from .numbers import (
     ANY,
@@ -34,16 +34,16 @@ ROUND_OFF = 1e-12
 
 def read_network(
     file, species: dict, reactions: list[dict], reference: Any, notes: list[str]
-) -> Network:
+) -> FlowNetwork:
     """The reactions of the case; without any, nothing reacts."""
-    section = Section(file, "species", notes)
+    section = TableContext(file, "species", notes)
     names = tuple(check_name(section, specy, specy) for specy in species)
     if not names:
         raise CaseError(str(file), "species", None, "a case needs one species or more")
     masses = []
     for name, raw in species.items():
         table = parse(SpeciesTable, raw, str(file), f"species.{name}")
-        inner = Section(file, f"species.{name}", notes)
+        inner = TableContext(file, f"species.{name}", notes)
         masses.append(quantity(inner, "molar_mass", table.molar_mass, "kg/kmol", POSITIVE))
     molar_mass = np.array(masses)
     read = [_reaction(file, raw, i, names, molar_mass, notes) for i, raw in enumerate(reactions)]
@@ -55,7 +55,7 @@ def read_network(
     count, size = len(read), len(names)
     temperature = None
     if reference is not None:
-        top = Section(file, "case", notes)
+        top = TableContext(file, "case", notes)
         temperature = quantity(top, "reference_temperature", reference, "K", POSITIVE)
     units = {entry["unit"] for entry in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
@@ -67,7 +67,7 @@ def read_network(
         text = ReactionTable.model_fields[key].title or ""
         return case_input(f"kinetics.{key}", values, labels, measured, meaning=text, bounds=bounds)
 
-    return Network(
+    return FlowNetwork(
         species=names,
         molar_mass=molar_mass,
         reactions=labels,
@@ -83,7 +83,7 @@ def read_network(
 def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     where = f"reactions[{i}]"
     table = parse(ReactionTable, raw, str(file), where)
-    section = Section(file, where, notes)
+    section = TableContext(file, where, notes)
     name = check_name(section, "name", table.name)
     left, right = _sides(section, table.equation, species)
     used, made = left @ molar_mass, right @ molar_mass
@@ -116,7 +116,7 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     }
 
 
-def _sides(section: Section, equation: str, species) -> tuple[np.ndarray, np.ndarray]:
+def _sides(section: TableContext, equation: str, species) -> tuple[np.ndarray, np.ndarray]:
     """What one mole of reaction uses and makes, [S] each."""
     sides = equation.split("->")
     if len(sides) != 2:
@@ -137,7 +137,7 @@ def _sides(section: Section, equation: str, species) -> tuple[np.ndarray, np.nda
     return results[0], results[1]
 
 
-def _species(section: Section, key: str, name: str, species, displayed=None) -> int:
+def _species(section: TableContext, key: str, name: str, species, displayed=None) -> int:
     if name not in species:
         message = f"there is no species {name}; {suggest(name, species, 'species')}"
         raise section.error(key, name if displayed is None else displayed, message)
@@ -149,8 +149,8 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
     results = []
     for name, raw in feeds.items():
         where = f"feeds.{name}"
-        section = Section(file, where, notes)
-        check_name(Section(file, "feeds", notes), name, name)
+        section = TableContext(file, where, notes)
+        check_name(TableContext(file, "feeds", notes), name, name)
         table = parse(FeedTable, raw, str(file), where)
         amounts = np.zeros(len(species))
         for item, raw_amount in table.concentration.items():

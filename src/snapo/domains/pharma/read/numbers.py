@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.table import LARGEST, TOO_LARGE, Section, nearest, parse
+from snapo.case.table import LARGEST, TOO_LARGE, TableContext, nearest, parse
 
 from ..time.profile import Profile
 from .fields import ProfileTable
@@ -138,7 +138,7 @@ def case_input(
 
 
 def single(
-    section: Section, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
+    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
     text: str = "",
 ) -> CaseInput:  # fmt: skip
     """One number, index [], called `name` in tables of sensitivities."""
@@ -148,7 +148,7 @@ def single(
 
 
 def listed(
-    section: Section, key: str, raw: Any, unit: str, bounds: ValueRange = ANY
+    section: TableContext, key: str, raw: Any, unit: str, bounds: ValueRange = ANY
 ) -> list[float]:
     """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
     if isinstance(raw, dict):
@@ -169,7 +169,8 @@ def listed(
 
 
 def several(
-    section: Section, name: str, key: str, raw: Any, unit: str, labels: Sequence[str] | str = "",
+    section: TableContext, name: str, key: str, raw: Any, unit: str,
+    labels: Sequence[str] | str = "",
     bounds: ValueRange = ANY, text: str = "",
 ) -> CaseInput:  # fmt: skip
     """A list of numbers, index [n]; labels are `labels`, or that text with the entry's number."""
@@ -185,7 +186,7 @@ def absent(name: str, unit: str) -> CaseInput:
 
 
 def profile(
-    section: Section, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
+    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
     meaning: str = "",
 ) -> Profile:  # fmt: skip
     """A control over a unit's time: one quantity, or a table with nodes."""
@@ -193,7 +194,7 @@ def profile(
         value = single(section, name, key, raw, unit, bounds, meaning)
         return Profile("constant", np.array([0.0, 1.0]), replace(value, index=np.arange(1)), None)
     table = parse(ProfileTable, raw, str(section.file), f"{section.name}.{key}")
-    inner = Section(section.file, f"{section.name}.{key}", section.notes)
+    inner = TableContext(section.file, f"{section.name}.{key}", section.notes)
     values = listed(inner, "nodes", table.nodes, unit, bounds)
     if table.kind == "linear" and len(values) < 2:
         raise inner.error("nodes", table.nodes, 'kind "linear" needs two nodes or more')
@@ -207,7 +208,7 @@ def profile(
     return Profile(table.kind, shares, numbers, ramp)
 
 
-def _shares(section: Section, raw: Any, count: int) -> np.ndarray:
+def _shares(section: TableContext, raw: Any, count: int) -> np.ndarray:
     shares = np.array(listed(section, "at", raw, "1", SHARE))
     if len(shares) != count:
         raise section.error("at", raw, f"allowed are {count} shares of the unit's duration")

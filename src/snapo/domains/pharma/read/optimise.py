@@ -5,33 +5,33 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from snapo.case.table import Section, Table, parse
+from snapo.case.table import CaseTable, TableContext, parse
 
 from ..recipe.records import Decision, Optimise, Term
-from .entries import Numbers
-from .fields import Text, word
+from .entries import EntryNumbers
+from .fields import TextKey, word
 from .fields import quantity as quantity_field
 from .numbers import quantity, suggest, unit_of
 from .quantities import UnitError, check_basis, conversion, own_basis
 
 
-class TermTable(Table):
+class TermTable(CaseTable):
     """`[[optimise.terms]]`, `[[optimise.per]]`"""
 
-    of: Text = Field(description='a measure or a number, such as "process.product.C"')
+    of: TextKey = Field(description='a measure or a number, such as "process.product.C"')
     unit: str = Field("1", description='the unit in which it counts, such as "kg"')
     weight: float = Field(1.0, description="a number")
 
 
-class DecisionTable(Table):
+class DecisionTable(CaseTable):
     """`[[optimise.decisions]]`"""
 
-    of: Text = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
+    of: TextKey = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
     low: Any = quantity_field('"273 K"')
     high: Any = quantity_field('"313 K"')
 
 
-class OptimiseTable(Table):
+class OptimiseTable(CaseTable):
     """`[optimise]`"""
 
     sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
@@ -52,7 +52,7 @@ class OptimiseTable(Table):
 
 
 def read_optimise(
-    file, raw: dict | None, numbers: Numbers, measures: Mapping[str, str], notes
+    file, raw: dict | None, numbers: EntryNumbers, measures: Mapping[str, str], notes
 ) -> Optimise | None:
     """`measures`: {name: its unit in the domain} of all that can be measured."""
     if raw is None:
@@ -62,12 +62,12 @@ def read_optimise(
 
     def terms(key: str) -> tuple[Term, ...]:
         result = getattr(table, key)
-        sections = [Section(file, f"optimise.{key}[{i}]", notes) for i in range(len(result))]
+        sections = [TableContext(file, f"optimise.{key}[{i}]", notes) for i in range(len(result))]
         return tuple(_term(s, entry, numbers, measures) for s, entry in zip(sections, result))
 
     decisions: list[Decision] = []
     for i, item in enumerate(table.decisions):
-        section = Section(file, f"optimise.decisions[{i}]", notes)
+        section = TableContext(file, f"optimise.decisions[{i}]", notes)
         for decision in _decisions(section, item, numbers):
             if (decision.input, decision.entry) in [(d.input, d.entry) for d in decisions]:
                 raise section.error("of", item.get("of"), "this number is decided twice")
@@ -78,7 +78,9 @@ def read_optimise(
     )  # fmt: skip
 
 
-def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, str]) -> Term:
+def _term(
+    section: TableContext, raw: dict, numbers: EntryNumbers, measures: Mapping[str, str]
+) -> Term:
     table = parse(TermTable, raw, str(section.file), section.name)
     entry, domain = None, measures.get(table.of)
     name = table.of
@@ -99,7 +101,7 @@ def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, 
     return Term(name, entry, table.unit, 1 / change.scale, table.weight)
 
 
-def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
+def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[Decision]:
     """One for each entry that `of` stands for, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
     decisions = []

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.feed import Feed
-from ..flowsheet.network import Network
+from ..flowsheet.network import FlowNetwork
 from ..given import Entry
 from ..quality.records import Attribute, Distribution, Parameter, Uncertainty
 from ..units.operation import Unit
-from .entries import Numbers
-from .fitted import Fitted
+from .entries import EntryNumbers
+from .fitted import FittedRows
 from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
 from .plausible.drawn import check_drawn
 from .quantities import UnitError, basis, check_basis, conversion, own_basis
@@ -29,20 +29,20 @@ from .tables import (
 SMALL = 0.02  # of the room between limits, or of a limit: a small difference
 
 
-def read_distribution(section: Section, raw, unit: str) -> Distribution:
+def read_distribution(section: TableContext, raw, unit: str) -> Distribution:
     """A spread is a difference in the number's unit; that of "lognormal" is a pure number."""
     table = parse(DistributionTable, raw, str(section.file), f"{section.name}.distribution")
-    inner = Section(section.file, f"{section.name}.distribution", section.notes)
+    inner = TableContext(section.file, f"{section.name}.distribution", section.notes)
     local = "1" if table.kind == "lognormal" else unit
     spread = quantity(inner, "spread", table.spread, local, POSITIVE, difference=True)
     return Distribution(table.kind, spread)
 
 
-def read_parameters(file, raw: list[dict], numbers: Numbers, notes) -> tuple[Parameter, ...]:
+def read_parameters(file, raw: list[dict], numbers: EntryNumbers, notes) -> tuple[Parameter, ...]:
     """`[[parameters]]`, each one entry of the case, with its ranges around the nominal value."""
     parameters: list[Parameter] = []
     for i, item in enumerate(raw):
-        section = Section(file, f"parameters[{i}]", notes)
+        section = TableContext(file, f"parameters[{i}]", notes)
         parameter = _parameter(
             section, parse(ParameterTable, item, str(file), section.name), numbers
         )
@@ -55,7 +55,7 @@ def read_parameters(file, raw: list[dict], numbers: Numbers, notes) -> tuple[Par
     return tuple(parameters)
 
 
-def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Parameter:
+def _parameter(section: TableContext, table: ParameterTable, numbers: EntryNumbers) -> Parameter:
     name, entry = numbers.one(section, "of", table.of)
     unit, nominal = numbers.unit(name, entry), numbers.value((name, entry))
     local = unit_of(section, "range[0]", table.range[0], unit)
@@ -93,7 +93,7 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
     )  # fmt: skip
 
 
-def _pair(section: Section, key: str, raw: list, unit: str, basis: str) -> tuple[float, float]:
+def _pair(section: TableContext, key: str, raw: list, unit: str, basis: str) -> tuple[float, float]:
     low, high = (
         quantity(section, f"{key}[{i}]", item, unit, ANY, basis=basis) for i, item in enumerate(raw)
     )
@@ -103,13 +103,13 @@ def _pair(section: Section, key: str, raw: list, unit: str, basis: str) -> tuple
 
 
 def read_attributes(
-    file, raw: list[dict], network: Network, feeds: Sequence[Feed], units: Sequence[Unit], notes
+    file, raw: list[dict], network: FlowNetwork, feeds: Sequence[Feed], units: Sequence[Unit], notes
 ) -> tuple[Attribute, ...]:
     """`[[attributes]]`: a measure of a unit, in the owner's unit, with cited limits."""
     available = every_measure(network, units)
     attributes: list[Attribute] = []
     for i, item in enumerate(raw):
-        section = Section(file, f"attributes[{i}]", notes)
+        section = TableContext(file, f"attributes[{i}]", notes)
         table = parse(AttributeTable, item, str(file), section.name)
         attribute = _attribute(section, table, available, network, units)
         if attribute.name in [other.name for other in attributes]:
@@ -118,7 +118,7 @@ def read_attributes(
     return tuple(attributes)
 
 
-def every_measure(network: Network, units: Sequence[Unit]) -> dict[str, str]:
+def every_measure(network: FlowNetwork, units: Sequence[Unit]) -> dict[str, str]:
     """{"unit.measure": its unit in the domain} of all units and of the process."""
     domains = {
         f"{unit.name}.{measure}": domain
@@ -132,7 +132,7 @@ def every_measure(network: Network, units: Sequence[Unit]) -> dict[str, str]:
     return domains | {f"process.product.{made}": "kg" for made in species}
 
 
-def share_of(measure: str, unit: str, network: Network, units: Sequence[Unit]) -> float:
+def share_of(measure: str, unit: str, network: FlowNetwork, units: Sequence[Unit]) -> float:
     """By what a measure is multiplied to be a share on the basis that `unit` names: that of a yield
     or of an impurity follows from molar masses.
 
@@ -151,7 +151,11 @@ def share_of(measure: str, unit: str, network: Network, units: Sequence[Unit]) -
 
 
 def _attribute(
-    section: Section, table: AttributeTable, available: dict[str, str], network: Network, units
+    section: TableContext,
+    table: AttributeTable,
+    available: dict[str, str],
+    network: FlowNetwork,
+    units,
 ) -> Attribute:
     if table.measure not in available:
         hint = suggest(table.measure, available, "measure")
@@ -196,13 +200,13 @@ def _margin(low: float | None, high: float | None) -> float:
 
 
 def read_uncertainty(
-    file, raw: list[dict], correlations: list[dict], numbers: Numbers, notes, fit: Fitted
+    file, raw: list[dict], correlations: list[dict], numbers: EntryNumbers, notes, fit: FittedRows
 ) -> Uncertainty:
     """`[[uncertainty]]` and `[[correlations]]`, and after them what was fitted to data."""
     which: list[Entry] = []
     spreads, when, between = [], [], []
     for i, correlation in enumerate(raw):
-        section = Section(file, f"uncertainty[{i}]", notes)
+        section = TableContext(file, f"uncertainty[{i}]", notes)
         table = parse(UncertaintyTable, correlation, str(file), section.name)
         for entry in numbers.all(section, "of", table.of):
             if entry in which:
@@ -227,7 +231,7 @@ def read_uncertainty(
     when += ["batch"] * len(fit.entries)
     between += [False] * len(fit.entries)
     for i, correlation in enumerate(correlations):
-        section = Section(file, f"correlations[{i}]", notes)
+        section = TableContext(file, f"correlations[{i}]", notes)
         table = parse(CorrelationTable, correlation, str(file), section.name)
         one, other = (numbers.one(section, "between", text) for text in table.between)
         for entry, text in zip((one, other), table.between):

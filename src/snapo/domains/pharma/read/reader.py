@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, Table, parse
+from snapo.case.table import CaseTable, TableContext, parse
 
 from ..time.profile import Profile
 from .names import check_name
@@ -14,7 +14,7 @@ from .numbers import ANY, POSITIVE, ValueRange, profile, quantity, single, sugge
 class Reader(NamedTuple):
     """One table while it is read; its numbers are called "name.key"."""
 
-    section: Section
+    section: TableContext
     name: str
     table: Any
 
@@ -53,11 +53,11 @@ class Reader(NamedTuple):
                 raise self.section.error(key, name, "this name stands there twice")
         return tuple(names)
 
-    def inner(self, key: str, table: type[Table]) -> "Reader":
+    def inner(self, key: str, table: type[CaseTable]) -> "Reader":
         """The table under `key`."""
         where = f"{self.section.name}.{key}"
         result = parse(table, getattr(self.table, key), str(self.section.file), where)
-        section = Section(self.section.file, where, self.section.notes)
+        section = TableContext(self.section.file, where, self.section.notes)
         return Reader(section, f"{self.name}.{key}", result)
 
     def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:

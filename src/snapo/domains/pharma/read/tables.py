@@ -9,30 +9,30 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.parts import Names, names_of_parts
-from snapo.case.table import TITLE, Table, Title
+from snapo.case.parts import PartNames, names_of_parts
+from snapo.case.table import TITLE, CaseTable, Title
 
-from .fields import Text, quantity, word
+from .fields import TextKey, quantity, word
 
 
-class SpeciesTable(Table):
+class SpeciesTable(CaseTable):
     """`[species]`, one line for each."""
 
     molar_mass: Any = quantity('"150 g/mol"')
 
 
-class ReactionTable(Table):
+class ReactionTable(CaseTable):
     """`[[reactions]]`"""
 
-    name: Text = Field(description="a name")
-    equation: Text = Field(description='an equation such as "A + 2 B -> C"')
+    name: TextKey = Field(description="a name")
+    equation: TextKey = Field(description='an equation such as "A + 2 B -> C"')
     prefactor: Any = quantity('"2.65e4 L/mol/s"', meaning="prefactor of the rate")
     activation: Any = quantity('"40 kJ/mol"', meaning="activation energy")
     heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", meaning="heat of reaction")
     order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
 
 
-class FeedTable(Table):
+class FeedTable(CaseTable):
     """`[feeds.NAME]`"""
 
     volume: Any = quantity('"60 L"', meaning="volume fed")
@@ -46,24 +46,24 @@ class FeedTable(Table):
 
 # `from` is a word of Python, so this table is not written as a class.
 ENDS: dict[str, Any] = {
-    "from": (Text, Field(description='a feed, or "unit.outlet"')),
-    "to": (Text, Field(description='"unit.inlet"')),
+    "from": (TextKey, Field(description='a feed, or "unit.outlet"')),
+    "to": (TextKey, Field(description='"unit.inlet"')),
 }
-ConnectionTable = pydantic.create_model("ConnectionTable", __base__=Table, **ENDS)
+ConnectionTable = pydantic.create_model("ConnectionTable", __base__=CaseTable, **ENDS)
 
 
-class DistributionTable(Table):
+class DistributionTable(CaseTable):
     """{ kind = "lognormal", spread = 0.1 }"""
 
     kind: Literal["normal", "lognormal", "uniform"] = word("normal", "lognormal", "uniform")
     spread: Any = Field(description='a number, or a quantity such as "0.5 K"')
 
 
-class ParameterTable(Table):
+class ParameterTable(CaseTable):
     """`[[parameters]]`"""
 
-    name: Text = Field(description="a name")
-    of: Text = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
+    name: TextKey = Field(description="a name")
+    of: TextKey = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
     range: Annotated[list[Any], Field(min_length=2, max_length=2)] = Field(
         description='two quantities such as ["303 K", "323 K"]'
     )
@@ -72,14 +72,14 @@ class ParameterTable(Table):
     )
     distribution: dict | None = Field(None, description='{ kind = "normal", spread = "0.5 K" }')
     control: bool = Field(True, description="true or false")
-    source: Text = Field(description="a sentence on where the range comes from")
+    source: TextKey = Field(description="a sentence on where the range comes from")
 
 
-class AttributeTable(Table):
+class AttributeTable(CaseTable):
     """`[[attributes]]`"""
 
-    name: Text = Field(description="a name")
-    measure: Text = Field(description='a measure such as "dryer.solvent"')
+    name: TextKey = Field(description="a name")
+    measure: TextKey = Field(description='a measure such as "dryer.solvent"')
     unit: str = Field(description='a unit such as "um", or "1"')
     low: Any = quantity('"80 um"', None)
     high: Any = quantity('"100 um"', None)
@@ -87,44 +87,44 @@ class AttributeTable(Table):
     margin: Any = quantity('"1 um"', None)
 
 
-class UncertaintyTable(Table):
+class UncertaintyTable(CaseTable):
     """`[[uncertainty]]`"""
 
-    of: Text = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
+    of: TextKey = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
     distribution: dict = Field(description='{ kind = "lognormal", spread = 0.1 }')
     when: Literal["batch", "step"] = word("batch", "step", default="batch")
     between_batches: bool = Field(False, description="true or false")
 
 
-class CorrelationTable(Table):
+class CorrelationTable(CaseTable):
     """`[[correlations]]`"""
 
-    between: Annotated[list[Text], Field(min_length=2, max_length=2)] = Field(
+    between: Annotated[list[TextKey], Field(min_length=2, max_length=2)] = Field(
         description="two of the numbers under [[uncertainty]]"
     )
     value: Annotated[float, Field(gt=-1, lt=1)] = Field(description="a number between -1 and 1")
 
 
-class ManipulatedTable(Table):
+class ManipulatedTable(CaseTable):
     """`[[control.manipulated]]`"""
 
-    of: Text = Field(description='a control of a unit, such as "crystalliser.temperature"')
+    of: TextKey = Field(description='a control of a unit, such as "crystalliser.temperature"')
     low: Any = quantity('"273 K"')
     high: Any = quantity('"313 K"')
     ramp: Any = quantity('"0.5 K/min"', None)
 
 
-class MeasurementTable(Table):
+class MeasurementTable(CaseTable):
     """`[[control.measurements]]`"""
 
-    state: Text = Field(description='a state of a unit, such as "crystalliser.concentration"')
+    state: TextKey = Field(description='a state of a unit, such as "crystalliser.concentration"')
     error: Any = quantity('"0.1 kg/m^3"')
     centre: Any = quantity('"10 kg/m^3"')
     width: Any = quantity('"5 kg/m^3"')
     delay: Any = quantity('"2 min"', "0 s")
 
 
-class ControlTable(Table):
+class ControlTable(CaseTable):
     """`[control]`"""
 
     manipulated: Annotated[list[dict], Field(min_length=1)] = Field(
@@ -143,7 +143,7 @@ class ControlTable(Table):
     rules: list[dict] = Field([], description="tables [[control.rules]]")
 
 
-class GoalTable(Table):
+class GoalTable(CaseTable):
     """`[goal]`"""
 
     kind: Literal["mean", "cvar", "probability"] = word(
@@ -155,10 +155,10 @@ class GoalTable(Table):
     penalty: Annotated[float, Field(ge=0)] = Field(1.0, description="a number, 0 or more")
 
 
-class DesignSpaceTable(Table):
+class DesignSpaceTable(CaseTable):
     """`[design_space]`"""
 
-    axes: Annotated[list[Text], Field(min_length=2, max_length=3)] = Field(
+    axes: Annotated[list[TextKey], Field(min_length=2, max_length=3)] = Field(
         description="the names of two or three parameters"
     )
     points: Annotated[int, Field(ge=3, le=201)] = Field(
@@ -175,27 +175,27 @@ class DesignSpaceTable(Table):
     )
 
 
-class FitTable(Table):
+class FitTable(CaseTable):
     """`[[estimation.fit]]`"""
 
-    of: Text = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
+    of: TextKey = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
     low: Any = quantity('"1e3 L/mol/s"')
     high: Any = quantity('"1e6 L/mol/s"')
     logarithm: bool = Field(False, description="true or false")
 
 
-class ExperimentTable(Table):
+class ExperimentTable(CaseTable):
     """`[[estimation.experiments]]`"""
 
-    name: Text = Field(description="a name")
-    data: Text = Field(description="a CSV file with columns time,state,value,error")
+    name: TextKey = Field(description="a name")
+    data: TextKey = Field(description="a CSV file with columns time,state,value,error")
     settings: dict[str, Any] = Field(
         {}, description='numbers that differ, such as { "charge.temperature" = "303 K" }'
     )
     held_out: bool = Field(False, description="true or false")
 
 
-class EstimationTable(Table):
+class EstimationTable(CaseTable):
     """`[estimation]`"""
 
     fit: Annotated[list[dict], Field(min_length=1)] = Field(description="tables [[estimation.fit]]")
@@ -209,7 +209,7 @@ class EstimationTable(Table):
     )
 
 
-class NumericsTable(Table):
+class NumericsTable(CaseTable):
     """`[numerics]`"""
 
     method: Literal["auto", "mesh", "stiff", "adaptive"] = word(
@@ -231,21 +231,21 @@ class NumericsTable(Table):
     )
 
 
-class ReportTable(Table):
+class ReportTable(CaseTable):
     """`[report]`"""
 
-    parts: Names = names_of_parts("capability")
+    parts: PartNames = names_of_parts("capability")
 
 
-class PharmaTable(Table):
+class PharmaTable(CaseTable):
     """The whole file."""
 
     kind: Literal["pharma"] = word("pharma")
     title: Title = Field("Pharmaceutical process", description=TITLE)
     purpose: str = Field("", description="a sentence on the purpose of the model")
     assumptions: list[str] = Field([], description="sentences for the report")
-    held: list[Text] = Field([], description="numbers of the case that get no sensitivity")
-    fitted: Text | None = Field(
+    held: list[TextKey] = Field([], description="numbers of the case that get no sensitivity")
+    fitted: TextKey | None = Field(
         None, description='the file "fitted.csv" of a run with [estimation]'
     )
     reference_temperature: Any = quantity('"313.15 K"', None)
@@ -262,7 +262,7 @@ class PharmaTable(Table):
     )
     uncertainty: list[dict] = Field([], description="tables [[uncertainty]]")
     correlations: list[dict] = Field([], description="tables [[correlations]]")
-    pairs: list[Annotated[list[Text], Field(min_length=2, max_length=2)]] = Field(
+    pairs: list[Annotated[list[TextKey], Field(min_length=2, max_length=2)]] = Field(
         [], description='pairs of parameters, such as [["T_R", "W"]]'
     )
     control: dict | None = Field(None, description="the table [control]")

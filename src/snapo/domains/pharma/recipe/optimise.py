@@ -15,7 +15,7 @@ from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
 from ..quality import batches
 from ..quality.draws import all_entries
-from .optimum import Recipe, Traced, optimum
+from .optimum import Recipe, TracedRecipe, optimum
 from .records import Term
 
 
@@ -72,7 +72,7 @@ def optimise(process: Process, seed: int = 0) -> Optimum:
     limits, steep = bounds(case, varies(process)), ramps(case)
     count = 1 + len(limits) + 2 * len(steep)
     mode, reason = choose(process, count, len(ask.decisions), "auto")
-    traced = Traced(goal_and_room(process, limits, steep), mode)
+    traced = TracedRecipe(goal_and_room(process, limits, steep), mode)
     low, high, local = (
         np.array([getattr(decision, key) for decision in ask.decisions])
         for key in ("low", "high", "start")

@@ -69,7 +69,7 @@ class Recipe(NamedTuple):
         return self.conditions.residual
 
 
-class Limits(NamedTuple):
+class SearchLimits(NamedTuple):
     """When an optimisation stops at the latest; `progress` takes its lines of progress, some
     seconds apart (those of the run at hand without one)."""
 
@@ -82,7 +82,7 @@ class Stopped(Exception):
     """An optimisation that ends before its solver does; says why."""
 
 
-class Traced:
+class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
     A call gives the numbers and their derivative [K, n] by x; the last one is remembered, since
@@ -130,7 +130,7 @@ class Traced:
 class BestSoFar:
     """What an optimisation has seen so far."""
 
-    def __init__(self, traced: Traced, limits: Limits, equalities: int):
+    def __init__(self, traced: TracedRecipe, limits: SearchLimits, equalities: int):
         self.traced, self.limits, self.equalities = traced, limits, equalities
         self.before, self.began = traced.evaluations, time.perf_counter()
         self._best: tuple[tuple[float, float], np.ndarray] | None = None
@@ -180,7 +180,7 @@ def best(
     inequality: Callable | None = None,
     sense: Literal[-1, 1] = 1,
     tolerance: float = TOLERANCE,
-    limits: Limits = Limits(),
+    limits: SearchLimits = SearchLimits(),
 ) -> Recipe:
     """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
     `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
@@ -190,14 +190,14 @@ def best(
     if equality is not None:
         with jax.enable_x64(True):
             count = jax.eval_shape(lambda x: jnp.ravel(equality(x)), *_float64(start)).size
-    traced = Traced(lambda x: jnp.concatenate([jnp.ravel(part(x)) for part in parts]))
+    traced = TracedRecipe(lambda x: jnp.concatenate([jnp.ravel(part(x)) for part in parts]))
     return optimum(
         traced, start, low, high, equalities=count, sense=sense, tolerance=tolerance, limits=limits
     )
 
 
 def optimum(
-    traced: Traced,
+    traced: TracedRecipe,
     start: Sequence[float] | np.ndarray,
     low: Sequence[float] | np.ndarray,
     high: Sequence[float] | np.ndarray,
@@ -206,7 +206,7 @@ def optimum(
     sense: Literal[-1, 1] = 1,
     scale: float = 1.0,
     tolerance: float = TOLERANCE,
-    limits: Limits = Limits(),
+    limits: SearchLimits = SearchLimits(),
 ) -> Recipe:
     """The best point of a function whose first number is the goal; the next `equalities` shall be
     0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
@@ -253,7 +253,7 @@ def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
 class _Scaled(NamedTuple):
     """The problem as SciPy wants it: made small, in variables u of 0..1."""
 
-    traced: Traced
+    traced: TracedRecipe
     arguments: tuple
     low: np.ndarray
     high: np.ndarray

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..flowsheet.ledger import Finish
+from ..flowsheet.ledger import LedgerFinish
 from .profile import Profile
 
 
@@ -29,7 +29,7 @@ class Dynamics(NamedTuple):
     duration: Float[Array, ""]
     event: Float[Array, ""] | None
     states: Callable[..., dict[str, Array]]
-    finish: Callable[..., Finish]
+    finish: Callable[..., LedgerFinish]
     stiff: bool
     to_dose: Callable[[Array], Array] | None = None
 

@@ -13,12 +13,12 @@ from .rosenbrock import push, rosenbrock
 from .runge_kutta import runge_kutta
 from .stiff import limit_of, size_of_error, steps_of
 
-Schedule = dict[str, np.ndarray]  # of each of T steps
+MarchSchedule = dict[str, np.ndarray]  # of each of T steps
 
 
 def mesh_march(
     problem: Dynamics, numerics: Numerics, held: Float[np.ndarray, " n+1"] | None
-) -> tuple[Callable, Schedule]:
+) -> tuple[Callable, MarchSchedule]:
     """A step, (y, the schedule's row) -> y, and the schedule: the steps of `integrate` on a mesh,
     or those `held` of a stiff unit."""
     if held is not None:
@@ -26,7 +26,7 @@ def mesh_march(
     return _explicit(problem, numerics)
 
 
-def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, Schedule]:
+def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, MarchSchedule]:
     """`piece`: [T] number of the piece; `local`: [T, 3, 3] start, middle and end of the step within
     the piece, for each grading."""
     segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
@@ -52,7 +52,7 @@ def _explicit(problem: Dynamics, numerics: Numerics) -> tuple[Callable, Schedule
 
 def _stiff(
     problem: Dynamics, numerics: Numerics, held: Float[np.ndarray, " n+1"]
-) -> tuple[Callable, Schedule]:
+) -> tuple[Callable, MarchSchedule]:
     """`piece`: [T]; `endpoints`: [T, 2] start and end of the step within the piece; `width`: [T] of
     the step, a share of the duration. y is not a number after a step that is refused."""
     edges = edges_of(tuple(profile for profile, _ in problem.controls))

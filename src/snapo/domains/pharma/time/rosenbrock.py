@@ -24,24 +24,24 @@ from jaxtyping import Array, Float
 WRITTEN_OUT = 24  # unknowns above which LAPACK factorises, which the native engine does not have
 
 
-class Factors(NamedTuple):
+class LUFactors(NamedTuple):
     """A matrix [m, m], ready to be solved with: its inverse, or LAPACK's factors and pivots."""
 
     table: Float[Array, "m m"]
     pivots: Array | None
 
 
-def factorised(matrix: Float[Array, "m m"]) -> Factors:
+def factorised(matrix: Float[Array, "m m"]) -> LUFactors:
     """The factors of a matrix, without derivatives: `solve` has them."""
     matrix = jax.lax.stop_gradient(matrix)
     if len(matrix) <= WRITTEN_OUT:
-        return Factors(_inverse(matrix), None)
-    return Factors(*jax.scipy.linalg.lu_factor(matrix))
+        return LUFactors(_inverse(matrix), None)
+    return LUFactors(*jax.scipy.linalg.lu_factor(matrix))
 
 
 @jax.custom_jvp
 def solve(
-    matrix: Float[Array, "m m"], factors: Factors, right: Float[Array, " m"]
+    matrix: Float[Array, "m m"], factors: LUFactors, right: Float[Array, " m"]
 ) -> Float[Array, " m"]:
     """x with `matrix` x = `right`; its derivatives are those of the exact solution."""
     first = _apply(factors, right)
@@ -56,7 +56,7 @@ def _solve_tangent(primals, tangents):
     return result, solve(matrix, factors, d_right - d_matrix @ result)
 
 
-def _apply(factors: Factors, right: Array) -> Array:
+def _apply(factors: LUFactors, right: Array) -> Array:
     if factors.pivots is None:
         return factors.table @ right
     return jax.scipy.linalg.lu_solve((factors.table, factors.pivots), right)

@@ -19,15 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-Rate = Callable[[Array, Array], Array]
+RateFunction = Callable[[Array, Array], Array]
 
 
-def runge_kutta(rate: Rate, y: Array, step: Array, drive: Float[Array, "3 D"]) -> Array:
+def runge_kutta(rate: RateFunction, y: Array, step: Array, drive: Float[Array, "3 D"]) -> Array:
     """One classical step of order four; `drive` at its start, middle and end."""
     return _step(rate, y, step, drive)[0]
 
 
-def _step(rate: Rate, y, step, drive) -> tuple[Array, Float[Array, "4 m"]]:
+def _step(rate: RateFunction, y, step, drive) -> tuple[Array, Float[Array, "4 m"]]:
     """The state after the step, and the points at which the rate was asked for."""
     k1 = rate(y, drive[0])
     y2 = y + step / 2 * k1
@@ -40,7 +40,10 @@ def _step(rate: Rate, y, step, drive) -> tuple[Array, Float[Array, "4 m"]]:
 
 
 def final_state(
-    rate: Rate, start: Float[Array, " m"], step: Float[Array, " n"], drive: Float[Array, "n 3 D"]
+    rate: RateFunction,
+    start: Float[Array, " m"],
+    step: Float[Array, " n"],
+    drive: Float[Array, "n 3 D"],
 ) -> Float[Array, " m"]:
     """The state after all steps. Derivatives of it take memory for some 10 n m^2 numbers; they
     can be taken twice, the second time forward."""

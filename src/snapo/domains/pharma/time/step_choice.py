@@ -16,7 +16,7 @@ SAFETY, MINIMUM, MAXIMUM = 0.9, 0.1, 5.0  # of the step that the error estimate 
 FIRST = 1e-6  # share of the duration that is tried first
 
 
-class Chosen(NamedTuple):
+class ChosenSteps(NamedTuple):
     """`end`: where the steps end, shares of the duration, of which the first `count` hold;
     `fastest`: 1/s, the fastest answer of any state on the way, from the norms of df/dy."""
 
@@ -25,7 +25,7 @@ class Chosen(NamedTuple):
     fastest: Float[Array, ""]
 
 
-def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
+def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
     """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
 
     Where they do not reach the end, the last is where they came to. Without derivatives.
@@ -61,7 +61,7 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> Chosen:
     zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
     now = (zero, zero + FIRST, problem.start, none, none, jnp.ones(maximum + 1), zero)
     *_, count, _, end, fastest = jax.lax.while_loop(more, attempt, now)
-    return Chosen(end, count, fastest)
+    return ChosenSteps(end, count, fastest)
 
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
@@ -82,7 +82,7 @@ def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
     return Steps(start, end, jnp.clip(number, 0, len(edges) - 2))
 
 
-def times_of(selected: Chosen) -> Float[np.ndarray, " n+1"]:
+def times_of(selected: ChosenSteps) -> Float[np.ndarray, " n+1"]:
     """Shares of the duration between which to step. Where the steps did not reach the end, one
     more does, which its error estimate refuses."""
     return np.unique(

@@ -14,13 +14,13 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Section, Table
+from snapo.case.table import CaseTable, TableContext
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import MOMENTS, Stream
 from ..given import absent, fixed, use
-from ..read.fields import Text, number, profile, quantity, word
+from ..read.fields import TextKey, number, profile, quantity, word
 from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
@@ -44,7 +44,7 @@ from .crystals.solubility import (
 from .operation import Inlet, Timed
 
 
-class CrystalliserTable(Table):
+class CrystalliserTable(CaseTable):
     """`type = "crystalliser"`"""
 
     type: Literal["crystalliser"]
@@ -52,7 +52,7 @@ class CrystalliserTable(Table):
         "moments", "finite-volumes", default="moments"
     )
     sizes: dict | None = Field(None, description="the table sizes")
-    solute: Text = Field(description="the name of a species")
+    solute: TextKey = Field(description="the name of a species")
     duration: Any = quantity('"7200 s"', meaning="time of crystallisation")
     temperature: Any = profile(meaning="temperature of the crystalliser")
     initial_concentration: Any = quantity(
@@ -332,7 +332,7 @@ class Crystalliser(Timed):
             )
             added = seeded + (charge - feed.concentration()) * volume
             book = ledger(len(mass), added=added, left=left, solvent_left=solvent_left)
-            return Finish((slurry_out,), measures, book)
+            return LedgerFinish((slurry_out,), measures, book)
 
         def excess(control):
             """Solubility less concentration at the start, at any temperature."""
@@ -361,7 +361,7 @@ def _edges(read: Reader, seed: Seed) -> np.ndarray | None:
             message = f'method "{method}" {owned} and has no such key'
             raise read.section.error(key, getattr(table, key), message)
     if seed.spread is None:
-        seeded = Section(read.section.file, f"{read.section.name}.seed", read.section.notes)
+        seeded = TableContext(read.section.file, f"{read.section.name}.seed", read.section.notes)
         message = f'method "{method}" needs a seed with loading, size and spread'
         raise seeded.error("spread", None, message)
     inner = read.inner("sizes", SizesTable)

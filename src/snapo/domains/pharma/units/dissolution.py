@@ -6,9 +6,9 @@ from typing import Any, Literal
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
 from ..given import use
 from ..read.fields import quantity
@@ -17,7 +17,7 @@ from .operation import Inlet, Instant
 from .solids.release import BY_MEAN, gone, lasting, over_sizes
 
 
-class DissolutionTable(Table):
+class DissolutionTable(CaseTable):
     """`type = "dissolution"`"""
 
     type: Literal["dissolution"]
@@ -87,7 +87,7 @@ class Dissolution(Instant):
 
     def deliver(self, network, inlets, inputs):
         measures = {"dissolved": self.dissolved(inlets[0], inputs)}
-        return Finish((), measures, ledger(len(network.species)))
+        return LedgerFinish((), measures, ledger(len(network.species)))
 
     def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
         """1 - (1 - D Cs t / (rho h r))^3, 1 once they are gone, over all sizes 2 r of the crystals;

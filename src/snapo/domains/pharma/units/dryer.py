@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT
 from ..flowsheet.stream import Stream, clear
 from ..given import use
@@ -25,7 +25,7 @@ from .operation import Inlet, Outcome, Unit
 STEPS = 32  # per piece of the profile, by Simpson's rule; exact where temperature is constant
 
 
-class DryerTable(Table):
+class DryerTable(CaseTable):
     """`type = "dryer"`, `kind = "falling-rate"`"""
 
     type: Literal["dryer"]
@@ -106,7 +106,7 @@ class Dryer(Unit):
         zero = jnp.zeros(())
         return Outcome(finish, zero, zero, track, of_track)
 
-    def dry(self, cake: Stream, inputs: dict[str, Any]) -> tuple[Finish, Track]:
+    def dry(self, cake: Stream, inputs: dict[str, Any]) -> tuple[LedgerFinish, Track]:
         """X = X0 exp(-integral of k) at the end, and over time: the track's state is X."""
         profile, value = self.temperature, use(inputs, self.temperature.value)
         mesh = make_mesh(edges_of((profile,)), STEPS, None)
@@ -135,7 +135,7 @@ class Dryer(Unit):
         track = Track(
             duration * mesh.times(), trajectory[:, None], slope[:, None], controls[:, None]
         )
-        return Finish((product, vapour), measures, ledger(len(cake.species))), track
+        return LedgerFinish((product, vapour), measures, ledger(len(cake.species))), track
 
 
 def loading(cake: Stream) -> Float[Array, ""]:

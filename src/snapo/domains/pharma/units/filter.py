@@ -12,10 +12,10 @@ from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream, clear
 from ..given import use
 from ..read.fields import number, quantity, word
@@ -24,7 +24,7 @@ from .crystals.population import mean_sizes
 from .operation import Inlet, Instant
 
 
-class FilterTable(Table):
+class FilterTable(CaseTable):
     """`type = "filter"`"""
 
     type: Literal["filter"]
@@ -149,7 +149,7 @@ class Filter(Instant):
         for s, name in enumerate(network.species):
             measures[f"impurity.{name}"] = mass[s] * slurry.species[s] / volume * selected * stay
         book = ledger(len(mass), solvent_added=solvent * wash_volume)
-        return Finish((cake, filtrate, washings), measures, book)
+        return LedgerFinish((cake, filtrate, washings), measures, book)
 
     def flow(self, slurry: Stream, crystals, porosity, inputs) -> dict[str, Array]:
         """t = mu / dP (alpha c_s / 2 (V_f / A)^2 + R_m V_f / A), and alpha."""

@@ -12,10 +12,10 @@ from typing import Any, Literal
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish
+from ..flowsheet.ledger import LedgerFinish
 from ..given import use
 from ..read.fields import number, profile, quantity, word
 from ..read.numbers import ValueRange
@@ -26,7 +26,7 @@ from .tray_dryer import TrayDryer, drying
 WASHES = ValueRange(1.0, 20.0, False, "from 1 to 20")
 
 
-class FilterDryerTable(Table):
+class FilterDryerTable(CaseTable):
     """`type = "filter-dryer"`"""
 
     type: Literal["filter-dryer"]
@@ -86,7 +86,7 @@ class Nutsche(Filter):
         volume = washings.volume * times
         washings = washings.replace(solvent=washings.solvent + once * (times - 1), volume=volume)
         book = deliver.ledger._replace(solvent_added=once * times)
-        return Finish((cake, filtrate, washings), deliver.measures, book)
+        return LedgerFinish((cake, filtrate, washings), deliver.measures, book)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class FilterDryer(TrayDryer):
             result = measures | dried.measures | {"wash_time": wash_time, "cycle": cycle}
             added = filtered.ledger.solvent_added
             book = dried.ledger._replace(solvent_added=added)
-            return Finish((*dried.outlets, filtrate, washings), result, book)
+            return LedgerFinish((*dried.outlets, filtrate, washings), result, book)
 
         return problem._replace(finish=finish)
 

@@ -15,14 +15,14 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.fields import Text, profile, quantity, word
+from ..read.fields import TextKey, profile, quantity, word
 from ..read.numbers import NOT_NEGATIVE, POSITIVE, TEMPERATURE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -32,13 +32,13 @@ from .reactor import extended
 NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
 
 
-class HydrogenationTable(Table):
+class HydrogenationTable(CaseTable):
     """`type = "hydrogenation"`"""
 
     type: Literal["hydrogenation"]
     duration: Any = quantity('"3 h"', meaning="reaction time")
     temperature: Any = profile(meaning="temperature of the reactor")
-    gas: Text = Field(description="the species that is the gas")
+    gas: TextKey = Field(description="the species that is the gas")
     pressure: Any = profile(meaning="partial pressure of the gas")
     transfer: Any = quantity('"0.05 1/s"', meaning="kL a of the gas")
     henry: Any = quantity('"3.4e7 Pa*L/mol"', meaning="Henry's constant at the reference")
@@ -176,7 +176,7 @@ class Hydrogenation(Timed):
             made = jnp.stack(extended(network, jnp.zeros_like(charge), y)) * volume
             added = jnp.zeros_like(charge).at[gas].set(result["uptake"] * volume)
             book = ledger(len(charge), made=made, added=added)
-            return Finish((product.replace(antisolvent=feed.antisolvent),), result, book)
+            return LedgerFinish((product.replace(antisolvent=feed.antisolvent),), result, book)
 
         both = self.temperature, self.pressure
         controls = tuple((entry, use(inputs, entry.value)) for entry in both)

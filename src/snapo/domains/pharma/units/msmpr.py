@@ -26,13 +26,13 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid, Sizes
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import MOMENTS
 from ..given import fixed, use
-from ..read.fields import Text, number, quantity, word
+from ..read.fields import TextKey, number, quantity, word
 from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
 from .crystals.population import SIZE, cell_powers, mean_sizes
 from .crystals.sizes import SizesTable, halved, read_edges
@@ -43,11 +43,11 @@ ROUNDS = 60  # of bisection: to the last digit
 EDGE = 1e-12  # how far inside the supersaturation of the feed the search begins and ends
 
 
-class MsmprTable(Table):
+class MsmprTable(CaseTable):
     """`type = "msmpr"`"""
 
     type: Literal["msmpr"]
-    solute: Text = Field(description="the name of a species")
+    solute: TextKey = Field(description="the name of a species")
     volume: Any = quantity('"10 L"', meaning="volume of the suspension")
     temperature: Any = quantity('"283 K"', meaning="temperature of the crystalliser")
     solubility: dict = Field(description="the table solubility")
@@ -216,7 +216,7 @@ class Msmpr(Instant):
             "nucleation": result.nucleation,
             "residence_time": residence,
         } | mean_sizes(per_volume)
-        return Finish((slurry,), measures, ledger(len(network.species)))
+        return LedgerFinish((slurry,), measures, ledger(len(network.species)))
 
     def steady(self, entering, saturated, residence, fed, inputs: dict[str, Any]) -> Steady:
         """`entering`, dissolved, and `saturated` kg/m3, `residence` s, moments `fed` per m3."""

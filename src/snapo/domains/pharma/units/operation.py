@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.grid import Grid, Sizes
-from ..flowsheet.ledger import Finish
-from ..flowsheet.network import Network
+from ..flowsheet.ledger import LedgerFinish
+from ..flowsheet.network import FlowNetwork
 from ..flowsheet.stream import Stream
 from ..read.reader import Reader
 from ..time.defect import too_long
@@ -30,7 +30,7 @@ from ..time.integrate import ended, integrate
 from ..time.numerics import Numerics
 from ..time.profile import Profile
 
-TableType = type[Table]
+TableType = type[CaseTable]
 
 
 class Inlet(NamedTuple):
@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
     unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
     `rough`: s from which the steps of a mesh were too long, None where that was not examined."""
 
-    finish: Finish
+    finish: LedgerFinish
     duration: Float[Array, ""]
     reached: Float[Array, ""]
     track: Track | None
@@ -127,7 +127,7 @@ class Unit(ABC):
     @abstractmethod
     def operate(
         self,
-        network: Network,
+        network: FlowNetwork,
         numerics: Numerics,
         inlets: tuple[Stream, ...],
         inputs: dict[str, Any],
@@ -172,14 +172,14 @@ class Timed(Unit):
         states, no event. Else, where it is due, every batch has its own."""
         return False
 
-    def fastest(self, network: Network, feeds: tuple[Feed, ...]) -> float:
+    def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
         """1/s: a bound on the rates at which its states answer, from the numbers of the case alone,
         where `feeds` are all that enters; infinite where there is none."""
         return inf
 
     @abstractmethod
     def dynamics(
-        self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
+        self, network: FlowNetwork, inlets: tuple[Stream, ...], inputs: dict[str, Any]
     ) -> Dynamics:
         """The unit with its inlets, as an initial value problem."""
 
@@ -210,8 +210,8 @@ class Instant(Unit):
 
     @abstractmethod
     def deliver(
-        self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
-    ) -> Finish:
+        self, network: FlowNetwork, inlets: tuple[Stream, ...], inputs: dict[str, Any]
+    ) -> LedgerFinish:
         """Outlets, measures and ledger from the inlets."""
 
     def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:

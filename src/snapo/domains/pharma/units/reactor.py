@@ -15,11 +15,11 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
-from ..flowsheet.network import Network, fastest_rate, rate_constants, rates
+from ..flowsheet.ledger import LedgerFinish, ledger
+from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
 from ..flowsheet.stream import Stream, clear
 from ..given import use
 from ..read.fields import profile, quantity, word
@@ -31,7 +31,7 @@ from .reactors.jacket import Jacket, JacketTable, read_jacket
 from .reactors.length import ELEMENTS, POINTS, Along
 
 
-class ReactorTable(Table):
+class ReactorTable(CaseTable):
     """`type = "reactor"`"""
 
     type: Literal["reactor"]
@@ -190,7 +190,7 @@ class _Heat(NamedTuple):
     reaction: Array
 
 
-def _heat(jacket: Jacket | None, network: Network, inputs) -> _Heat | None:
+def _heat(jacket: Jacket | None, network: FlowNetwork, inputs) -> _Heat | None:
     if jacket is None:
         return None
     reaction = use(inputs, network.heat) * 1000  # J/mol to J/kmol
@@ -203,7 +203,7 @@ def _controls(unit: Reactor, inputs):
     return ((profile, use(inputs, profile.value)),)
 
 
-def extended(network: Network, base, extents) -> list[Array]:
+def extended(network: FlowNetwork, base, extents) -> list[Array]:
     """[S] base + nu^T extents, species by species."""
     totals = []
     for s in range(len(network.species)):
@@ -215,7 +215,7 @@ def extended(network: Network, base, extents) -> list[Array]:
     return totals
 
 
-def _drive(network: Network, inputs, jacketed: bool):
+def _drive(network: FlowNetwork, inputs, jacketed: bool):
     """What the time loop reads: rate constants, or the jacket's temperature; then dosing."""
 
     def drive(temperature, *dosing):
@@ -225,7 +225,7 @@ def _drive(network: Network, inputs, jacketed: bool):
     return drive
 
 
-def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
+def _filled(unit: Reactor, network: FlowNetwork, inlets, inputs) -> Dynamics:
     """Batch and semi-batch. y: extents [R], volume dosed per first volume, then with a jacket
     heat held per first volume and heat capacity (K), and heat from the jacket (K)."""
     feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
@@ -289,7 +289,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
             released = -sum(h * x for h, x in zip(heat.reaction, y)) * volume
             into = sensible * (first + brought + y[-1]) + released
             book = book._replace(energy=(into, sensible * size * end, jnp.zeros(())))
-        return Finish((product,), states(y, control), book)
+        return LedgerFinish((product,), states(y, control), book)
 
     start = jnp.zeros(count + dosed)
     if heat is not None:
@@ -298,7 +298,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
     return Dynamics(start, rate, drive, controls, duration, None, states, finish, True, to_dose)
 
 
-def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dynamics:
+def _flown_through(unit: Reactor, network: FlowNetwork, feed: Stream, inputs) -> Dynamics:
     """Stirred and plug-flow, N points. y: [N S] concentrations, [S] left per volume of all, [R]
     extents over the volume, then with a jacket [N] temperatures, heat left and heat from the jacket
     (both K)."""
@@ -357,7 +357,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
             into = sensible * (turnover * duration * feed.temperature + y[-1]) + released
             selected = sensible * (along.mean(y[endpoints[2] : endpoints[3]]) - first)
             book = book._replace(energy=(into, sensible * y[endpoints[3]], selected))
-        return Finish((product,), states(y, control), book)
+        return LedgerFinish((product,), states(y, control), book)
 
     start = [jnp.tile(inside, points), jnp.zeros(species + count)]
     if heat is not None:

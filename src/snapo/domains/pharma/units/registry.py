@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-from snapo.case.table import Section, parse, record_kinds
+from snapo.case.table import TableContext, parse, record_kinds
 
 from ..read.names import check_name
 from ..read.numbers import suggest
@@ -77,8 +77,8 @@ def read_units(file, units: dict, species: tuple[str, ...], notes: list[str]) ->
 
 
 def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str]) -> Unit:
-    check_name(Section(file, "units", notes), name, name)
-    section = Section(file, f"units.{name}", notes)
+    check_name(TableContext(file, "units", notes), name, name)
+    section = TableContext(file, f"units.{name}", notes)
     kind = raw.get("type") if isinstance(raw, dict) else None
     if not isinstance(kind, str) or kind not in TYPES:
         text = ", ".join(f'"{item}"' for item in TYPES)
@@ -91,7 +91,7 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
     return selected.read(Reader(section, name, table), species)
 
 
-def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
+def _variant(section: TableContext, raw: dict, variants: Variants) -> type[Unit]:
     """The class that `kind` chooses; keys of another one are named as such."""
     first, *others = variants
     if not others:

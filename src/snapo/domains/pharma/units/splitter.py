@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
 from ..given import use
-from ..read.fields import Text
+from ..read.fields import TextKey
 from ..read.numbers import SHARE, several
 from .operation import Inlet, Instant
 
@@ -22,11 +22,11 @@ EXTENSIVE = (
 )  # fmt: skip
 
 
-class SplitterTable(Table):
+class SplitterTable(CaseTable):
     """`type = "splitter"`"""
 
     type: Literal["splitter"]
-    outlets: Annotated[list[Text], Field(min_length=2)] = Field(
+    outlets: Annotated[list[TextKey], Field(min_length=2)] = Field(
         description='a list of two names or more, such as ["left", "right"]'
     )
     share: Any = Field(description="shares of all outlets but the last, from 0 to 1")
@@ -85,7 +85,7 @@ class Splitter(Instant):
         return ["every amount divides in the same shares"]
 
     def deliver(self, network, inlets, inputs):
-        return Finish(self.split(inlets[0], inputs), {}, ledger(len(network.species)))
+        return LedgerFinish(self.split(inlets[0], inputs), {}, ledger(len(network.species)))
 
     def split(self, stream: Stream, inputs: dict[str, Any]) -> tuple[Stream, ...]:
         """The stream in the shares given, the last outlet taking the rest."""

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import together
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
 from ..read.fields import Texts
 from .operation import Inlet, Instant
 
 
-class TankTable(Table):
+class TankTable(CaseTable):
     """`type = "tank"`"""
 
     type: Literal["tank"]
@@ -65,7 +65,7 @@ class Tank(Instant):
         ]
 
     def deliver(self, network, inlets, inputs):
-        return Finish((mixed(inlets),), {}, ledger(len(network.species)))
+        return LedgerFinish((mixed(inlets),), {}, ledger(len(network.species)))
 
 
 AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "moments")

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
 from ..read.fields import number
@@ -15,7 +15,7 @@ from ..read.numbers import INSIDE
 from .operation import Inlet, Instant
 
 
-class ThickenerTable(Table):
+class ThickenerTable(CaseTable):
     """`type = "thickener"`"""
 
     type: Literal["thickener"]
@@ -80,4 +80,4 @@ class Thickener(Instant):
             feed.duration,
         ).replace(antisolvent=feed.antisolvent * rest)
         measures = {"crystals": feed.crystals() / thick.suspension()}
-        return Finish((thick, liquor), measures, ledger(len(network.species)))
+        return LedgerFinish((thick, liquor), measures, ledger(len(network.species)))

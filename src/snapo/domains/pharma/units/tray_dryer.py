@@ -20,13 +20,13 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.fields import Text, profile, quantity, word
+from ..read.fields import TextKey, profile, quantity, word
 from ..read.numbers import NOT_NEGATIVE, POSITIVE, ZERO_CELSIUS, case_input
 from ..read.quantities import UnitError, conversion
 from ..read.reader import Reader
@@ -39,13 +39,13 @@ SHARPNESS = 8  # of the passage from constant to falling rate
 ROUNDING = 1e-4  # of where evaporation begins, as a share of the pressure above the cake
 
 
-class LiquidTable(Table):
+class LiquidTable(CaseTable):
     """`[units.NAME.liquid]`"""
 
     antoine: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
         description="three numbers, such as [9.23027, 1256.68, -40.529]"
     )
-    unit: Text = Field("Pa", description='a unit such as "Pa"')
+    unit: TextKey = Field("Pa", description='a unit such as "Pa"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
     latent_heat: Any = quantity('"448 kJ/kg"', meaning="latent heat of the liquid")
     heat_capacity: Any = quantity('"1720 J/kg/K"', meaning="heat capacity of the liquid")
@@ -85,7 +85,7 @@ def read_liquid(read: Reader) -> Liquid:
     )
 
 
-class TrayDryerTable(Table):
+class TrayDryerTable(CaseTable):
     """`type = "dryer"`, `kind = "tray"`"""
 
     type: Literal["dryer"]
@@ -223,7 +223,7 @@ class TrayDryer(Timed):
             energy = held * (start[1] + y[2]), out, jnp.zeros(())
             measures = {"solvent": y[0], "temperature": end}
             book = ledger(species, energy=energy)
-            return Finish((product, vapour.replace(antisolvent=gone[1])), measures, book)
+            return LedgerFinish((product, vapour.replace(antisolvent=gone[1])), measures, book)
 
         begin = cake.temperature * (1 + first * liquid_heat / solid_heat)
         start = jnp.stack([first, begin, jnp.zeros(()), jnp.zeros(())])

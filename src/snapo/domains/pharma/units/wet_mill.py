@@ -18,9 +18,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.ledger import LedgerFinish, ledger
 from ..given import fixed, use
 from ..read.fields import number, profile, quantity
 from ..read.numbers import NOT_NEGATIVE, POSITIVE, ValueRange
@@ -33,7 +33,7 @@ from .operation import Inlet, Timed
 AT_LEAST_TWO = ValueRange(2.0, 100.0, False, "2 or more, and at most 100")
 
 
-class WetMillTable(Table):
+class WetMillTable(CaseTable):
     """`type = "wet-mill"`"""
 
     type: Literal["wet-mill"]
@@ -151,7 +151,7 @@ class WetMill(Timed):
             measures = {"number": moments[0]} | mean_sizes(moments)
             measures |= size_measures(y * volumes, edges)
             milled = slurry.replace(moments=moments * volume, numbers=y * NUMBER * volume)
-            return Finish((milled,), measures, ledger(len(network.species)))
+            return LedgerFinish((milled,), measures, ledger(len(network.species)))
 
         start = slurry.numbers / (volume * NUMBER)
         controls = ((self.speed, speed),)

@@ -22,7 +22,7 @@ CONTEXT = (
 )  # fmt: skip
 NUMBERS = ("length", "first", "segment", "count", "columns")
 
-Stages = list[tuple[str, str]]  # titles and programs as text
+KernelStages = list[tuple[str, str]]  # titles and programs as text
 
 
 def field(slot: str) -> str:
@@ -71,12 +71,12 @@ class Build:
     processor: Processor
     module: Module
     layouts: Layouts
-    stages: Stages | None
+    stages: KernelStages | None
     work: int = 0
     chunk: int = 0
 
     @classmethod
-    def start(cls, traced: Traced, processor: Processor, stages: Stages | None) -> "Build":
+    def start(cls, traced: Traced, processor: Processor, stages: KernelStages | None) -> "Build":
         lanes = processor.lanes(traced.setup.dtype)
         module = Module(lanes, processor.register)
         return cls(traced, processor, module, layouts(traced, lanes), stages)

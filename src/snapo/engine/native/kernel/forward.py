@@ -2,14 +2,14 @@
 
 from snapo.lanes.body import operations
 from snapo.lanes.emit.storage import ArrayPlace
-from snapo.lanes.emit.values import Values
-from snapo.lanes.program.program import BIG, Op, Program, Value
+from snapo.lanes.emit.values import EmittedValues
+from snapo.lanes.program.program import BIG, Op, Program, ProgramValue
 
 from ..rollout import Phase
 from . import noise
 from .context import Build, field
 from .layouts import TAPES
-from .sweep import Sweep, replace_all, sweep
+from .sweep import KernelSweep, replace_all, sweep
 
 
 def forward(
@@ -17,8 +17,8 @@ def forward(
     phase: Phase,
     program: Program,
     ops: list[Op],
-    outputs: list[Value],
-    taped: list[Value],
+    outputs: list[ProgramValue],
+    taped: list[ProgramValue],
 ) -> None:
     """Writes the function: `ops` of the program, for these outputs and those kept on the tape."""
     tape = build.layouts[TAPES[phase.name]]
@@ -34,7 +34,9 @@ def forward(
         build.used(values.workspace)
 
 
-def _inputs(s: Sweep, values: Values, program: Program, read: set[Value]) -> None:
+def _inputs(
+    s: KernelSweep, values: EmittedValues, program: Program, read: set[ProgramValue]
+) -> None:
     """Binds the path's arrays that are `read`: carry, noise, actions, given states."""
     local = program.inputs[len(s.phase.cut.path.reads) :]
     for value, (key, _) in zip(local, s.phase.inputs):
@@ -48,7 +50,7 @@ def _inputs(s: Sweep, values: Values, program: Program, read: set[Value]) -> Non
             values.small(value)
 
 
-def _given(s: Sweep, key) -> ArrayPlace:
+def _given(s: KernelSweep, key) -> ArrayPlace:
     """Where an array of the path lies that is given to this phase."""
     layouts = s.build.layouts
     if key == "action":
@@ -58,10 +60,10 @@ def _given(s: Sweep, key) -> ArrayPlace:
     return layouts["carry"].address(key, field("carry"))
 
 
-def _deliver(s: Sweep, values: Values, outputs: list[Value]) -> None:
+def _deliver(s: KernelSweep, values: EmittedValues, outputs: list[ProgramValue]) -> None:
     """Writes the outputs: the next carry, totals and final states, records."""
     layouts = s.build.layouts
-    carry: list[tuple[Value, ArrayPlace]] = []
+    carry: list[tuple[ProgramValue, ArrayPlace]] = []
     for value, (key, _) in zip(outputs, s.phase.outputs):
         if key[0] == "scale":
             continue

@@ -17,7 +17,7 @@ from snapo.lanes.program.sweeps import dependents, plan
 
 from ..rollout import Phase, Traced
 from . import driver, shared
-from .context import Build, Stages
+from .context import Build, KernelStages
 from .forward import forward
 from .layouts import Layouts
 from .reverse import Transposed, reverse
@@ -81,7 +81,7 @@ class Kernel:
         return both | {"finish": 0} if self.traced.setup.adjoint else both
 
 
-def emit(traced: Traced, processor: Processor, stages: Stages | None = None) -> Kernel:
+def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:
     """Writes every function of a kernel, and tells `stages` of the programs on the way."""
     build = Build.start(traced, processor, stages)
     for name in ("initial", "step", "final"):

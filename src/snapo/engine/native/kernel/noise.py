@@ -3,15 +3,15 @@
 import numpy as np
 
 from snapo.lanes.emit.storage import ArrayPlace, row_major
-from snapo.lanes.emit.values import Values, objects
-from snapo.lanes.program.program import BIG, Value
+from snapo.lanes.emit.values import EmittedValues, objects
+from snapo.lanes.program.program import BIG, ProgramValue
 
 from . import draw
 from .context import field
-from .sweep import Sweep
+from .sweep import KernelSweep
 
 
-def bind(s: Sweep, values: Values, value: Value) -> None:
+def bind(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     """Binds this step's noise, drawn or given."""
     if not s.build.traced.setup.counter:
         _supplied(s, values, value)
@@ -21,7 +21,7 @@ def bind(s: Sweep, values: Values, value: Value) -> None:
         _drawn(s, values, value)
 
 
-def _drawn(s: Sweep, values: Values, value: Value) -> None:
+def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     """Normals of some steps at once, into scratch memory; the step's own are a row of it."""
     code, size = s.code, value.size
     steps = 1 if s.initial else draw.ahead(size)
@@ -59,7 +59,7 @@ def _drawn(s: Sweep, values: Values, value: Value) -> None:
     values.bind(value, position)
 
 
-def _supplied(s: Sweep, values: Values, value: Value) -> None:
+def _supplied(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     """Given numbers [steps, paths, size], gathered from where the caller has them."""
     code, size = s.code, value.size
     unit = value.dtype.itemsize

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from snapo.lanes.body import operations
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.storage import ArrayPlace
-from snapo.lanes.emit.values import Values
+from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.gradients.accumulate import accumulate
 from snapo.lanes.gradients.plan import Gradients
 from snapo.lanes.gradients.rows import Rows
-from snapo.lanes.program.program import BIG, Program, Value
-from snapo.lanes.program.sweeps import Plan, dependents
+from snapo.lanes.program.program import BIG, Program, ProgramValue
+from snapo.lanes.program.sweeps import SweepPlan, dependents
 
 from ..rollout import Phase
 from .context import Build, field
 from .layouts import TAPES
-from .sweep import Sweep, replace_all, sweep
+from .sweep import KernelSweep, replace_all, sweep
 
 AHEAD = 2  # rows of tape that are fetched before they are needed
 
@@ -32,16 +32,16 @@ class Transposed:
     program: Program
     gradients: Gradients
     moving: list[int]
-    cotangents: list[Value]
+    cotangents: list[ProgramValue]
     active: list[int]
-    back: list[Value]
+    back: list[ProgramValue]
 
-    def required(self) -> list[Value]:
+    def required(self) -> list[ProgramValue]:
         """Everything that the reverse sweep must bring about."""
         return [*self.back, *self.gradients.required()]
 
 
-def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) -> None:
+def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepPlan) -> None:
     """Writes the function of the reverse sweep."""
     program, tape = transposed.program, build.layouts[TAPES[phase.name]]
     lanes, stepwise = build.module.lanes, phase.name == "step"
@@ -71,7 +71,7 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) 
         build.used(values.workspace)
 
 
-def _waiting(s: Sweep, rows: Rows) -> str:
+def _waiting(s: KernelSweep, rows: Rows) -> str:
     """How many steps wait to be gathered: all slots, or the steps that are left."""
     code = s.code
     left = code.index(f"sub nsw i64 %end, {s.t}") if s.stepwise else "1"
@@ -79,7 +79,7 @@ def _waiting(s: Sweep, rows: Rows) -> str:
     return code.index(f"select i1 {below}, i64 {left}, i64 {rows.steps}")
 
 
-def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
+def _cotangents(s: KernelSweep, values: EmittedValues, transposed: Transposed) -> None:
     """Binds the cotangents of this phase's outputs."""
     layouts, final = s.build.layouts, s.phase.name == "final"
     layout = layouts["weights" if final else "cotangent"]
@@ -93,10 +93,10 @@ def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
         values.bind(transposed.cotangents[-1], bound)
 
 
-def _pass_back(s: Sweep, values: Values, transposed: Transposed) -> None:
+def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) -> None:
     """Writes the cotangents of this phase's inputs."""
     layouts = s.build.layouts
-    pairs: list[tuple[Value, ArrayPlace]] = []
+    pairs: list[tuple[ProgramValue, ArrayPlace]] = []
     for value, i in zip(transposed.back, transposed.active):
         key = s.phase.inputs[i][0]
         if key[0] == "start":

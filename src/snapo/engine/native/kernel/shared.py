@@ -5,17 +5,19 @@ import numpy as np
 from snapo.lanes.body import operations
 from snapo.lanes.emit.shared import Shared
 from snapo.lanes.emit.storage import ArrayPlace, Small
-from snapo.lanes.emit.values import Values
+from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.gradients.adding import add
 from snapo.lanes.program.cut import Leaf, Piece
 from snapo.lanes.program.joint import forward, joint
 from snapo.lanes.program.passes import optimize
-from snapo.lanes.program.program import Op, Program, Value
+from snapo.lanes.program.program import Op, Program, ProgramValue
 
 from .context import Build, Function, field
 
 
-def bind(values: Values, program: Program, piece: Piece, tables: Shared, fixed: bool) -> None:
+def bind(
+    values: EmittedValues, program: Program, piece: Piece, tables: Shared, fixed: bool
+) -> None:
     """Tells where everything lies that a piece reads; tables do not change where `fixed`."""
     for value, leaf in zip(program.inputs, piece.reads):
         values.bind(value, tables.address(leaf, fixed))
@@ -43,10 +45,10 @@ def _computed(
         return
     program = optimize(forward(piece, (), False))
     build.show(f"{name}: computed once per {'step' if tables.step_row else 'call'}", program)
-    homes: dict[Value, ArrayPlace] = {}
+    homes: dict[ProgramValue, ArrayPlace] = {}
     for value, leaf in zip(program.outputs, leaves):
         homes.setdefault(value, tables.address(leaf))
-    values = Values(function.code, build.workspace(), homes)
+    values = EmittedValues(function.code, build.workspace(), homes)
     bind(values, program, piece, tables, fixed=False)
     operations.write(values, program.ops, program.outputs)
     for value, leaf in zip(program.outputs, leaves):
@@ -81,7 +83,7 @@ def _transposed(
     both = joint(piece, moving, own_path=False)
     back = both.program.outputs[both.outputs :]
     program = optimize(Program(both.program.inputs, both.program.ops, back))
-    values = Values(function.code, build.workspace())
+    values = EmittedValues(function.code, build.workspace())
     bind(values, program, piece, tables, fixed=True)
     for value, i in zip(program.inputs[len(piece.reads) :], moving):
         values.bind(value, _narrowed(values, sums.address(leaves[i]), value))
@@ -91,11 +93,13 @@ def _transposed(
     build.used(values.workspace)
 
 
-def _narrowed(values: Values, position: ArrayPlace, value: Value) -> Small | ArrayPlace:
+def _narrowed(
+    values: EmittedValues, position: ArrayPlace, value: ProgramValue
+) -> Small | ArrayPlace:
     """Sums are kept in float64; the transposes run in the call's precision."""
     if value.dtype == np.float64:
         return position
-    wide = Value(value.shape, np.dtype(np.float64))
+    wide = ProgramValue(value.shape, np.dtype(np.float64))
     values.bind(wide, position)
     narrow = Op("convert_element_type", [wide], [value], {"new_dtype": value.dtype})
     operations.write(values, [narrow], [value])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.storage import ArrayPlace
-from snapo.lanes.emit.values import Values
-from snapo.lanes.program.program import Program, Value
+from snapo.lanes.emit.values import EmittedValues
+from snapo.lanes.program.program import Program, ProgramValue
 
 from ..rollout import Phase
 from .context import Build, Function, field
@@ -18,7 +18,7 @@ ARGUMENTS = ", i64 %block, i64 %begin, i64 %end, i64 %stride"
 
 
 @dataclass(eq=False)
-class Sweep:
+class KernelSweep:
     """One sweep of a phase at step `t`; `relative` counts from the segment's first step."""
 
     build: Build
@@ -44,9 +44,9 @@ class Sweep:
         distance = self.code.index(f"mul nsw i64 {self.relative}, %stride")
         return self.code.pointer(field(TAPES[self.phase.name]), distance)
 
-    def values(self, program: Program, homes: dict[Value, ArrayPlace]) -> Values:
+    def values(self, program: Program, homes: dict[ProgramValue, ArrayPlace]) -> EmittedValues:
         """The arrays of a program; those that all paths share are known."""
-        values = Values(self.code, self.build.workspace(), homes)
+        values = EmittedValues(self.code, self.build.workspace(), homes)
         row = self.function.row(field("steps"), self.t, "steps")
         bind(values, program, self.phase.cut.path, self.function.tables(row), fixed=True)
         return values
@@ -63,7 +63,7 @@ class Sweep:
 
 
 @contextmanager
-def sweep(build: Build, phase: Phase, direction: str) -> Iterator[Sweep]:
+def sweep(build: Build, phase: Phase, direction: str) -> Iterator[KernelSweep]:
     """The function of one sweep; its body is a loop over time, which other phases have none of."""
     function = build.function(f"{phase.name}_{direction}", ARGUMENTS)
     code = function.code
@@ -75,12 +75,12 @@ def sweep(build: Build, phase: Phase, direction: str) -> Iterator[Sweep]:
     function.close()
 
 
-def _at(build: Build, phase: Phase, function: Function, t: str) -> Sweep:
+def _at(build: Build, phase: Phase, function: Function, t: str) -> KernelSweep:
     relative = function.code.index(f"sub nsw i64 {t}, %begin")
-    return Sweep(build, phase, function, t, relative)
+    return KernelSweep(build, phase, function, t, relative)
 
 
-def replace_all(values: Values, pairs: list[tuple[Value, ArrayPlace]]) -> None:
+def replace_all(values: EmittedValues, pairs: list[tuple[ProgramValue, ArrayPlace]]) -> None:
     """Writes new values over old ones that some of them may still be views of."""
     for value, position in pairs:
         available = values.get(value)

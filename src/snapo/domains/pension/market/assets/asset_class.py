@@ -22,14 +22,14 @@ from ...records.case import PensionCase
 from ...records.regulation import RISKS
 from ..bonds.payments import Payments, Prices, curve_prices, ratio
 from ..currencies import CurrencyTerms
-from ..factors import Factors, Moments
+from ..factors import MarketFactors, Moments
 
 AttributionPart = Literal["cash", "rates", "credit", "assets"]
 # Columns that not every kind has; `AssetClass.columns` says which of them a kind has.
 SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")
 
 
-class Names(NamedTuple):
+class AssetNames(NamedTuple):
     """The references of a row of the table: the years of a step, ratings and currencies."""
 
     step: float
@@ -50,7 +50,7 @@ class Scene(NamedTuple):
 
     case: PensionCase
     inputs: dict[str, Any]
-    factors: Factors
+    factors: MarketFactors
     covariance: Float[Array, "Z Z"]
     currencies: CurrencyTerms
     moments: Moments
@@ -74,7 +74,7 @@ class Now(NamedTuple):
     foreign: Array | None
 
 
-class Mixture(NamedTuple):
+class AssetMixture(NamedTuple):
     """Holdings made of bonds: `log` [q] returns of the bonds over cash, Gaussian, and the weights
     `share` [k, q] of a holding's gain over cash, share @ expm1(log); fixed before the step."""
 
@@ -119,7 +119,7 @@ class AssetClass(ABC):
 
     @classmethod
     @abstractmethod
-    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+    def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
         """The fields that this kind adds, from the row's own columns."""
 
     @classmethod
@@ -147,7 +147,7 @@ class AssetClass(ABC):
     @classmethod
     def mixture(
         cls, case: PensionCase, positions: Sequence[int], terms: Any, steps: Any, now: Now
-    ) -> Mixture | None:
+    ) -> AssetMixture | None:
         """The bonds beneath these classes where their log returns are not Gaussian; else None."""
         return None
 

@@ -12,7 +12,7 @@ from ...read.cells import whole_steps
 from ...records.case import PensionCase
 from ..bonds import constant_maturity
 from ..bonds.payments import Payments, zero_coupon
-from .asset_class import AssetClass, AttributionPart, Names, register
+from .asset_class import AssetClass, AssetNames, AttributionPart, register
 
 
 class BondTerms(NamedTuple):
@@ -34,7 +34,7 @@ class Maturing(AssetClass):
     maturity: int = 0
 
     @classmethod
-    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+    def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
         row.cells.setdefault("maturity", "")
         return {"maturity": whole_steps(row, "maturity", names.step)}
 
@@ -63,7 +63,7 @@ class Bond(Maturing):
     collateral: ClassVar[float] = 1.0
 
     @classmethod
-    def held(cls, case, positions) -> constant_maturity.Held:
+    def held(cls, case, positions) -> constant_maturity.HeldBonds:
         """The bonds at these positions."""
         values = cls.maturities(case, positions), cls.currencies(case, positions)
         return constant_maturity.nominal_bonds(case, *values)

@@ -14,7 +14,7 @@ from snapo.case.csv import Row
 from ...records.case import PensionCase
 from ..bonds import strips
 from ..bonds.payments import AT_PAR, Payments, payments
-from .asset_class import AttributionPart, Names, register
+from .asset_class import AssetNames, AttributionPart, register
 from .bond import Maturing
 
 PAR = "par"
@@ -38,7 +38,7 @@ class CouponBond(Maturing):
     coupon: float = AT_PAR
 
     @classmethod
-    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+    def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
         text = row.cells.setdefault("coupon", "").strip()
         if not text:
             raise row.error("coupon", f'a rate per year or "{PAR}" is needed')

@@ -70,7 +70,7 @@ class CreditBond(Maturing):
         return np.array([item.rating for item in cls.of(case, positions)], int)
 
     @classmethod
-    def held(cls, case, positions) -> constant_maturity.Held:
+    def held(cls, case, positions) -> constant_maturity.HeldBonds:
         """The bonds without their spreads."""
         values = cls.maturities(case, positions), cls.currencies(case, positions)
         return constant_maturity.nominal_bonds(case, *values)

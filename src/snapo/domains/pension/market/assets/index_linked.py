@@ -28,6 +28,6 @@ class IndexLinked(Bond):
     linked: ClassVar[bool] = True
 
     @classmethod
-    def held(cls, case, positions) -> constant_maturity.Held:
+    def held(cls, case, positions) -> constant_maturity.HeldBonds:
         values = cls.maturities(case, positions), cls.currencies(case, positions)
         return constant_maturity.linked_bonds(case, *values)

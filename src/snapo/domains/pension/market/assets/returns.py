@@ -7,10 +7,10 @@ from jaxtyping import Array, Float
 from ...records.case import PensionCase
 from ...records.inputs import use
 from ..currencies import currency_terms
-from ..factors import Factors, Moments
+from ..factors import MarketFactors, Moments
 from ..shocks import slots
 from .appraisal import appraised
-from .asset_class import Mixture, Now, Scene, by_kind, in_order
+from .asset_class import AssetMixture, Now, Scene, by_kind, in_order
 from .swaps import swap_mixture, swap_returns, swap_schedule
 
 
@@ -39,13 +39,13 @@ class Returns(NamedTuple):
     log: Array
     swaps: Array | None
     reported: Array | None
-    beneath: tuple[Mixture | None, ...]
+    beneath: tuple[AssetMixture | None, ...]
 
 
 def asset_schedule(
     case: PensionCase,
     inputs: dict[str, Any],
-    factors: Factors,
+    factors: MarketFactors,
     covariance: Float[Array, "Z Z"],
     moments: Moments,
 ) -> tuple[AssetTerms, AssetSteps]:

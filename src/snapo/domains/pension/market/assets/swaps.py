@@ -21,7 +21,7 @@ from ...records.assets import Overlay
 from ...records.case import PensionCase
 from ..bonds import constant_maturity, strips
 from ..bonds.payments import AT_PAR, Payments, Prices, curve_prices, payments, ratio, zero_coupon
-from .asset_class import Mixture, Now, Scene
+from .asset_class import AssetMixture, Now, Scene
 
 
 class SwapTerms(NamedTuple):
@@ -51,7 +51,7 @@ def fixed_legs(case: PensionCase) -> Payments:
     return payments(overlay.maturity, coupon, case.step)
 
 
-def _linked(case: PensionCase) -> constant_maturity.Held:
+def _linked(case: PensionCase) -> constant_maturity.HeldBonds:
     overlay = _overlay(case)
     maturity = overlay.maturity[case.buckets - overlay.inflation :]
     return constant_maturity.linked_bonds(case, maturity, [-1] * overlay.inflation)
@@ -73,7 +73,7 @@ def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
     return SwapTerms(terms, reach), SwapSteps(steps, drift)
 
 
-def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> Mixture:
+def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> AssetMixture:
     """The bonds beneath the b swaps; swaps are in the fund's own currency."""
     local = now._replace(foreign=None)
     fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
@@ -83,7 +83,7 @@ def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
     inflation = np.eye(case.buckets)[:, case.buckets - len(linked) :]
     share = fixed.share * (1 - 2 * inflation.sum(1, keepdims=True))
     share = jnp.concatenate([share, jnp.asarray(inflation, share.dtype)], axis=1)
-    return Mixture(share, jnp.concatenate([fixed.log, linked]))
+    return AssetMixture(share, jnp.concatenate([fixed.log, linked]))
 
 
 def swap_returns(

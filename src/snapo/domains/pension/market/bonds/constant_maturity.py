@@ -21,11 +21,11 @@ from ...records.case import PensionCase
 from ...records.inputs import use
 from ..assets.asset_class import Now, Scene
 from ..currencies import of_currency
-from ..factors import Factors
+from ..factors import MarketFactors
 from ..shocks import slots
 
 
-class Held(NamedTuple):
+class HeldBonds(NamedTuple):
     """k bonds, static: `maturity` in steps and `currency` [k]; `loads` [f] l of the first f
     factors; whether they are `linked` to prices."""
 
@@ -35,16 +35,16 @@ class Held(NamedTuple):
     linked: bool
 
 
-def nominal_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> Held:
+def nominal_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
     """Bonds that pay money."""
     loads = np.ones(case.rates.count())
-    return Held(np.asarray(maturity, int), np.asarray(currency, int), loads, False)
+    return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, False)
 
 
-def linked_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> Held:
+def linked_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
     """Bonds that pay the price index."""
     loads = np.append(np.ones(case.rates.count()), -1.0)
-    return Held(np.asarray(maturity, int), np.asarray(currency, int), loads, True)
+    return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, True)
 
 
 class Load(NamedTuple):
@@ -64,14 +64,14 @@ class Load(NamedTuple):
         return jnp.sum(self.size * covariance[self.which, component[:, None]], axis=2)
 
 
-def reach(held: Held, factors: Factors, step: float) -> Float[Array, "k f"]:
+def reach(held: HeldBonds, factors: MarketFactors, step: float) -> Float[Array, "k f"]:
     """l B((m - 1) d) by the factors on which the bonds load."""
     shorter = (held.maturity - 1)[:, None] * step
     a = factors.mean_reversion[: len(held.loads)]
     return jnp.asarray(-held.loads) * jnp.expm1(-a * shorter) / a
 
 
-def load(scene: Scene, held: Held) -> Load:
+def load(scene: Scene, held: HeldBonds) -> Load:
     """The exposure of a step's return to the Gaussian vector, currency included."""
     case, factors = scene.case, scene.factors
     position, count = slots(case), len(held.loads)
@@ -97,7 +97,7 @@ def load(scene: Scene, held: Held) -> Load:
     return Load(jnp.concatenate(size, axis=2), np.concatenate(which, axis=1))
 
 
-def drift(scene: Scene, held: Held, load: Load) -> Float[Array, "T k"]:
+def drift(scene: Scene, held: HeldBonds, load: Load) -> Float[Array, "T k"]:
     """Mean of a step's log return over cash, currency included."""
     case, factors, count = scene.case, scene.factors, len(held.loads)
     exposed = reach(held, factors, case.step) * factors.reach[:count]
@@ -114,7 +114,7 @@ def drift(scene: Scene, held: Held, load: Load) -> Float[Array, "T k"]:
     return currency
 
 
-def over_cash(case: PensionCase, held: Held, reach: Array, drift: Array, now: Now) -> Array:
+def over_cash(case: PensionCase, held: HeldBonds, reach: Array, drift: Array, now: Now) -> Array:
     """[k] log returns over cash; `reach` [k, f] and the step's `drift` [k]."""
     position, count = slots(case), len(held.loads)
     volatility = now.volatility[:count]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...records.case import PensionCase
-from ..assets.asset_class import Mixture, Now, Scene
+from ..assets.asset_class import AssetMixture, Now, Scene
 from ..curve import log_bond
 from ..factors import nominal, shape, slope
 from . import constant_maturity
@@ -34,7 +34,7 @@ class StripSteps(NamedTuple):
     level: Array
 
 
-def _held(case: PensionCase, of: Payments, currency: np.ndarray) -> constant_maturity.Held:
+def _held(case: PensionCase, of: Payments, currency: np.ndarray) -> constant_maturity.HeldBonds:
     """All dates in the first currency, then all in the next one."""
     local = np.unique(currency)
     return constant_maturity.nominal_bonds(
@@ -62,14 +62,14 @@ def _prices(terms: StripTerms, steps: StripSteps, now: Now) -> Float[Array, " J"
 def mixture(
     case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
     now: Now,
-) -> Mixture:  # fmt: skip
+) -> AssetMixture:  # fmt: skip
     """The payments' shares of each holding, and their log returns over cash."""
     log = constant_maturity.over_cash(
         case, _held(case, of, currency), terms.reach, steps.drift, now
     )
     share = shares(of, _prices(terms, steps, now))
     of_own = (currency[:, None] == np.unique(currency)).astype(float)
-    return Mixture((of_own[:, :, None] * share[:, None]).reshape(len(currency), -1), log)
+    return AssetMixture((of_own[:, :, None] * share[:, None]).reshape(len(currency), -1), log)
 
 
 def gains(

@@ -12,9 +12,9 @@ from typing import ClassVar, Self, TypeVar
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ...read.cells import Grid, TableContext, listed, per_factor, side_by_side, stepwise
+from ...read.cells import TableReader, TimeGrid, listed, per_factor, side_by_side, stepwise
 from ...records.said import number, quiet_volatility
 
 MEAN_REVERSION = number(
@@ -58,7 +58,7 @@ class ShortRate:
         return cls.factors if len(cls.factors) > 1 else ("",)
 
     @classmethod
-    def read(cls, section: TableContext, table: Table, grid: Grid) -> Self:
+    def read(cls, section: TableReader, table: CaseTable, grid: TimeGrid) -> Self:
         """The numbers of `[rates]`: lists have one per factor; volatilities may change in time."""
         labels = cls.labels()
         names = ("volatility", "mean_reversion", "price_of_risk")

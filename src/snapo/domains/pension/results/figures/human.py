@@ -15,8 +15,8 @@ from ...market.dynamics import market_schedule, move
 from ...market.shocks import reach, slots
 from ...market.state import without_empty
 from ...records.case import PensionCase
-from ...records.market import Curve
-from .reconcile import BASIS_POINT, Figures
+from ...records.market import MarketCurve
+from .reconcile import BASIS_POINT, LiabilityFigures
 
 TENORS = (1, 10, 30)  # years at which rates are told
 
@@ -48,7 +48,7 @@ class Human(NamedTuple):
     returns: dict[str, float]
 
 
-def human(case: PensionCase, inputs: dict[str, Any], figures: Figures) -> Human:
+def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) -> Human:
     """All of them; `figures` are the case's own `reconcile.figures`."""
     assets, liability = float(case.assets.amount.used()), figures.liability
     with jax.enable_x64(True):
@@ -74,7 +74,7 @@ def human(case: PensionCase, inputs: dict[str, Any], figures: Figures) -> Human:
     )
 
 
-def _parallel(case: PensionCase, values: dict[str, Any], curve: Curve) -> float:
+def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> float:
     """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
     name, quotes = curve.rate.name, jnp.asarray(curve.rate.values)
 

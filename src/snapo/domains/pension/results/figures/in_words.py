@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...records.case import PensionCase
-from ...records.plan import Indexation, Plan
+from ...records.plan import Indexation, PensionPlan
 
 MONTHS = (
     "January", "February", "March", "April", "May", "June",
@@ -41,7 +41,7 @@ def _accrual(case: PensionCase) -> str:
     )
 
 
-def _in_service(plan: Plan) -> str:
+def _in_service(plan: PensionPlan) -> str:
     apart = plan.revaluation
     if apart is None:
         none = plan.indexation.kind == "none"

@@ -17,14 +17,14 @@ from ...regulation.stand import stand
 from .human import Human, human
 from .in_words import in_words
 from .plausible import remarks
-from .reconcile import Figures, Line, check, figures
-from .status import Group, groups, pace
+from .reconcile import LiabilityFigures, ReconciledFigure, check, figures
+from .status import StatusGroup, groups, pace
 
 MONTHS = 12
 WORTH_TELLING = 0.002  # of the liability
 
 
-def against_months(case: PensionCase, result: Figures) -> list[str]:
+def against_months(case: PensionCase, result: LiabilityFigures) -> list[str]:
     """A remark where payments by month are worth noticeably more or less than those by year.
 
     Only of cohorts: cash flows come at the times that the actuary gives.
@@ -53,8 +53,8 @@ SIZES = ((1e9, " billion"), (1e6, " million"), (1e3, " thousand"))
 class Examined(NamedTuple):
     """A case before any simulation: its figures, the reconciliation, and remarks for its owner."""
 
-    figures: Figures
-    lines: list[Line]
+    figures: LiabilityFigures
+    lines: list[ReconciledFigure]
     human: Human
     remarks: list[str]
 
@@ -151,7 +151,7 @@ def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list
     return [*text, f"payments of today, a year: {paid}"]
 
 
-def _group(group: Group, money: Callable[[float], str]) -> str:
+def _group(group: StatusGroup, money: Callable[[float], str]) -> str:
     salaries = f", payroll {money(group.payroll)}" if group.payroll else ""
     return (
         f"{group.members:,.10g} {group.name} with pensions of {money(group.pensions)}{salaries},"
@@ -225,7 +225,7 @@ def readable(amount: float, currency: str) -> str:
     return f"{currency} {amount / size:,.1f}{word}"
 
 
-def _line(case: PensionCase, line: Line) -> str:
+def _line(case: PensionCase, line: ReconciledFigure) -> str:
     money = line.name in MONEY
 
     def text(value: float) -> str:
@@ -235,7 +235,9 @@ def _line(case: PensionCase, line: Line) -> str:
     return f"{line.name}: {text(line.own)}{available}"
 
 
-def reconciled(case: PensionCase, available: Figures | None = None) -> list[Line]:
+def reconciled(
+    case: PensionCase, available: LiabilityFigures | None = None
+) -> list[ReconciledFigure]:
     """The lines of the reconciliation; `available`: the figures, where they are known already.
 
     **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.

@@ -14,13 +14,13 @@ from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved
 from ...people.liability import paid_at, people
 from ...records.case import PensionCase
-from ...records.market import Curve
+from ...records.market import MarketCurve
 
 BASIS_POINT = 1e-4
 EXACT = 1e-9  # relative: two ways to the same number, both in float64
 
 
-class Figures(NamedTuple):
+class LiabilityFigures(NamedTuple):
     """The figures of a valuation report.
 
     - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
@@ -41,7 +41,7 @@ class Figures(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Line:
+class ReconciledFigure:
     """One check: the model's `own` figure, the one `given` (None: nothing to meet), the
     relative `error` and whether that is within the tolerance."""
 
@@ -52,7 +52,7 @@ class Line:
     ok: bool | None
 
 
-def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
+def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
     """All figures; `inputs` are plain arrays by name."""
     with jax.enable_x64(True):
         result = _slopes(case)(_with_curves(case, inputs))
@@ -63,7 +63,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     total = float(value.sum())
     prices = case.inflation.break_even.rate.name
     scale = total or 1.0
-    return Figures(
+    return LiabilityFigures(
         liability=total,
         duration=float(value @ years) / scale,
         convexity=float(value @ years**2) / scale,
@@ -90,8 +90,8 @@ def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
 
 
 def check(
-    case: PensionCase, inputs: dict[str, Any], available: Figures | None = None
-) -> list[Line]:
+    case: PensionCase, inputs: dict[str, Any], available: LiabilityFigures | None = None
+) -> list[ReconciledFigure]:
     """The actuary's liability and duration against the model's, then the model against itself;
     `available`: the figures, where they are known already."""
     result = available or figures(case, inputs)
@@ -135,13 +135,15 @@ def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:
     return {name: np.asarray(values, np.float64) for name, values in params.items()}
 
 
-def _shifts_as_one(curve: Curve) -> bool:
+def _shifts_as_one(curve: MarketCurve) -> bool:
     """Whether the same rise of all nodes raises all rates: not where they end in a fixed one."""
     return curve.extrapolation == "flat-forward"
 
 
-def _line(name: str, local: float, values: float | None, tolerance: float | None) -> Line:
+def _line(
+    name: str, local: float, values: float | None, tolerance: float | None
+) -> ReconciledFigure:
     if values is None or tolerance is None:
-        return Line(name, local, None, 0.0, True)
+        return ReconciledFigure(name, local, None, 0.0, True)
     error = (local - values) / abs(values) if values else local
-    return Line(name, local, values, error, bool(abs(error) <= tolerance))
+    return ReconciledFigure(name, local, values, error, bool(abs(error) <= tolerance))

@@ -28,7 +28,7 @@ STATUSES = {
 }
 
 
-class Group(NamedTuple):
+class StatusGroup(NamedTuple):
     """The members of one status: their number; pensions earned and salaries, money per year; their
     liability, that to their spouses included."""
 
@@ -60,7 +60,7 @@ class Pace(NamedTuple):
     liability_raised: float
 
 
-def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
+def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
     """Every status that has members; none where the case has cash flows instead."""
     members = case.members
     if members is None:
@@ -73,7 +73,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
     )
     salary = np.where(members.status == ACTIVE, salary, 0.0)
     return [
-        Group(
+        StatusGroup(
             name,
             float(number[rows].sum()),
             float(number[rows] @ pension[rows]),

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from snapo.case.table import Section, parse
+from snapo.case.table import TableContext, parse
 
 from ...control.records import Control, Manipulated, Measurement
 from ...units.operation import Unit, timed
-from ..entries import Numbers
+from ..entries import EntryNumbers
 from ..numbers import NOT_NEGATIVE, POSITIVE, quantity, suggest
 from ..tables import (
     ControlTable,
@@ -17,12 +17,12 @@ from .rules import read_rules
 
 
 def read_control(
-    file, raw: dict | None, numbers: Numbers, species, units: Sequence[Unit], notes
+    file, raw: dict | None, numbers: EntryNumbers, species, units: Sequence[Unit], notes
 ) -> Control | None:
     """`[control]`: who decides what, how often and on what."""
     if raw is None:
         return None
-    section = Section(file, "control", notes)
+    section = TableContext(file, "control", notes)
     table = parse(ControlTable, raw, str(file), "control")
     names = [unit.name for unit in units]
     for name in table.steps:
@@ -60,8 +60,8 @@ def read_control(
     )
 
 
-def _manipulated(file, raw, i: int, numbers: Numbers, notes) -> Manipulated:
-    section = Section(file, f"control.manipulated[{i}]", notes)
+def _manipulated(file, raw, i: int, numbers: EntryNumbers, notes) -> Manipulated:
+    section = TableContext(file, f"control.manipulated[{i}]", notes)
     table = parse(ManipulatedTable, raw, str(file), section.name)
     name = table.of
     if name not in numbers.givens:
@@ -81,7 +81,7 @@ def _manipulated(file, raw, i: int, numbers: Numbers, notes) -> Manipulated:
 
 
 def _measurement(file, raw, i: int, available: dict[str, str], notes) -> Measurement:
-    section = Section(file, f"control.measurements[{i}]", notes)
+    section = TableContext(file, f"control.measurements[{i}]", notes)
     table = parse(MeasurementTable, raw, str(file), section.name)
     if table.state not in available:
         hint = suggest(table.state, available, "state")

@@ -5,32 +5,32 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from snapo.case.table import Section, Table, parse
+from snapo.case.table import CaseTable, TableContext, parse
 
-from ...control.records import PI, Cascade, Manipulated, Measurement, Rule
-from ..entries import Numbers
-from ..fields import Text, quantity, word
+from ...control.records import PI, Cascade, ControlRule, Manipulated, Measurement
+from ..entries import EntryNumbers
+from ..fields import TextKey, quantity, word
 from ..numbers import POSITIVE, listed, suggest
 from ..numbers import quantity as number
 
 NOT_ZERO = "a gain that is not 0; its sign says which way the control acts"
 
 
-class RuleTable(Table):
+class RuleTable(CaseTable):
     """`[[control.rules]]`"""
 
-    name: Text = Field(description="a name")
+    name: TextKey = Field(description="a name")
     tuning: Literal["simc", "ziegler-nichols"] = word("simc", "ziegler-nichols", default="simc")
     loops: Annotated[list[dict], Field(min_length=1)] = Field(
         description="tables [[control.rules.loops]]"
     )
 
 
-class LoopTable(Table):
+class LoopTable(CaseTable):
     """`[[control.rules.loops]]`"""
 
-    of: Text = Field(description="one of [[control.manipulated]]")
-    measure: Text = Field(description="the state of one of [[control.measurements]]")
+    of: TextKey = Field(description="one of [[control.manipulated]]")
+    measure: TextKey = Field(description="the state of one of [[control.measurements]]")
     setpoint: Any = Field(
         None, description='quantities evenly over the time, as ["20 g/L", "9 g/L"]'
     )
@@ -39,10 +39,10 @@ class LoopTable(Table):
     inner: dict | None = Field(None, description="the table inner of a cascade")
 
 
-class InnerTable(Table):
+class InnerTable(CaseTable):
     """`inner` of `[[control.rules.loops]]`"""
 
-    measure: Text = Field(description="the state of one of [[control.measurements]]")
+    measure: TextKey = Field(description="the state of one of [[control.measurements]]")
     low: Any = quantity('"300 K"')
     high: Any = quantity('"320 K"')
     gain: Any = quantity('"2 K/K"', None)
@@ -50,13 +50,13 @@ class InnerTable(Table):
 
 
 def read_rules(
-    file, raw: Sequence[Any], numbers: Numbers, manipulated: Sequence[Manipulated],
+    file, raw: Sequence[Any], numbers: EntryNumbers, manipulated: Sequence[Manipulated],
     sensors: Sequence[Measurement], units: dict[str, str], timed: set[str], notes: list[str],
-) -> tuple[Rule, ...]:  # fmt: skip
+) -> tuple[ControlRule, ...]:  # fmt: skip
     """`units`: of every state that may be measured. `timed`: names of units with a time."""
-    rules: list[Rule] = []
+    rules: list[ControlRule] = []
     for i, item in enumerate(raw):
-        section = Section(file, f"control.rules[{i}]", notes)
+        section = TableContext(file, f"control.rules[{i}]", notes)
         table = parse(RuleTable, item, str(file), section.name)
         if table.name in [rule.name for rule in rules]:
             raise section.error("name", table.name, "this name stands there twice")
@@ -66,21 +66,21 @@ def read_rules(
             if loop.of in [other.of for other in loops[:k]]:
                 message = "one control has one loop in a rule"
                 raise section.error(f"loops[{k}].of", manipulated[loop.of].input, message)
-        rules.append(Rule(table.name, table.tuning, loops))
+        rules.append(ControlRule(table.name, table.tuning, loops))
     return tuple(rules)
 
 
 class _Loops:
     """The loops of one rule while they are read."""
 
-    def __init__(self, section: Section, numbers, manipulated, sensors, units, timed):
+    def __init__(self, section: TableContext, numbers, manipulated, sensors, units, timed):
         self.section, self.numbers, self.units, self.timed = section, numbers, units, timed
         self.controls = [item.input for item in manipulated]
         self.states = [sensor.state for sensor in sensors]
 
     def loop(self, raw: Any, number_: int) -> Cascade:
         file, notes = self.section.file, self.section.notes
-        section = Section(file, f"{self.section.name}.loops[{number_}]", notes)
+        section = TableContext(file, f"{self.section.name}.loops[{number_}]", notes)
         table = parse(LoopTable, raw, str(file), section.name)
         of = _among(section, "of", table.of, self.controls, "control")
         unit = table.of.partition(".")[0]
@@ -92,7 +92,7 @@ class _Loops:
             return Cascade(
                 of, self._pi(section, table, unit, moved, table.setpoint), None, 0.0, 1.0
             )
-        inside = Section(file, f"{section.name}.inner", notes)
+        inside = TableContext(file, f"{section.name}.inner", notes)
         inner = parse(InnerTable, table.inner, str(file), inside.name)
         below = self._pi(inside, inner, unit, moved, None)
         local = self.units[inner.measure]  # known, as `below` was read
@@ -102,7 +102,7 @@ class _Loops:
             raise inside.error("high", inner.high, "high must lie above low")
         return Cascade(of, above, below, low, high)
 
-    def _pi(self, section: Section, table, unit: str, manipulated: str, setpoint: Any) -> PI:
+    def _pi(self, section: TableContext, table, unit: str, manipulated: str, setpoint: Any) -> PI:
         sensor = _among(section, "measure", table.measure, self.states, "measurement")
         if table.measure.partition(".")[0] != unit:
             message = f"a loop measures in the unit that it moves, {unit}"
@@ -119,7 +119,7 @@ class _Loops:
         return PI(sensor, nodes, gain, integral)
 
 
-def _among(section: Section, key: str, name: str, names: Sequence[str], noun: str) -> int:
+def _among(section: TableContext, key: str, name: str, names: Sequence[str], noun: str) -> int:
     if name not in names:
         raise section.error(key, name, f"there is no such {noun}; {suggest(name, names, noun)}")
     return list(names).index(name)

@@ -5,17 +5,17 @@ from typing import Any
 
 from scipy.special import ndtr
 
-from snapo.case.table import Section
+from snapo.case.table import TableContext
 
 from ...given import Entry
 from ...quality.records import Distribution
-from ..entries import Numbers, limits
+from ..entries import EntryNumbers, limits
 
 REFUSED, NOTED = 1e-3, 1e-7  # of the draws
 
 
 def check_drawn(
-    section: Section, raw: Any, distribution: Distribution, numbers: Numbers, entry: Entry
+    section: TableContext, raw: Any, distribution: Distribution, numbers: EntryNumbers, entry: Entry
 ) -> None:
     """Refuses a distribution of which one draw in a thousand is impossible; notes rarer ones."""
     values = numbers.givens[entry[0]]

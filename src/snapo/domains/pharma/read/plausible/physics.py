@@ -10,12 +10,12 @@ from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_n
 from snapo.case.quantity import numbers_in
 
 from ...flowsheet.feed import Feed
-from ...flowsheet.network import Network
+from ...flowsheet.network import FlowNetwork
 from ...time.profile import Profile
 from ...units.crystals.seed import Seed
 from ...units.crystals.solubility import Solubility, nominal_solubility
 from ...units.operation import Unit
-from ..entries import Numbers
+from ..entries import EntryNumbers
 from ..numbers import LIQUID
 
 RANGES = (
@@ -42,7 +42,7 @@ PACKED = 0.5  # of the volume: a slurry with more seed than this does not move
 POINTS = 65  # between the lowest and the highest temperature
 
 
-def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: Network) -> None:
+def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: FlowNetwork) -> None:
     """Refuses what cannot be, with its limit."""
     for feed in feeds:
         _check_feed(file, feed, network)
@@ -54,7 +54,9 @@ def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: N
                 _check_seed(file, unit, part)
 
 
-def check_moved_solubility(units: Sequence[Unit], spans: Iterable, numbers: Numbers) -> list[str]:
+def check_moved_solubility(
+    units: Sequence[Unit], spans: Iterable, numbers: EntryNumbers
+) -> list[str]:
     """Notes where a solubility falls to 0 within the temperatures that are studied or decided.
 
     `spans`: (name of a number, its lowest and highest value).
@@ -76,7 +78,7 @@ def check_moved_solubility(units: Sequence[Unit], spans: Iterable, numbers: Numb
 
 
 def unusual(
-    files: CaseFiles, feeds: Sequence[Feed], units: Sequence[Unit], network: Network
+    files: CaseFiles, feeds: Sequence[Feed], units: Sequence[Unit], network: FlowNetwork
 ) -> Iterable[str]:
     """Notes on numbers that are possible and likely to be in another unit."""
     masses = (
@@ -92,7 +94,7 @@ def unusual(
     return implausible([*entries, *masses], RANGES, files).values()
 
 
-def _check_feed(file, feed: Feed, network: Network) -> None:
+def _check_feed(file, feed: Feed, network: FlowNetwork) -> None:
     dissolved = float(network.molar_mass @ feed.concentration.values)
     total = dissolved + float(feed.solvent.values[0])
     if total > LIQUID.high:

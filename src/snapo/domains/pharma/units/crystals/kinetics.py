@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...given import absent, use
 from ...read.fields import NUMBER, quantity
@@ -38,7 +38,7 @@ class Kinetics:
     rounding: float
 
 
-class KineticsTable(Table):
+class KineticsTable(CaseTable):
     """`[units.NAME.kinetics]`"""
 
     growth: Any = quantity('"5 um/s"')

@@ -21,11 +21,11 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
-from ...read.fields import Text, Texts, quantity
+from ...read.fields import TextKey, Texts, quantity
 from ...read.numbers import POSITIVE, SHARE, case_input, listed
 from ...read.reader import Reader
 
@@ -74,10 +74,12 @@ def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     return jnp.exp(u)
 
 
-class NrtlTable(Table):
+class NrtlTable(CaseTable):
     """`[units.NAME.solubility.nrtl]`"""
 
-    solute: Text | None = Field(None, description='a name that chemicals knows, as "paracetamol"')
+    solute: TextKey | None = Field(
+        None, description='a name that chemicals knows, as "paracetamol"'
+    )
     molar_mass: Any = quantity('"151.16 g/mol"', None, meaning="molar mass of the solute")
     melting: Any = quantity('"443.6 K"', None, meaning="melting point of the crystals")
     fusion: Any = quantity('"27.1 kJ/mol"', None, meaning="enthalpy of fusion")

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use
@@ -70,7 +70,7 @@ def seed_numbers(seed: Seed, inputs, shape, density, edges: np.ndarray) -> Float
     return numbers * (use(inputs, seed.loading) / mass)
 
 
-class SeedTable(Table):
+class SeedTable(CaseTable):
     """`[units.NAME.seed]`"""
 
     loading: Any = quantity('"0.02 kg/m^3"', None)

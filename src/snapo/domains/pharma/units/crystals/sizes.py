@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...read.fields import quantity, word
 from ...read.numbers import NOT_NEGATIVE, POSITIVE
@@ -16,7 +16,7 @@ from .seed import Seed
 SEED_OUTSIDE = 0.01  # most of a seed's volume that may lie outside a grid
 
 
-class SizesTable(Table):
+class SizesTable(CaseTable):
     """`[units.NAME.sizes]`"""
 
     smallest: Any = quantity('"0 um"')

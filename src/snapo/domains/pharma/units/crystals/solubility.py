@@ -10,17 +10,17 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
-from ...read.fields import Text, quantity, word
+from ...read.fields import TextKey, quantity, word
 from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, case_input, several
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
 from .nrtl import Mixture, NrtlTable, dissolved, read_mixture
 
-Kind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
+SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Solubility:
       mass fraction of the solute-free liquid.
     """
 
-    kind: Kind
+    kind: SolubilityKind
     coefficients: CaseInput
     zero: float
     antisolvent: CaseInput
@@ -45,10 +45,12 @@ class Solubility:
     mixture: Mixture | None = None
 
 
-class SolubilityTable(Table):
+class SolubilityTable(CaseTable):
     """`[units.NAME.solubility]`"""
 
-    kind: Kind = word("polynomial", "exponential", "van-t-hoff", "nrtl", default="polynomial")
+    kind: SolubilityKind = word(
+        "polynomial", "exponential", "van-t-hoff", "nrtl", default="polynomial"
+    )
     coefficients: Annotated[list[float], Field(min_length=1)] | None = Field(
         None, description="a list of numbers, of rising powers of the temperature"
     )
@@ -56,7 +58,7 @@ class SolubilityTable(Table):
     enthalpy: Any = quantity('"25 kJ/mol"', None, meaning="enthalpy of dissolution")
     reference: Any = quantity('"298.15 K"', None, meaning="temperature of the reference")
     nrtl: dict | None = Field(None, description="the table nrtl")
-    unit: Text = Field("kg/m^3", description='a unit such as "kg/m^3"')
+    unit: TextKey = Field("kg/m^3", description='a unit such as "kg/m^3"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
     antisolvent: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
         None, description="two numbers"

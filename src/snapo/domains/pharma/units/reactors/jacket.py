@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
 from ...read.fields import profile, quantity
 from ...read.numbers import NOT_NEGATIVE, POSITIVE
@@ -12,7 +12,7 @@ from ...read.reader import Reader
 from ...time.profile import Profile
 
 
-class JacketTable(Table):
+class JacketTable(CaseTable):
     """`[units.NAME.jacket]`"""
 
     heat_capacity: Any = quantity('"1.9e6 J/m^3/K"', meaning="heat capacity of the mixture")

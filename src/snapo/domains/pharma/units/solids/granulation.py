@@ -25,12 +25,12 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ...flowsheet.ledger import Finish, ledger
+from ...flowsheet.ledger import LedgerFinish, ledger
 from ...flowsheet.stream import MOMENTS
 from ...given import use
-from ...read.fields import Text, number, profile, quantity
+from ...read.fields import TextKey, number, profile, quantity
 from ...read.numbers import DENSITY, INSIDE, LIQUID, NOT_NEGATIVE, POSITIVE, ValueRange
 from ...time.dynamics import Dynamics
 from ...time.profile import Profile
@@ -42,13 +42,13 @@ BROAD = ValueRange(0.0, 2.0, False, "from 0 to 2")
 WEIGHED = ValueRange(0.0, 1000.0, False, "from 0 to 1000 per mass of drug")
 
 
-class GranulationTable(Table):
+class GranulationTable(CaseTable):
     """`type = "granulation"`"""
 
     type: Literal["granulation"]
     duration: Any = quantity('"10 min"', meaning="time of wet massing")
     speed: Any = profile(meaning="tip speed of the impeller")
-    excipient: Text = Field(description="the species that is the excipient")
+    excipient: TextKey = Field(description="the species that is the excipient")
     excipient_ratio: Any = number(
         "a number, 0 or more", meaning="mass of excipient per mass of drug"
     )
@@ -236,7 +236,7 @@ class Granulation(Timed):
                 grid=None,
             )
             book = ledger(len(network.species), added=more, solvent_added=liquid)
-            return Finish((granules,), measures, book)
+            return LedgerFinish((granules,), measures, book)
 
         start = jnp.stack([jnp.zeros(()), jnp.exp(9 * spread**2), first])
         controls = ((self.speed, speed),)

@@ -24,12 +24,12 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import Table
+from snapo.case.table import CaseTable
 
-from ...flowsheet.ledger import Finish, ledger
+from ...flowsheet.ledger import LedgerFinish, ledger
 from ...flowsheet.stream import Stream
 from ...given import use
-from ...read.fields import Text, number, quantity, word
+from ...read.fields import TextKey, number, quantity, word
 from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, ValueRange
 from ..operation import Inlet, Instant
 from .release import BY_MEAN, lasting, over_sizes, released
@@ -39,11 +39,11 @@ TEN = 2.4  # acceptability constant of ten tablets
 FEW = ValueRange(0.0, 0.5, False, "a share from 0 to 0.5")
 
 
-class TabletPressTable(Table):
+class TabletPressTable(CaseTable):
     """`type = "tablet-press"`"""
 
     type: Literal["tablet-press"]
-    drug: Text = Field(description="the species that is the drug")
+    drug: TextKey = Field(description="the species that is the drug")
     weight: Any = quantity('"300 mg"', meaning="weight of a tablet")
     label: Any = quantity('"100 mg"', meaning="drug in a tablet as labelled")
     diameter: Any = quantity('"10 mm"', meaning="diameter of a flat tablet")
@@ -209,7 +209,7 @@ class TabletPress(Instant):
             "dissolved": self.dissolved(fed, time, inputs),
             "tablets": total / weight,
         }
-        return Finish((fed,), measures, ledger(len(network.species)))
+        return LedgerFinish((fed,), measures, ledger(len(network.species)))
 
     def compacted(self, fed: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
         """The relative density of a tablet."""
