@@ -14,14 +14,14 @@ import snapo.gym
 NAMES = {name: getattr(snapo, name) for name in snapo.__all__ if name != "__version__"}
 CLASSES = {thing for thing in NAMES.values() if inspect.isclass(thing)}
 INNER = {
-    "Call": "a compiled program's arguments, of the engines alone",
+    "XlaCall": "a compiled program's arguments, of the engines alone",
     "Factors": "numbers by name, as the schedule of Schwartz's prices has them",
     "Gaps": "the intervals between the times of a FactorPrice, made from them",
     "OfCost": "a measure of risk with a minus before it",
     "Curvature": "how a derivative changes with the policy, behind its interval",
     "Norms": "the engines' record of adjoints, of which Growth is made",
     **dict.fromkeys(
-        ("Dual", "Learner", "Round", "Scale", "TrainingPlan"), "what a Progress goes on with"
+        ("Dual", "Learner", "Round", "FeatureScale", "TrainingPlan"), "what a Progress goes on with"
     ),
 }
 

@@ -34,14 +34,14 @@ class Wrong(NamedTuple):
     name: str
     file: str
     content: bytes | None
-    named: tuple[str, ...]
+    names: tuple[str, ...]
 
 
 class Place(NamedTuple):
     """A table of a good case: its description, its way from the top, and its name in messages."""
 
     table: type[CaseTable]
-    way: tuple[str | int, ...]
+    path: tuple[str | int, ...]
     name: str
 
 

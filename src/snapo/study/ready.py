@@ -91,7 +91,7 @@ def at_values(
     """The setup at other `values` of its inputs, with the code that is compiled already.
 
     `simulator` is that of the moved case. Where it uses a number as a plain constant, it is another
-    program, and the setup is made `rebuilt`.
+    program, and `rebuilt` makes the setup.
     """
     if not same_program(setup.problem, simulator):
         return rebuilt()
