@@ -14,8 +14,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.quickly import compiled_sooner
 
-from .packing import Packing
-from .totals import add, zero
+from .arrays import Packing, add, zero
 from .xla import Xla, XlaCall
 
 BLOCK = 64  # paths at once

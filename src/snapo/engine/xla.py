@@ -23,10 +23,9 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from .arrays import Packing, add, zero
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
 from .memory import adjoint_without, values_without, with_memory
-from .packing import Packing
-from .totals import add, zero
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 

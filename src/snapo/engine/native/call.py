@@ -10,11 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.lanes import ACCIDENTS, Unsupported, jax_private
+from snapo.lanes.machine import pipeline
 from snapo.lanes.machine.disk import cache_home, cached
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory
-from snapo.lanes.machine.processor import host
-from snapo.lanes.unsupported import ACCIDENTS, Unsupported
+from snapo.lanes.machine.linked import KernelMemory, Linked
+from snapo.lanes.machine.pipeline import host
 from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
@@ -22,13 +22,18 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..base import Engine, Window, checked
 from ..memory import with_memory
-from .available import unavailable
-from .functions import FunctionSetup
-from .given import SharedTree, cast
 from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, emit
-from .rollout import traced
+from .rollout import FunctionSetup, SharedTree, cast, traced
 from .runtime import Back, KernelInputs, Runner
+
+
+def unavailable() -> str | None:
+    """The reason why nothing can be compiled here, and the remedy; None where it can."""
+    missing = pipeline.unavailable()
+    if missing is not None:
+        return f"{missing} (pip install 'snapo[native]')"
+    return jax_private.unavailable()
 
 
 class Seats(NamedTuple):

@@ -7,20 +7,18 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from snapo.lanes.machine.pipeline import assembly
-from snapo.lanes.machine.processor import host
-from snapo.lanes.unsupported import Unsupported
+from snapo.lanes import Unsupported
+from snapo.lanes.machine.pipeline import assembly, host
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
 from ..base import TRAJECTORY, Window
-from .available import unavailable
-from .call import KEPT, NativeCall
+from .call import KEPT, NativeCall, unavailable
 from .engine import Native
-from .functions import FunctionSetup
 from .kernel.context import KernelStages
+from .rollout import FunctionSetup
 
 
 @dataclass(frozen=True)

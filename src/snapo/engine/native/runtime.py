@@ -10,8 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory, address
+from snapo.lanes.machine.linked import KernelMemory, Linked, address
 from snapo.lanes.machine.threads import spread
 
 from .kernel.context import CONTEXT

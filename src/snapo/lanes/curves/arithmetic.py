@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..curves.catalogue import CURVES
+from .. import Unsupported
+from ..curves import CURVES
 from ..emit.code import Code
-from ..emit.ref import Ref
-from ..numbers import name_of
+from ..emit.module import Ref
 from ..program.cut import BARRIER
-from ..program.program import Op
-from ..unsupported import Unsupported
+from ..program.program import Op, name_of
 from .conversions import FLOAT, compare, convert, one_like, width, zero_like
 
 LIBRARY = {

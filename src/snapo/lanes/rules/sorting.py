@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from .. import Unsupported
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from ..emit.values import EmittedValues
 from ..program.program import Op
-from ..unsupported import Unsupported
 from . import elementwise
 from .conversions import compare, convert
 

@@ -10,8 +10,7 @@ from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.program.program import Program, ProgramValue
 
 from ..rollout import Phase
-from .context import Build, Function, field
-from .layouts import TAPES
+from .context import TAPES, Build, Function, field
 from .shared import bind
 
 ARGUMENTS = ", i64 %block, i64 %begin, i64 %end, i64 %stride"

@@ -1,12 +1,21 @@
-"""A path's state in few arrays: its leaves packed by type.
-
-Many small leaves carried through a scan cost XLA's CPU runtime several times over.
-"""
+"""Arrays of the engines: a path's state in few vectors, and totals of its outputs."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
+
+
+def add(kind: str, total, value):
+    """The total after one more number: "sum", "max" or "last"."""
+    if total is None or kind == "last":
+        return value
+    return jnp.maximum(total, value) if kind == "max" else total + value
+
+
+def zero(kind: str, dtype):
+    """The total before the first step."""
+    return jnp.asarray(-jnp.inf if kind == "max" else 0.0, dtype)
 
 
 class Packing:
