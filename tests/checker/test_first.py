@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.checker.check import check
-from snapo.checker.first import simulator_mistakes
+from snapo.checker.check import check, simulator_mistakes
 from snapo.problem.simulator import Schedule, Simulator
 
 INPUTS = {"rate": snapo.Input(0.5)}

@@ -10,7 +10,7 @@ from snapo.problem.actions import Stop
 from snapo.problem.noise import Stored
 from snapo.problem.simulator import Simulator
 
-from .derivatives import locate
+from .bumps import locate
 from .findings import Notes
 from .rollout import ENGINE, CheckedRollout
 

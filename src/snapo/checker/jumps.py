@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from .findings import Notes
-from .program.points import SamplePoints
+from .watch import SamplePoints
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 MINIMUM = 1e-4  # a jump, of the largest value of its result

@@ -23,9 +23,8 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
-from .arrays import Packing, add, zero
+from .arrays import Packing, add, adjoint_without, values_without, with_memory, zero
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
-from .memory import adjoint_without, values_without, with_memory
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 

@@ -12,10 +12,10 @@ from typing import Any
 
 HOMES = {
     "Agent": "agent",
-    "Environment": "played",
-    "Played": "played",
-    "VectorEnvironment": "vector",
-    "play": "played",
+    "Environment": "environments",
+    "Played": "environments",
+    "VectorEnvironment": "environments",
+    "play": "environments",
 }
 
 

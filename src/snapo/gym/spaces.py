@@ -11,7 +11,12 @@ import numpy as np
 
 from snapo.problem.actions import Actions, Box, Choice, Integers, Product, Simplex, Stop
 
-from .installed import gymnasium
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError(
+        "snapo.gym needs Gymnasium, which is not installed: pip install 'snapo[gym]'."
+    ) from error
 
 Space = Any  # of Gymnasium, which has no types of its own for all of them
 Elements = Any  # N of a space

@@ -20,8 +20,8 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from ..arrays import with_memory
 from ..base import Engine, Window, checked
-from ..memory import with_memory
 from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced

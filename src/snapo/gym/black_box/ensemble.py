@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PyTree
 
-from .transitions import Transitions, scale_of
+from .real import Transitions, scale_of
 
 BATCH, ROUND = 256, 250  # rows of a step; steps between two looks at the rows held out
 HELD_OUT = 0.1

@@ -60,9 +60,8 @@ def learn(
     limits an episode, or where the steps do not suffice for ten episodes, or more for more rounds.
     """
     # Late: the public names are there without Gymnasium.
-    from .loop import run
     from .real import Real
-    from .rounds import LearningPlan, fewest
+    from .rounds import LearningPlan, fewest, run
 
     real = Real(environment, hold, limit)
     minimum = fewest(rounds) * real.limit

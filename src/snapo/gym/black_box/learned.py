@@ -10,7 +10,7 @@ from snapo.problem.policy import MLP
 from snapo.solver import statistics
 
 if TYPE_CHECKING:
-    from ..played import Played
+    from ..environments import Played
 
 
 class Compared(NamedTuple):
@@ -111,8 +111,8 @@ class Learned:
         **Raises:** `ValueError` where the environment came as an object: give a name or a function.
         """
         # Late: the public names are there without Gymnasium.
-        from ..installed import gymnasium
-        from ..played import play
+        from ..environments import play
+        from ..spaces import gymnasium
         from .real import HeldAction, opened
 
         if isinstance(self.environment, gymnasium.Env):

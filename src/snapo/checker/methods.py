@@ -15,9 +15,9 @@ from snapo.problem import inputs as inputs_
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact
 
-from ..mistakes import short
+from .findings import short
 
-_SNAPO = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+_SNAPO = os.path.dirname(os.path.dirname(__file__))
 # Code that a user's line calls: its caller is named.
 _OWN = tuple(os.path.join(_SNAPO, part, "") for part in ("problem", "checker", "engine", "solver"))
 _LIBRARIES = f"{os.sep}site-packages{os.sep}"
