@@ -1,7 +1,7 @@
 """Every input's adjoint against central differences, on the same few paths, decisions held.
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them alone. An input that does nothing under the random policy is judged where it does
+a few of them separately. An input that does nothing under the random policy is judged where it does
 something, at low, middle or high actions. Inputs that move no path (`in_mean`) are not judged here.
 """
 
@@ -30,7 +30,7 @@ NOT_DIFFERENTIABLE = (
 
 
 def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
-    """Names the method and step at which a derivative is not finite, and stops.
+    """Names the method and step at which a derivative is non-finite, and stops.
 
     The reverse sweep starts at the end, so the last bad step is the one met first.
     """
@@ -77,14 +77,14 @@ def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
         step, method, leaf, path = max(invalid)
         notes.error(
             notes.method(method),
-            f"Its derivative by {leaf} is not finite, first (from the end) at step {step} of {T} "
-            f"(path {path} of {N}).",
+            f"Its derivative with respect to {leaf} is non-finite, first (from the end) at step "
+            f"{step} of {T} (path {path} of {N}).",
             NOT_DIFFERENTIABLE,
         )
     else:
         notes.error(
             notes.method("initial") + " or terminal",
-            "A derivative is not finite.",
+            "A derivative is non-finite.",
             NOT_DIFFERENTIABLE,
         )
     raise StopCheck
@@ -93,7 +93,7 @@ def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
 TOLERANCE = 1e-4  # of the larger of adjoint and difference; round-off is added to it
 SMALLER = (1.0, 1 / 8, 1 / 64)  # bumps, in steps: a path on a corner or a jump may spoil one
 WIDE = (1e3, 3e4)  # wide bumps, which find steps that a small one does not cross, in steps
-ENTRIES = 3  # numbers of one input that are bumped alone, besides all of them together
+ENTRIES = 3  # numbers of one input that are bumped separately, besides all of them together
 
 
 def bumped(
@@ -119,7 +119,7 @@ def bumped(
         if not np.all(np.isfinite(result)):
             notes.error(
                 f"{notes.method('prepare')}: input {entry.name}",
-                "The derivative of the schedule by it is not finite.",
+                "The derivative of the schedule with respect to it is non-finite.",
                 NOT_DIFFERENTIABLE,
             )
             continue
@@ -195,7 +195,8 @@ class _Comparison:
         return result if (np.abs(result) * bump > minimum).any() else None
 
     def moves_decisions(self, bump: float) -> bool:
-        """Whether outputs move where the policy decides, by what it sees: an error of a reading."""
+        """Whether outputs move where the policy decides, through its observations (a measurement
+        error)."""
         there = self.run.values(self.simulator, False, schedule=self._schedule(bump))
         back = self.run.values(self.simulator, False, schedule=self._schedule(-bump))
         return not self.run.same(there, back)
@@ -220,8 +221,8 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
     if not np.all(np.isfinite(small)):
         notes.warning(
             where,
-            f"With a bump of {pair.bump:.3g} the outputs are not finite.",
-            "It stands on the edge of its range; give a smaller one: Input(…, bump=…).",
+            f"With a bump of {pair.bump:.3g} the outputs are non-finite.",
+            "It is on the edge of its range; specify a smaller one: Input(…, bump=…).",
         )
         return True
     if pair.dead:
@@ -238,7 +239,7 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
         "way, or a derivative written by hand. A parameter of whole-numbered noise that is made in "
-        "prepare or in the step is right in the mean of paths alone: name it, "
+        "prepare or in the step is right only in the mean over paths: name it, "
         f"def in_mean(self): return ({pair.entry.name!r},).",
     )
     return True

@@ -1,4 +1,4 @@
-"""Actions and noise that change nothing, actions that no derivative reaches, and stopping anew."""
+"""Actions and noise without effect, actions that no derivative reaches, and repeated stopping."""
 
 from typing import Any
 
@@ -46,7 +46,7 @@ def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: i
                 "Use it, or make the action set smaller.",
             )
     for component in range(simulator.noise_size):
-        # An error of a reading moves what is observed, and by it the decisions.
+        # A measurement error moves the observations, and through them the decisions.
         matters = (
             _matters(simulator, runs, other_noise, component, held) for held in (True, False)
         )
@@ -128,5 +128,5 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
             f"It can stop more often than its rights ({action.rights}): where all steps stop, more "
             "of them change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
-            "and pay on what is used.",
+            "and pay on the quantity that is used.",
         )

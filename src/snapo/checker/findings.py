@@ -1,4 +1,4 @@
-"""The findings of `snapo.check`, while they are made and as they are returned."""
+"""The findings of `snapo.check`, while they are collected and when they are returned."""
 
 import inspect
 import os
@@ -57,7 +57,7 @@ def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary |
         "contextlib",
     )
     other = [f for f in frames if not any(part in f.filename for part in libraries)]
-    # The caller of `check` stands first in the traceback; user code lies deeper.
+    # The caller of `check` is first in the traceback; user code lies deeper.
     return local[-1] if local else (other[-1] if other else None)
 
 
@@ -70,7 +70,7 @@ _READABLE = [
     (
         jax.errors.TracerArrayConversionError,
         "NumPy was called on a number that JAX is tracing.",
-        "Call jax.numpy (jnp) in place of numpy; NumPy is for fixed tables only.",
+        "Call jax.numpy (jnp) instead of numpy; NumPy is for fixed tables only.",
     ),
     (
         jax.errors.TracerBoolConversionError,
@@ -122,7 +122,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Findings:
-    """All findings, errors first; `looked_at` is the extent of the examination in words."""
+    """All findings, errors first; `looked_at` describes the extent of the examination."""
 
     simulator: str
     items: tuple[Finding, ...]
@@ -213,7 +213,7 @@ class Notes:
 
     def finished(self, looked_at: str) -> Findings:
         ordered = sorted(self.items, key=lambda item: item.severity)
-        # A class in place of its object is a finding too.
+        # A class instead of its object is a finding too.
         kind = self.simulator if isinstance(self.simulator, type) else type(self.simulator)
         return Findings(kind.__name__, tuple(ordered), looked_at)
 

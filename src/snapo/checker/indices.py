@@ -21,7 +21,7 @@ CORRECT = "Correct the index, or the size that is declared."
 
 
 class Beyond(NamedTuple):
-    """An index past the end: of what (if it has a name), the line, the index, and the length."""
+    """An index past the end: the array's name (if any), the line, the index, and the length."""
 
     label: str
     line: str
@@ -160,7 +160,7 @@ _ARITHMETIC: dict[str, Any] = {
 }
 
 
-MEANT = "jnp.clip(index, 0, length - 1) says that the nearest entry is meant."
+MEANT = "Write jnp.clip(index, 0, length - 1) if the nearest entry is meant."
 FEW = 32  # points outside at which the entry that is read is looked at
 
 

@@ -22,7 +22,7 @@ ONE = "A vector of one number is no number: the only one of an action, or of noi
 
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
-    """Sizes, the action set and the inputs, as they are declared."""
+    """The declared sizes, action set and inputs."""
     if isinstance(simulator, type):
         name = simulator.__name__
         notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
@@ -76,7 +76,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
                 f"{method}: schedule.steps{jax.tree_util.keystr(path)}",
                 f"Its shape is {leaf.shape}; the horizon is {simulator.horizon}.",
                 f"Give it a leading axis of {simulator.horizon}, one entry a step; "
-                "what holds for the whole horizon belongs in constants.",
+                "numbers for the whole horizon belong in constants.",
             )
     notes.stop_on_errors()
     return schedule
@@ -126,7 +126,7 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
         notes.error(
             notes.method("step"),
             "There are no outputs, so there is nothing to value.",
-            'Return them beside the state: return state, {"cash": cash}.',
+            'Return them with the state: return state, {"cash": cash}.',
         )
         raise StopCheck
     if names[0] != names[1]:
@@ -197,7 +197,7 @@ def _declared_outputs(notes: Notes, simulator: Simulator, names: frozenset[str])
 
 
 def _described(x) -> str:
-    """A shape and type in words."""
+    """A shape and type as text."""
     if hasattr(x, "shape") and hasattr(x, "dtype"):
         return f"{x.dtype}{list(x.shape)}"
     if isinstance(x, dict | list | tuple):
@@ -206,8 +206,8 @@ def _described(x) -> str:
 
 
 class Unknown(NamedTuple):
-    """What is wrong with `of`, the objective or a limit: the name or thing that it has in place of
-    an output."""
+    """The mistake in `of`, the objective or a limit: the name or object that it has instead of an
+    output."""
 
     of: str
     got: str
@@ -217,7 +217,7 @@ class Unknown(NamedTuple):
 def unknown_outputs(
     objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> Iterator[Unknown]:
-    """Every output that is named and is not there; what is no objective or limit at all.
+    """Every named output that does not exist, and every object that is no objective or limit.
 
     None is an objective that is not known yet.
     """

@@ -37,7 +37,7 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
                 notes.warning(
                     f"{method.name}, {item.line}",
                     f"The slice [{item.requested}] is taken of {item.length} entries: it is "
-                    f"shorter than it says, without an error. In: {item.line.text}",
+                    f"shorter than its bounds, without an error. In: {item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )
 
@@ -86,7 +86,7 @@ def outside(part: slice, length: int) -> bool:
     """Whether an end that a slice names lies outside of an axis."""
     endpoints = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
     backwards = isinstance(part.step, int) and part.step < 0
-    # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] says how far to go.
+    # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] ends at an entry.
     low = -length - 1 if backwards else -length
     return any(not low <= end <= length for end in endpoints)
 

@@ -54,7 +54,7 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
             with notes.during(name):
                 if _anew(text, *fresh()) == _anew(text, *fresh()):
                     continue
-                # Programs may differ in print alone; numbers decide.
+                # Programs may differ only in their text; numbers decide.
                 both = [_filled(*fresh()) for _ in range(2)]
                 first, second = (jax.tree.leaves(_anew(jax.jit(item), z)) for item, z in both)
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second)):
@@ -62,7 +62,7 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
                     notes.method(name),
                     "Two calls with the same arguments differ: randomness, a clock or a counter "
                     "in Python.",
-                    "Use the noise that step is given, and carry what changes in the state.",
+                    "Use the noise argument of step, and carry changing numbers in the state.",
                 )
     notes.stop_on_errors()
 
@@ -74,7 +74,7 @@ def _anew(function: Callable, *values: Any) -> Any:
 
 
 def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:
-    """A function and its argument, with ones for what has a shape alone."""
+    """A function and its argument, with ones for leaves that have only a shape."""
 
     def filled(leaf: Any) -> Any:
         return np.ones(leaf.shape, leaf.dtype) if isinstance(leaf, SHAPE) else leaf
@@ -99,7 +99,7 @@ def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule
                     "Nothing can be differentiated through a loop whose number of rounds is not "
                     "fixed (jax.lax.while_loop)." + (f" In: {line.text}" if line else ""),
                     "Write jax.lax.fori_loop or jax.lax.scan with a fixed number of rounds, and "
-                    "jnp.where to keep what is done.",
+                    "jnp.where to keep results that are complete.",
                 )
     notes.stop_on_errors()
 
@@ -122,7 +122,7 @@ def _is_program(x: Any) -> bool:
 def _differentiable(method: Method) -> bool:
     """Whether a method can be differentiated backwards; nothing is computed."""
     values = list(method.arguments.values())
-    noise = [name == "noise" for name in method.arguments]  # nobody asks for its derivative
+    noise = [name == "noise" for name in method.arguments]  # its derivative is never needed
 
     def back(*arguments: Any) -> Any:
         held = [x if fixed else None for x, fixed in zip(arguments, noise)]

@@ -1,6 +1,6 @@
 """A method's program run equation by equation, with a look at comparisons and moving indices.
 
-Calls are looked into; loops, `lax.cond` and functions with a derivative by hand run as a whole.
+Calls are looked into; loops, `lax.cond` and functions with a custom derivative run as a whole.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ from .rollout import CheckedRollout
 COMPARISONS = ("lt", "gt", "le", "ge")
 _CALLS = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2")
 NONE = -1  # no site is changed
-# Of a number in a program: known as it is traced, made of its arguments, of tainted ones.
+# Of a number in a program: known in tracing, computed from its arguments, or from tainted ones.
 KNOWN, GIVEN, TAINTED = range(3)
 
 
@@ -63,7 +63,7 @@ class Change(NamedTuple):
 class Watched:
     """A program whose floating comparisons and reads by index are seen, and can be changed.
 
-    `tainted` says of each argument whether decisions or inputs move it: only comparisons of such
+    `tainted`: for each argument, whether decisions or inputs move it: only comparisons of such
     numbers are sites.
     """
 
@@ -164,8 +164,8 @@ def _shifted(x: Array, shift: Any) -> Array:
 def _indices(eqn, values, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
     """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
 
-    None where they are known as a method is traced, and where the program itself says how to
-    read outside: `mode="clip"` or "fill".
+    None where they are known as a method is traced, and where the program itself defines reads
+    outside: `mode="clip"` or "fill".
     """
     kind, params = eqn.primitive.name, eqn.params
     first = 2 if kind == "dynamic_update_slice" else 1

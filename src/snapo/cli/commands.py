@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         "schema": _schema,
     }
     try:
-        # stdout is for the answer alone
+        # stdout is only for the answer
         with redirect_stdout(sys.stderr), stoppable():
             answer, text, code = available[options.command](options)
     except CaseError as error:
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """A polite kill (SIGTERM) is an interrupt too: what is done is reported first."""
+    """A polite kill (SIGTERM) is an interrupt too: finished work is reported first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -205,7 +205,7 @@ def _schema(options: argparse.Namespace) -> Answer:
 
 
 def summary(result: Mapping[str, Any]) -> str:
-    """The result for a person: the value, the figures beside it, and the folder of the run."""
+    """The result for a reader: the value, the further figures, and the folder of the run."""
     seeds = by_seed(result["seeds"]) if result.get("seeds") else []
     lines = [*seeds, f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
@@ -255,7 +255,7 @@ def _figure(value: float) -> str:
 
 
 def to_json(result: Any) -> str:
-    """One JSON object; numbers that are not finite become null."""
+    """One JSON object; non-finite numbers become null."""
     return json.dumps(_plain(result), allow_nan=False, ensure_ascii=False)
 
 

@@ -52,7 +52,8 @@ class Agent:
         return actions if values.ndim > 1 else element(actions, 0)
 
     def reset(self, began: np.ndarray | None = None) -> None:
-        """Forgets: all episodes, or those of N that begin anew, `began` [N] of truth values."""
+        """Resets the memory: of all episodes, or of those of N that restart, `began` [N] of truth
+        values."""
         if began is None or self.memory is None:
             self.memory = None
         else:

@@ -1,4 +1,4 @@
-"""A problem as an environment of Gymnasium, one path or many, and what an agent earns in one."""
+"""A problem as an environment of Gymnasium, one path or many, and the reward of an agent in one."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -20,13 +20,13 @@ from .spaces import batched, element, gymnasium, space_of
 class Environment(gymnasium.Env):
     """The exact simulator of a problem as an environment that anyone's library can train in.
 
-    - An observation is what a policy of snapo sees; a reward is a step's part of the objective,
+    - An observation is that of snapo's policies; a reward is a step's part of the objective,
       which must be a mean of sums. `info` holds all outputs of the step by name, numbers; those
-      of the last state are in the step that ends the problem.
+      of the terminal state are in the step that ends the problem.
     - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
-      (`terminated`), and outputs of the last state are not paid there. An end of the simulator's
-      own (`over`) terminates in both, also at the last step.
+      (`terminated`), and outputs of the terminal state are not paid there. An end of the
+      simulator's own (`over`) terminates in both, also at the last step.
     - `decisions`: the set that its actions are elements of.
     """
 
@@ -88,7 +88,7 @@ def play(
     **Arguments:**
 
     - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. A policy
-      writes its actions for the environment's space (see `Agent`); a memory begins anew.
+      writes its actions for the environment's space (see `Agent`); a memory is reset.
     - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
     - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1: the
       same ones for every agent, so that agents are compared on common starts.
@@ -137,7 +137,7 @@ def made(environment: "str | Callable[[], Any]"):
 class VectorEnvironment(gymnasium.vector.VectorEnv):
     """`num_envs` paths of the exact simulator side by side (see `Environment`).
 
-    A path that has ended starts anew at its next step, whose action is not used and whose reward
+    A path that has ended restarts at its next step, whose action is not used and whose reward
     is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its
     name after an underscore, for which paths it counts.
     """
@@ -188,7 +188,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, summary | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their first state, where nothing counts."""
+        """All paths moved; those to start `repeated` at their initial state, where nothing
+        counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 

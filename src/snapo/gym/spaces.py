@@ -62,8 +62,8 @@ def writer(space: Space, action: Actions | None = None) -> Writer:
 
     - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from its
       start; `MultiDiscrete` and `MultiBinary` take whole numbers.
-    - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers as they are.
-    - `action`: the set, where it is known; without it the number of decisions tells.
+    - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers unchanged.
+    - `action`: the set, where it is known; otherwise the number of decisions decides.
 
     **Raises:** `ValueError` where the set and the space have nothing in common.
     """

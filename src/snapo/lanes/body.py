@@ -111,7 +111,7 @@ def sink(order: list[Region], readers, values: set[ProgramValue]) -> None:
 
 
 def join(order: list[Region], readers, values: set[ProgramValue]) -> None:
-    """Gives a short loop the dot product that it alone reads, element by element."""
+    """Gives a short loop the dot product that only it reads, element by element."""
     home = {op: region for region in order for op in region.ops}
     for region in order:
         op = region.ops[0] if len(region.ops) == 1 else None

@@ -23,7 +23,7 @@ class Miniature(NamedTuple):
     - `kind`: of the domain, which must be installed.
     - `size`: of its template; the default one where it is None.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
-    - `simulator`: (module, class) beside the case, for a kind that runs the user's code.
+    - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
     - `texts`: gives the files of the case, {name: text}, where it is none of the templates.
     """
 
@@ -56,7 +56,7 @@ class Miniature(NamedTuple):
 
 
 def quiet(text: str) -> None:
-    """Takes a line of progress, and says nothing."""
+    """Ignores a line of progress."""
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:

@@ -66,7 +66,7 @@ class Seats(NamedTuple):
 
 
 KEPT = 64  # compiled kernels in memory
-COMPILED = "/snapo/compile"  # the event that tells how long a kernel took, as JAX tells of its own
+COMPILED = "/snapo/compile"  # event with the compile time of a kernel, like JAX's
 
 _runners: OrderedDict[Any, Runner] = OrderedDict()
 

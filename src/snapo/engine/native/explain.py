@@ -1,4 +1,4 @@
-"""Follows one simulator through the stages, as text; and says why one cannot be compiled."""
+"""Every stage of a simulator's compilation as text, or why it cannot be compiled."""
 
 from collections import OrderedDict
 from collections.abc import Hashable

@@ -30,7 +30,7 @@ from ..base import factor_of
 class SharedTree:
     """A tree that all paths share, taken apart once per call, as flattening takes time.
 
-    Arrays, as NumPy with floating ones in the call's precision, are read anew at every call;
+    Arrays, as NumPy with floating ones in the call's precision, are read at every call;
     everything else is compiled in.
     """
 
@@ -56,7 +56,7 @@ class SharedTree:
         return jax.tree.unflatten(self.tree, arrays), jax.tree.unflatten(self.tree, rest)
 
     def like(self, values: Iterable) -> PyTree:
-        """The tree with these in place of its arrays, in order, and None in place of the rest."""
+        """The tree with these values for its arrays, in order, and None for the rest."""
         values = iter(values)
         filled = [next(values) if isinstance(x, np.ndarray) else None for x in self.leaves]
         return jax.tree.unflatten(self.tree, filled)
@@ -84,7 +84,7 @@ def floating(x) -> bool:
 
 @dataclass(frozen=True)
 class FunctionSetup:
-    """The purpose of a kernel, beside the simulator, the policy and the types of arrays."""
+    """The purpose of a kernel, in addition to the simulator, the policy and the types of arrays."""
 
     dtype: str
     adjoint: bool
@@ -229,7 +229,7 @@ class Functions:
         yield "final", self._final, carry, final, False
 
     def clip(self) -> Callable | None:
-        """Bounds and shrinks the cotangents of the state, not those of the totals (`Clip`)."""
+        """Limits and shrinks the cotangents of the state, not those of the totals (`Clip`)."""
         if not self.setup.clip:
             return None
         floats = [i for i, x in enumerate(self.state) if floating(x)]

@@ -176,7 +176,7 @@ class Runner:
 class Spare:
     """Scratch memory between calls: of all kernels together, at most `SPARE` bytes.
 
-    Memory is given back to the kernel that had it; what has waited longest goes first.
+    Memory returns to the kernel that had it; memory unused for longest is freed first.
     """
 
     def __init__(self):

@@ -60,7 +60,7 @@ class LearningRound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A policy that was learnt in a model, and all that the real environment said of it.
+    """A policy that was learnt in a model, and all that was measured in the real environment.
 
     - `policy`: from the environment's observation to its action, both in its own units: plays by
       `snapo.gym.Agent(policy)`, is saved and exported as every policy is.

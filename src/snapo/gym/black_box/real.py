@@ -22,8 +22,8 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 class Transitions(NamedTuple):
     """Steps of the environment, one a row; with `hold`, a step is that of a held decision.
 
-    `ended` is true where the environment terminated: nothing comes after. The limit of time is no
-    such end, since it says nothing about the state.
+    `ended` is true where the environment terminated: nothing comes after. The time limit is no such
+    end, since it does not depend on the state.
     """
 
     before: Float[np.ndarray, "n k"]
@@ -45,7 +45,7 @@ def joined(parts: list[Transitions]) -> Transitions:
 def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
     """Pairs of observed numbers that lie on the unit circle in all rows: cosine and sine.
 
-    A model that leaves the circle by a little every step asks its networks about states that no
+    A model that leaves the circle slightly at every step asks its networks about states that no
     environment has; so such pairs are put back on it.
     """
     pairs: list[tuple[int, int]] = []
@@ -73,7 +73,7 @@ def scale_of(
     return mean, np.where(still, 1.0, deviation)
 
 
-MAX_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
+MAX_DECISIONS = 250  # of an episode, where the time for which a decision is held is not specified
 Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's number to action
 
 
@@ -97,7 +97,7 @@ class Real:
         self.inner = inner = opened(environment)
         observed, self.actions = _box(inner, "observation"), _box(inner, "action")
         if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
-            raise ValueError("learn: the actions need a finite low and high, to be explored.")
+            raise ValueError("learn: the actions need a finite low and high.")
         self.low, self.high = (
             np.ravel(item).astype(np.float64) for item in (observed.low, observed.high)
         )
@@ -163,7 +163,7 @@ def opened(environment: Any):
 
 FLATTEN = "gymnasium.wrappers.FlattenObservation makes a box of it"
 SCORES = (
-    "the adjoint needs numbers that can move a little. A gymnasium.ActionWrapper can take a Box of "
+    "the adjoint needs continuous numbers. A gymnasium.ActionWrapper can take a Box of "
     "scores, one for each choice, and choose the largest"
 )
 REMEDIES = {"observation": FLATTEN, "action": SCORES}
@@ -203,7 +203,8 @@ def _flat(observed: Any) -> np.ndarray:
 
 
 class Units(NamedTuple):
-    """Shift and scale [k] of what a policy sees in training: fixed, or weights lost their sense."""
+    """Shift and scale [k] of a policy's observations in training: fixed, or weights lost their
+    sense."""
 
     shift: np.ndarray
     scale: np.ndarray
@@ -265,7 +266,8 @@ class Known:
 
 
 def _layer(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
-    """Weights and biases of the first layer, in float64: what is far from zero loses no digits."""
+    """Weights and biases of the first layer, in float64, so that numbers far from zero lose no
+    digits."""
     weights, bias = layers(policy)[0]
     return np.asarray(weights, np.float64), np.asarray(bias, np.float64)
 

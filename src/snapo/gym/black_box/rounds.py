@@ -73,13 +73,13 @@ def _held(real: Real, rng: np.random.Generator) -> Callable[[int], np.ndarray]:
     return drawn
 
 
-STARTS = 512  # first states of the model: half of them those of episodes, half seen on the way
+STARTS = 512  # initial states of the model: half of them those of episodes, half seen on the way
 PATHS = 32  # first observations that are valued together
-BEYOND = 0.05  # of the range of what was seen: how far the model goes
+BEYOND = 0.05  # of the observed range: how far the model goes
 
 
 def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
-    """The model's numbers: weights, scales, the range that it stays in, and first states."""
+    """The model's numbers: weights, scales, the range that it stays in, and initial states."""
     observed, firsts, units, rng = (
         available.transitions,
         available.firsts,
@@ -92,7 +92,7 @@ def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     every = np.concatenate([observed.before, observed.after]).astype(np.float64)
     low, high = every.min(0), every.max(0)
     room = BEYOND * np.maximum(high - low, units.scale)
-    # A little beyond the environment's own bounds, so that there the smooth corner is not felt.
+    # Slightly beyond the environment's own bounds, so that there the smooth corner is not felt.
     slack = 1e-6 * units.scale
     return {
         "layers": fit.layers,
@@ -150,7 +150,7 @@ def value(
     return np.asarray(totals, np.float64).reshape(members, -1).mean(0)[:count]
 
 
-EXPLORE, CONFIRM = 0.15, 0.1  # shares of the steps: random ones at first; the last policy alone
+EXPLORE, CONFIRM = 0.15, 0.1  # shares of the steps: random ones at first; only the last policy
 FIRST, LATER = 4000, 2000  # steps of a fit, at most
 
 
@@ -181,7 +181,7 @@ class Inside(NamedTuple):
 
 def fewest(rounds: int) -> int:
     """The whole episodes that the steps must suffice for: each round plays one, and the last policy
-    another, wherever they stand."""
+    another, wherever they are."""
     return max(math.ceil(1 / CONFIRM), math.ceil((rounds + 1) / (1 - EXPLORE)))
 
 
@@ -241,7 +241,7 @@ def compared(
     """Episodes in the real environment up to `maximum` steps in all, one at least, and the same in
     the model.
 
-    With the seeds `common` every second episode is another, with noise, for the next fit alone.
+    With the seeds `common` every second episode is another, with noise, only for the next fit.
     """
     agent = Agent(available.units.undone(policy))
     played: list[Episode] = []

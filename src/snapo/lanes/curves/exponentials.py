@@ -34,7 +34,7 @@ def growth(a: Arithmetic, r: Ref) -> Ref:
 
 
 def exp(a: Arithmetic, x: Ref) -> Ref:
-    """1 + growth, with n added to its exponent; zero in place of denormals."""
+    """1 + growth, with n added to its exponent; zero instead of denormals."""
     code, f = a.code, a.format
     if f.dtype == "float32":
         shifted, r = a.octaves(x)

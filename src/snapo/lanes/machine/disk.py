@@ -51,7 +51,7 @@ def _apart(text: str) -> bytes | None:
 
 MARK = b"snapo kernel 2\n"  # of the layout: mark, checksum of name and code, code
 CHECKSUM = 32
-MAX_BYTES = 512 * 2**20  # of the folder; what was used longest ago goes first
+MAX_BYTES = 512 * 2**20  # of the folder; the least recently used code is removed first
 MAX_SECONDS = 60 * 86_400  # that code stays unused
 ENDING = ".o"
 
@@ -60,8 +60,8 @@ def cached(text: str, folder: Path) -> bytes:
     """Machine code for this text, from the folder where it was made before.
 
     The name of a file is a hash of the text and of the pipeline's identity: code that other passes
-    or another LLVM made, or code for another processor, is not found. A file is believed where it
-    is this user's, nobody else may write it, and its checksum is right; else code is made anew.
+    or another LLVM made, or code for another processor, is not found. A file is used if it is this
+    user's, no other user may write it, and its checksum is right; else code is compiled again.
     """
     name = key(text)
     path = folder / f"{name}{ENDING}"
@@ -87,7 +87,7 @@ def cache_home() -> Path:
 
 
 def evict(folder: Path) -> None:
-    """Removes code that nobody has used for long, and the oldest of what is too much."""
+    """Removes code that has not been used for long, and the oldest beyond the limit of size."""
     rows = []
     with suppress(OSError):
         for item in os.scandir(folder):
@@ -108,7 +108,7 @@ def _checksum(name: str, data: bytes) -> bytes:
 
 
 def _read(path: Path, name: str) -> bytes | None:
-    """The code in a file that can be believed; None for any other."""
+    """The code in a file that can be trusted; None for any other."""
     try:
         with open(path, "rb") as file:
             if not _own(os.fstat(file.fileno())):
@@ -126,7 +126,7 @@ def _read(path: Path, name: str) -> bytes | None:
 
 
 def _own(state: os.stat_result) -> bool:
-    """Whether a file is this user's, and writable by nobody else."""
+    """Whether a file is this user's, and not writable by others."""
     if not stat.S_ISREG(state.st_mode):
         return False
     if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
@@ -135,7 +135,7 @@ def _own(state: os.stat_result) -> bool:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all; a disk that cannot be written is no reason to fail."""
+    """Written completely or not at all; a disk that cannot be written is no reason to fail."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

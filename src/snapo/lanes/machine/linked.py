@@ -15,7 +15,7 @@ from .pipeline import PIPELINE, binding
 class KernelMemory:
     """Named rows of zero bytes on 64-byte boundaries, and their addresses.
 
-    They are of one allocation: kernels take addresses, and NumPy is slow to tell them.
+    They are of one allocation: kernels take addresses, and NumPy is slow to return them.
     """
 
     def __init__(self, sizes: dict[str, int]):

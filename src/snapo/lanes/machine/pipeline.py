@@ -85,7 +85,8 @@ class Pipeline:
     loop_interleaving: bool = False
 
     def identity(self) -> str:
-        """All that decides the code beside the text: code under another identity is not used."""
+        """All that determines the code in addition to the text: code under another identity is not
+        used."""
         processor = host()
         settings = " ".join(f"{key}={value}" for key, value in asdict(self).items())
         parts = (settings, processor.triple, processor.name, processor.features, versions())

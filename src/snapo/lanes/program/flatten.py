@@ -22,7 +22,7 @@ LARGEST = 20_000  # most operations in one program
 
 
 def flatten(closed, path: list[bool]) -> Program:
-    """A closed jaxpr as a program; `path` says which inputs differ between paths."""
+    """A closed jaxpr as a program; `path`: which inputs differ between paths."""
     jaxpr = closed.jaxpr
     inputs = [
         ProgramValue(v.aval.shape, np.dtype(v.aval.dtype), p) for v, p in zip(jaxpr.invars, path)
@@ -191,7 +191,7 @@ class Joint:
 
 
 def forward(piece: Piece, path_avals: Sequence[Any] = (), own_path: bool = True) -> Program:
-    """A piece alone, for values."""
+    """A piece without its transpose, for values."""
     avals = [leaf.aval for leaf in piece.reads] + list(path_avals)
     closed = jax.make_jaxpr(piece)(*avals)
     return flatten(closed, _lanes(piece, path_avals, own_path, 0))

@@ -22,7 +22,7 @@ def supported(dtype) -> bool:
 
 @cache
 def name_of(dtype) -> str:
-    """NumPy's name of a type; NumPy puts it together anew each time."""
+    """NumPy's name of a type; NumPy builds it at each access."""
     return np.dtype(dtype).name
 
 
@@ -52,7 +52,7 @@ BIG = 12  # arrays of more numbers than this live in memory, smaller ones in reg
 
 @dataclass(eq=False)
 class ProgramValue:
-    """One array of a program: `path` says whether it differs between paths.
+    """One array of a program: `path`: whether it differs between paths.
 
     A value whose content is known while compiling carries it in `constant`.
     """

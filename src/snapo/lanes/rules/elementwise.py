@@ -233,7 +233,7 @@ def _shift(code: Code, instruction: str, x: Ref, by: Ref) -> Ref:
 
 
 def _total_order(strict: bool) -> Callable:
-    """Comparison in which NaN stands above everything, as sorting uses it."""
+    """Comparison in which NaN is above everything, as sorting uses it."""
 
     def rule(code: Code, a: Ref, b: Ref) -> Ref:
         if not a.floating:

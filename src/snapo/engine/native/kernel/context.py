@@ -54,7 +54,7 @@ def _shared(rows: Layouts, t: Traced) -> None:
 
 
 def _state(rows: Layouts, t: Traced) -> None:
-    """A path's state: as it goes on, as it is given, as it is left; and the adjoints of both."""
+    """A path's state: current, initial and final; and the adjoints of the first two."""
     for i, x in enumerate(t.state):
         for name, key in (("carry", "state"), ("start", "start"), ("final", "end")):
             rows[name].add((key, i), x.shape, x.dtype)
@@ -159,7 +159,7 @@ class Build:
         return Function(header, code, self.layouts)
 
     def workspace(self) -> Workspace:
-        """Scratch memory for one function; `used` tells how much of it there is."""
+        """Scratch memory for one function; `used` is its size."""
         return Workspace(field("work"))
 
     def used(self, workspace: Workspace) -> None:

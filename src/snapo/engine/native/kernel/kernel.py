@@ -163,7 +163,7 @@ class Kernel:
 
 
 def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:
-    """Writes every function of a kernel, and tells `stages` of the programs on the way."""
+    """Writes every function of a kernel, and appends the intermediate programs to `stages`."""
     build = Build.start(traced, processor, stages)
     for name in ("initial", "step", "final"):
         emit_phase(build, traced.phases[name])

@@ -1,6 +1,6 @@
 """The noise of a phase: drawn from a counter inside the kernel, or supplied by the caller.
 
-Normals are those of `snapo.problem.noise.counter`, bit by bit: words of Threefry-2x32 with 20
+Normals are those of `snapo.problem.noise.counter`, bit by bit: integers of Threefry-2x32 with 20
 rounds (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011), and
 Wichura's inverse normal AS241."""
 
@@ -22,7 +22,7 @@ ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
 def threefry(code: Code, key: tuple[Ref, Ref], counter: tuple[Ref, Ref]) -> tuple[Ref, Ref]:
-    """Two random words per lane from a key and a counter of two words."""
+    """Two random integers per lane from a key and a counter of two integers each."""
     parity = code.constant(0x1BD11BDA, "uint32")
     keys = [key[0], key[1], code.op("xor", code.op("xor", key[0], key[1]), parity)]
     x, y = code.add(counter[0], keys[0]), code.add(counter[1], keys[1])
@@ -118,9 +118,9 @@ def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> st
 
 
 def _draw_words(code: Code, size: int, together: int, antithetic: bool) -> None:
-    """The words of all steps, some counters at a time.
+    """The random integers of all steps, some counters at a time.
 
-    A counter gives two words. Where a step takes an odd number, the next step's first word is
+    A counter gives two integers. Where a step takes an odd number, the next step's first integer is
     written over the last one; its place is therefore counted by steps.
     """
     lanes, pairs = code.lanes, (size + 1) // 2
@@ -128,7 +128,7 @@ def _draw_words(code: Code, size: int, together: int, antithetic: bool) -> None:
     paths = code.load("%paths", "uint32", lanes)
     one = code.constant(1, "uint32")
     number = code.op("lshr", paths, one) if antithetic else paths
-    # The top bit of a word is the sign of its normal: the second of a pair has it turned.
+    # The top bit of a word is the sign of its normal: it is inverted for the second of a pair.
     turn = code.op("shl", paths, code.constant(31, "uint32")) if antithetic else None
     start = code.index(f"mul i64 %first, {pairs}")
     total = code.index(f"mul nsw i64 %count, {pairs}")
@@ -213,7 +213,7 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
 
 
 def _supplied(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
-    """Given numbers [steps, paths, size], gathered from where the caller has them."""
+    """Supplied numbers [steps, paths, size], gathered from where the caller has them."""
     code, size = s.code, value.size
     unit = value.dtype.itemsize
     row = code.index(f"mul nsw i64 {s.t}, {field('count')}")
