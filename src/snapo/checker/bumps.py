@@ -145,7 +145,7 @@ def _gradients(simulator: Simulator, inputs: PyTree, run: CheckedRollout) -> dic
 
 
 def _directions(entry: inputs_.NamedInput, rng) -> list[tuple[str, np.ndarray]]:
-    """All numbers together with random signs, then a few alone."""
+    """All numbers together with random signs, then a few separately."""
     shape, size = entry.input.value.shape, entry.input.value.size
     if size == 1:
         return [("", np.ones(shape))]
@@ -160,7 +160,7 @@ def _directions(entry: inputs_.NamedInput, rng) -> list[tuple[str, np.ndarray]]:
 class _Comparison:
     """One direction of one input in one run: its adjoint and differences, an entry per output.
 
-    Every number moves by its own step; derivatives are by the largest of these moves.
+    Every number moves by its own step; derivatives are with respect to the largest of these moves.
     """
 
     def __init__(
@@ -215,7 +215,7 @@ class _Comparison:
 
 
 def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
-    """Writes down the mistakes along one direction of an input; whether there was any."""
+    """Reports the mistakes along one direction of an input; returns whether there was any."""
     pair = pairs[0]
     small = pair.difference(pair.bump)
     if not np.all(np.isfinite(small)):
@@ -246,7 +246,7 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
 
 
 def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
-    """An input with derivative zero in every run: it does nothing, or its way is cut."""
+    """An input with derivative zero in every run: it has no effect, or its derivative is lost."""
     bump = pairs[0].bump
     for pair in pairs:
         if (small := pair.moves(bump)) is not None:

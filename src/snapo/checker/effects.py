@@ -68,7 +68,7 @@ def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.n
 
 
 def _numbered(group: list[int], size: int) -> str:
-    """The index of components that move together: none where they are all there are."""
+    """The index of components that move together; empty where they are all."""
     if len(group) == 1:
         return f"[{group[0]}]"
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"

@@ -14,7 +14,7 @@ from snapo.problem.actions import Product
 
 
 def explained(error: BaseException, simulator: Any, method: str) -> tuple[str, str, str]:
-    """The place of an exception with file:line, the mistake, and how to fix it."""
+    """Location of an exception with file:line, the mistake, and how to fix it."""
     message, fix = _sentence(error)
     fix = _guess(str(error), simulator, method) or fix
     frame = _own_frame(error, simulator)
@@ -113,7 +113,7 @@ class Finding(NamedTuple):
     fix: str
 
     def sentence(self) -> str:
-        """It in one line, for notes."""
+        """The finding in one line, for notes."""
         return f"{self.where}: {self.subject} {self.fix}"
 
     def __str__(self) -> str:
@@ -168,7 +168,7 @@ class StopCheck(Exception):
 
 @dataclass
 class Notes:
-    """Findings while they are made."""
+    """Collects the findings of one check."""
 
     simulator: Any
     items: list[Finding] = field(default_factory=list)
@@ -199,11 +199,11 @@ class Notes:
         self.error(*self.explained(error, method))
 
     def explained(self, error: Exception, method: str) -> tuple[str, str, str]:
-        """The place of an exception, the mistake, and how to fix it."""
+        """Location of an exception, the mistake, and how to fix it."""
         return explained(error, self.simulator, method)
 
     def method(self, name: str) -> str:
-        """A method with the place where it is written."""
+        """A method with file:line of its definition."""
         try:
             function = inspect.unwrap(getattr(type(self.simulator), name))
             file, line = inspect.getsourcefile(function), inspect.getsourcelines(function)[1]

@@ -2,7 +2,7 @@
 
 Two points of the same step, on either side of a comparison, are brought together until they meet
 at the threshold. There the method is evaluated with the comparison as on the one side, and as on
-the other: of a corner both are the same.
+the other: at a corner both agree.
 """
 
 from typing import Any, NamedTuple

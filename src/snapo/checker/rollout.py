@@ -1,7 +1,7 @@
 """Rollouts of a few paths in float64 with smooth limits, and the numbers seen in them.
 
 The first follows a simple random policy; three more stay at low, middle and high actions, because
-one policy may never get to where an input or an action matters.
+one policy may never reach states at which an input or an action matters.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ EPSILONS = 10 * np.finfo(np.float64).eps  # of the largest number on the way to 
 
 
 class _Probe(Policy):
-    """A simple random policy that reacts to everything it sees."""
+    """A simple random policy that depends on every observation."""
 
     offset: Array
     gain: Array

@@ -244,7 +244,7 @@ def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[
 def require(
     notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> None:
-    """Writes them down, and stops where there are any."""
+    """Reports unknown outputs and other mistakes of this kind, and stops if there are any."""
     for unknown_output in unknown_outputs(objective, constraints, outputs):
         metadata = (
             unknown_output.subject

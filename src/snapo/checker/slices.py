@@ -28,7 +28,7 @@ class Short(NamedTuple):
 
 
 def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every slice of every method asks for entries that there are."""
+    """Every slice of every method lies within its array."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name), _asked() as result:

@@ -68,7 +68,7 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
 
 
 def _anew(function: Callable, *values: Any) -> Any:
-    """A call for which JAX traces everything again, functions inside it that it has met too."""
+    """A call for which JAX traces everything again, including functions traced before."""
     with read_context(object()):
         return function(*values)
 
@@ -120,7 +120,7 @@ def _is_program(x: Any) -> bool:
 
 
 def _differentiable(method: Method) -> bool:
-    """Whether a method can be differentiated backwards; nothing is computed."""
+    """Whether reverse mode can differentiate a method; nothing is computed."""
     values = list(method.arguments.values())
     noise = [name == "noise" for name in method.arguments]  # its derivative is never needed
 

@@ -1,4 +1,4 @@
-"""A method's program run equation by equation, with a look at comparisons and moving indices.
+"""A method's program evaluated equation by equation, with records of comparisons and indices.
 
 Calls are looked into; loops, `lax.cond` and functions with a custom derivative run as a whole.
 """
@@ -77,7 +77,7 @@ class Watched:
         return self(arguments, None)
 
     def nothing(self, many: int) -> Change:
-        """The change that changes nothing, of so many points."""
+        """No change, at this number of points."""
         truths = [np.zeros((many, *x.shape), bool) for x in self.shapes.truths]
         return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
 
@@ -90,7 +90,7 @@ class Watched:
 
 
 class _Walk:
-    """One way through a program."""
+    """One evaluation of a program."""
 
     def __init__(self, change: Change | None):
         self.change = change
@@ -124,7 +124,7 @@ class _Walk:
         return [read(x) for x in jaxpr.outvars], [marked(x) for x in jaxpr.outvars]
 
     def _watched(self, eqn, values, results, line, dirty: list[int]):
-        """An equation's results, with its site's change."""
+        """An equation's results, with the change of its site."""
         kind = eqn.primitive.name
         if (
             kind in COMPARISONS
@@ -253,11 +253,12 @@ class SamplePoints:
 
     @cached_property
     def met(self) -> Observed:
-        """All that is met at all points."""
+        """The observed numbers at all points."""
         return self.observe(self.arguments)
 
     def observe(self, arguments: Sequence[Any], change: Change | None = None) -> Observed:
-        """All that is met at these arguments; the truths of a change have an entry a point."""
+        """The observed numbers at these arguments; the truths of a change have an entry per
+        point."""
         if change is None:
             many = next(len(x) for x, moves in zip(arguments, self.moving) if moves)
             change = self.recorder.nothing(many)

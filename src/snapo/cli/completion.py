@@ -1,8 +1,8 @@
-"""What completes words elsewhere: commands in a shell, the keys of a case in an editor.
+"""Completion outside of snapo: commands in a shell, the keys of a case in an editor.
 
 `snapo completion SHELL` prints a script for the shell, made from the command's own arguments, and
 `snapo schema KIND` the JSON schema of a kind of case, made from the tables that its reader checks.
-Ranges, words and descriptions are those of the tables; checks that depend on other keys are
+Ranges, options and descriptions are those of the tables; checks that depend on other keys are
 left to `snapo check`.
 """
 

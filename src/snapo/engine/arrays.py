@@ -1,4 +1,4 @@
-"""A path's totals, and its state in few vectors and with the memory of its policy."""
+"""Totals of a path, and its state as packed vectors, with the memory of its policy."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from .base import Adjoint, Rollout
 
 
 def add(kind: str, total, value):
-    """The total after one more number: "sum", "max" or "last"."""
+    """The total after one more value; `kind` is "sum", "max" or "last"."""
     if total is None or kind == "last":
         return value
     return jnp.maximum(total, value) if kind == "max" else total + value
@@ -25,7 +25,7 @@ def zero(kind: str, dtype):
 
 
 class Packing:
-    """How one path's state, a tree of small arrays, lies in one vector per type.
+    """Layout of a path's state, a tree of small arrays, as one vector per type.
 
     Floating leaves take the engine's precision, integers and booleans keep their type.
     """
@@ -54,7 +54,7 @@ class Packing:
         )
 
     def unpack(self, packed: tuple[Array, ...]) -> PyTree:
-        """The state again."""
+        """The state from its vectors."""
         position = dict.fromkeys(self.kinds, 0)
         leaves = []
         for shape, kind in zip(self.shapes, self.types):
@@ -68,9 +68,9 @@ class Packing:
 def with_memory(
     simulator: Simulator, policy: Policy | None, actions, start: PyTree, paths: int
 ) -> tuple[Simulator, PyTree]:
-    """The simulator and the starting states that a rollout of this policy needs.
+    """The simulator and the initial states that a rollout of this policy needs.
 
-    Recorded actions need no memory; states that were given begin without one.
+    Recorded actions need no memory; supplied states start with an empty one.
     """
     size = 0 if actions is not None else remembered(policy)
     if not size or remembers(simulator):
@@ -82,7 +82,7 @@ def with_memory(
 
 
 def values_without(simulator: Simulator, used: Simulator, rollout: Rollout) -> Rollout:
-    """What a sweep gives, without the memory that `used` carries and `simulator` has not."""
+    """The result of a sweep without the memory that `used` has and `simulator` has not."""
     if used is simulator or not isinstance(used, Remembering):
         return rollout
     record = dict(rollout.record)
@@ -94,7 +94,7 @@ def values_without(simulator: Simulator, used: Simulator, rollout: Rollout) -> R
 
 
 def adjoint_without(simulator: Simulator, used: Simulator, adjoint: Adjoint) -> Adjoint:
-    """The same of an adjoint pass."""
+    """The result of an adjoint pass without that memory."""
     if used is simulator or not isinstance(used, Remembering) or adjoint.start is None:
         return adjoint
     return adjoint._replace(start=adjoint.start["own"])

@@ -130,7 +130,7 @@ class Clip:
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """What an adjoint of this norm is multiplied by: the share kept, or less, down to the bound."""
+    """The factor on an adjoint of this norm: the share kept, or less where the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 
@@ -183,7 +183,7 @@ class Engine(abc.ABC):
         return jax.enable_x64(True) if self.precision == "float64" else nullcontext()
 
     def leave(self, result: PyTree) -> PyTree:
-        """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
+        """Float64 results become NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
     def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
@@ -273,7 +273,7 @@ class Engine(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class BoundEngine:
-    """An engine with the simulator and the schedule that it rolls; each call brings the rest.
+    """An engine with a simulator and its schedule; each call supplies the other arguments.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
     """
@@ -353,7 +353,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """There are paths, and numbers for each of their steps: a kernel would read past an end."""
+    """There are paths, and noise for each of their steps: else a kernel would read past an end."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Stored):

@@ -43,7 +43,7 @@ class NextState(NamedTuple):
 
     @property
     def over(self) -> Bool[Array, ""]:
-        """Whether the episode goes no further, for one reason or the other."""
+        """Whether the episode is over, for either reason."""
         return self.ended | self.late
 
 
@@ -52,7 +52,8 @@ class GymDynamics:
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
     with the step that ends the problem. With `endless` the horizon is a limit of time, after which
-    the problem would go on: nothing is paid for a state that is the last one for its sake alone.
+    the problem would go on: a state at which only the horizon ends the path has no terminal
+    rewards.
 
     **Raises:** `ValueError` where the objective is no mean of sums, which has no reward of a step.
     """

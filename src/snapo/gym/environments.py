@@ -18,7 +18,7 @@ from .spaces import batched, element, gymnasium, space_of
 
 
 class Environment(gymnasium.Env):
-    """The exact simulator of a problem as an environment that anyone's library can train in.
+    """The exact simulator of a problem as an environment for training with any library.
 
     - An observation is that of snapo's policies; a reward is a step's part of the objective,
       which must be a mean of sums. `info` holds all outputs of the step by name, numbers; those
@@ -119,7 +119,7 @@ def play(
 
 
 def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
-    """The agent, or that of a policy, for the actions of the environment; it remembers nothing."""
+    """The agent, or that of a policy, for the actions of the environment; its memory is empty."""
     if not isinstance(agent, Agent | Policy):
         return agent
     act = Agent(agent) if isinstance(agent, Policy) else agent

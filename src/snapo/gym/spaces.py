@@ -1,4 +1,4 @@
-"""Sets of actions as Gymnasium's spaces, and the ways between both.
+"""Sets of actions as Gymnasium's spaces, and the conversions between both.
 
 Elements of a space come N at a time, as vectorised environments have them: an array [N, …], or of a
 `Dict` one for each name.

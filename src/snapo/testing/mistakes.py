@@ -44,7 +44,7 @@ class Mistake:
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
-    """The mistakes that `read` does not deal with, a line each; none is the right answer.
+    """The mistakes that `read` does not handle, one line each; an empty list is correct.
 
     **Arguments:**
 

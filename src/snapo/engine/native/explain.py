@@ -52,8 +52,8 @@ def explain(
 
     **Arguments:**
 
-    - `schedule`: the result of `prepare`; without it `simulator.prepare(None)` is asked.
-    - `policy`: a small network where none is given.
+    - `schedule`: the result of `prepare`; by default that of `simulator.prepare(None)`.
+    - `policy`: by default a small network.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
     the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.

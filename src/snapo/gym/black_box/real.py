@@ -203,19 +203,19 @@ def _flat(observed: Any) -> np.ndarray:
 
 
 class Units(NamedTuple):
-    """Shift and scale [k] of a policy's observations in training: fixed, or weights lost their
-    sense."""
+    """Shift and scale [k] of a policy's observations in training: fixed, since weights depend
+    on them."""
 
     shift: np.ndarray
     scale: np.ndarray
 
     def undone(self, policy: MLP) -> MLP:
-        """The policy that takes observations as the environment gives them: no network of a kind
-        of its own, so that it is saved and exported as every policy is."""
+        """The policy that takes observations as the environment gives them: an ordinary network,
+        so that it can be saved and exported like every policy."""
         return _with_layer(policy, plain(*_layer(policy), self.shift, self.scale))
 
     def done(self, policy: MLP) -> MLP:
-        """The way back."""
+        """The inverse of `undone`."""
         return _with_layer(policy, scaled(*_layer(policy), self.shift, self.scale))
 
 
@@ -223,7 +223,7 @@ class Units(NamedTuple):
 class Known:
     """The real environment and all episodes so far.
 
-    `units` and `circles` (see `transitions.circles`) are those of the random episodes.
+    `units` and `circles` (see the function) are those of the random episodes.
     """
 
     real: Real
@@ -234,12 +234,12 @@ class Known:
 
     @staticmethod
     def of(real: Real, seed: int) -> "Known":
-        """Nothing yet."""
+        """An environment without episodes."""
         nothing = Units(np.zeros(0), np.ones(0))
         return Known(real, np.random.default_rng((seed, 1)), nothing)
 
     def settled(self) -> "Known":
-        """With the units of all that was seen so far."""
+        """With units from all transitions so far."""
         observed = self.transitions
         every = np.concatenate([observed.before, observed.after]).astype(np.float64)
         return replace(self, units=Units(*scale_of(every)), circles=circles(every))
@@ -261,7 +261,7 @@ class Known:
         return self.episodes[-1]
 
     def room(self, steps: float) -> bool:
-        """Whether one more episode ends within so many steps, however long it takes."""
+        """Whether one more episode of any length ends within this number of steps."""
         return self.real.steps + self.real.limit <= steps
 
 

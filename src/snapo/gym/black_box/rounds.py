@@ -113,7 +113,7 @@ def trained(
     engine: EngineName,
     share: float = 1.0,
 ) -> MLP:
-    """The policy trained on in the model, for a share of the steps."""
+    """The policy after further training in the model, for a share of the steps."""
     sources = Sources.of(None, training.seed)
     problem = Problem(model, inputs, Mean("reward"), sources)
     engines = choose(engine, problem, policy)
@@ -171,7 +171,7 @@ class LearningPlan:
 
 
 class Inside(NamedTuple):
-    """The model of a round: the simulator, its numbers, their fit, and the rows that it saw."""
+    """The model of a round: the simulator, its numbers, their fit, and the number of rows used."""
 
     model: Model
     inputs: Any
@@ -180,8 +180,8 @@ class Inside(NamedTuple):
 
 
 def fewest(rounds: int) -> int:
-    """The whole episodes that the steps must suffice for: each round plays one, and the last policy
-    another, wherever they are."""
+    """The number of complete episodes for which the steps must suffice: each round plays one, and
+    the last policy another, wherever they are."""
     return max(math.ceil(1 / CONFIRM), math.ceil((rounds + 1) / (1 - EXPLORE)))
 
 
@@ -192,7 +192,7 @@ def until(plan: LearningPlan, number: int) -> float:
 
 
 def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) -> Inside:
-    """The model of all that was seen; `raw` are the weights that the fit goes on from."""
+    """The model of all transitions; `raw` are the initial weights of the fit."""
     observed, real = available.transitions, available.real
     capacity = -(-plan.steps // real.hold) + real.limit
     result = fit(observed, raw, capacity, LATER if number else FIRST, plan.seed)
@@ -219,7 +219,7 @@ def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) 
 
 
 def improved(plan: LearningPlan, inside: Inside, policy: MLP, number: int) -> MLP:
-    """The policy trained on, on paths that no round had before."""
+    """The policy after further training, on paths that no round had before."""
     problem = Problem(inside.model, inside.inputs, Mean("reward"))
     settings, middle = resolve_auto(plan.training, problem, policy), 0 < number < plan.rounds - 1
     settings = replace(settings, seed=settings.seed + 1000 * number)
@@ -263,7 +263,7 @@ def run(
     policy: MLP | None,
     progress: Callable[[LearningRound], object] | None,
 ) -> Learned:
-    """All of it; the arguments are those of `learn`."""
+    """The complete loop; the arguments are those of `learn`."""
     timer = time.process_time()
     available = _explored(real, plan)
     history, policies, inside = _rounds(available, plan, policy, progress)

@@ -102,7 +102,7 @@ def evaluate(closed, values, caller=None):
 
 
 def _fresh(constant):
-    """A NumPy table as an array of its own: JAX remembers one by the precision it met it in."""
+    """A copy of a NumPy table: JAX caches a table with the precision of its first use."""
     return constant.copy() if isinstance(constant, np.ndarray) else constant
 
 

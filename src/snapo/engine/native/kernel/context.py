@@ -24,7 +24,7 @@ BLOCKS = (
 
 
 def layouts(t: Traced, lanes: int) -> Layouts:
-    """The rows of one kernel by name; those of the tapes are filled when a sweep is written."""
+    """The rows of one kernel by name; those of tapes are filled when a sweep is written."""
     rows = {name: Layout(1) for name in SHARED} | {name: Layout(lanes) for name in BLOCKS}
     _shared(rows, t)
     _state(rows, t)
@@ -166,10 +166,10 @@ class Build:
         self.work = max(self.work, workspace.size)
 
     def waiting(self, size: int) -> None:
-        """A function keeps waiting rows of this many bytes."""
+        """Reserves this many bytes for the waiting rows of a function."""
         self.chunk = max(self.chunk, size)
 
     def show(self, title: str, program: Program) -> None:
-        """Tells the reader of an explanation of a program."""
+        """Adds a program to the stages of an explanation."""
         if self.stages is not None:
             self.stages.append((title, "\n".join(walk(program))))

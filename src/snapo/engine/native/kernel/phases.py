@@ -55,7 +55,7 @@ def _inputs(
 
 
 def _given(s: KernelSweep, key) -> ArrayPlace:
-    """Where an array of the path lies that is given to this phase."""
+    """Position of an array of the path that this phase takes as an argument."""
     layouts = s.build.layouts
     if key == "action":
         return layouts["actions"].address(key, s.step_row("actions"))
@@ -100,7 +100,7 @@ class Transposed:
     back: list[ProgramValue]
 
     def required(self) -> list[ProgramValue]:
-        """Everything that the reverse sweep must bring about."""
+        """All values that the reverse sweep must compute."""
         return [*self.back, *self.gradients.required()]
 
 
@@ -135,7 +135,7 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepP
 
 
 def _waiting(s: KernelSweep, rows: Rows) -> str:
-    """How many steps wait to be gathered: all slots, or the steps that are left."""
+    """Number of steps that wait to be gathered: all slots, or the remaining steps."""
     code = s.code
     left = code.index(f"sub nsw i64 %end, {s.t}") if s.stepwise else "1"
     below = code.index(f"icmp slt i64 {left}, {rows.steps}")
@@ -171,7 +171,7 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
 
 
 def fetch_ahead(code: Code, row: str, stride: int) -> None:
-    """Asks for the rows of the tape that come next: they descend, which no processor guesses."""
+    """Prefetches the next rows of the tape: they descend, which processors do not predict."""
     code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
     lines = stride // 64
     with code.loop(-(-lines // 4)) as loop:

@@ -17,7 +17,7 @@ from .context import Build, Function, field
 def bind(
     values: EmittedValues, program: Program, piece: Piece, tables: Shared, fixed: bool
 ) -> None:
-    """Tells where everything lies that a piece reads; tables do not change where `fixed`."""
+    """Binds the positions of all that a piece reads; tables do not change where `fixed`."""
     for value, leaf in zip(program.inputs, piece.reads):
         values.bind(value, tables.address(leaf, fixed))
 
@@ -75,7 +75,7 @@ def finish(build: Build) -> None:
 def _transposed(
     build: Build, function: Function, piece: Piece, leaves: list[Leaf], tables: Shared, sums: Shared
 ) -> None:
-    """The sums of a piece's outputs taken back to the piece's inputs."""
+    """The sums of a piece's outputs, transposed to the piece's inputs."""
     moving = [i for i, leaf in enumerate(leaves) if leaf.active]
     if not moving:
         return
