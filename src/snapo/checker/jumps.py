@@ -2,7 +2,7 @@
 
 Two points of the same step, on either side of a comparison, are brought together until they meet
 at the threshold. There the method is evaluated with the comparison as on the one side, and as on
-the other: of a corner both are the same.
+the other: at a corner both agree.
 """
 
 from typing import Any, NamedTuple
@@ -11,11 +11,11 @@ import jax
 import numpy as np
 
 from .findings import Notes
-from .program.points import SamplePoints
+from .watch import SamplePoints
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 MINIMUM = 1e-4  # a jump, of the largest value of its result
-FLAG = 3  # a state with at most so many values, all whole, is a flag, which stays as it is
+FLAG = 3  # a state with at most so many values, all whole, is a flag, which is unchanged
 
 
 class Jump(NamedTuple):
@@ -49,13 +49,14 @@ def jumps(notes: Notes, points: SamplePoints) -> None:
                 f"{points.method.name}, {line}",
                 f"A comparison makes {largest.name} jump, by {largest.size:.4g} on a path: "
                 f"training and derivatives do not see the jump. In: {line.text}",
-                "Write smooth.indicator(a - b, scale) in place of a > b, or smooth.choose in place "
+                "Write smooth.indicator(a - b, scale) instead of a > b, or smooth.choose in place "
                 "of jnp.where; draw a decision that jumps with snapo.Choice.",
             )
 
 
 def _held(x: Any) -> bool:
-    """Whether an argument stays as it is on the way: whole numbers, and flags kept as floats."""
+    """Whether an argument is unchanged between the two points: whole numbers, and flags kept as
+    floats."""
     x = np.asarray(x)
     if x.dtype.kind != "f":
         return True

@@ -23,10 +23,8 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from .arrays import Packing, add, adjoint_without, values_without, with_memory, zero
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
-from .memory import adjoint_without, values_without, with_memory
-from .packing import Packing
-from .totals import add, zero
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 
@@ -145,7 +143,8 @@ class XlaCall(eqx.Module):
     has_terminal: bool = eqx.field(static=True)
 
     def compile_context(self) -> AbstractContextManager:
-        """The context of every compiled call: it follows what the user's code reads now."""
+        """The context of every compiled call: it depends on the values that the user's code
+        reads."""
         return read_context(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
     def axes(self) -> "XlaCall":
@@ -190,7 +189,7 @@ def _adjoint(
 def _over_devices(engine: Xla, work, values, axes, out):
     """`work` on every device's share of the paths; results without an axis of paths are summed.
 
-    Each device goes through its own paths alone, and the gradients meet once, at the end: were
+    Each device simulates only its own paths, and the gradients are added once, at the end: were
     the arrays merely laid out over the devices, XLA would add them up at every step.
     """
     size = values[0].draws.size

@@ -28,10 +28,10 @@ class Ends(Protocol):
 class NextState(NamedTuple):
     """After a step: the state, its observation, the reward and all outputs.
 
-    - `ended`: the problem is at its end: the simulator says so (`over`), or it is the horizon's.
+    - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
     - `late`: a limit of time cuts the episode off, and the problem would go on.
-    - `outputs`: of the step, and at an end those of the last state as well; a name that only the
-      last state has is 0 before.
+    - `outputs`: of the step, and at an end those of the terminal state as well; a name that only
+      the terminal state has is 0 before.
     """
 
     state: PyTree
@@ -43,16 +43,17 @@ class NextState(NamedTuple):
 
     @property
     def over(self) -> Bool[Array, ""]:
-        """Whether the episode goes no further, for one reason or the other."""
+        """Whether the episode is over, for either reason."""
         return self.ended | self.late
 
 
 class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
-    The rewards of a path add up to its share of the objective; those of the last state come with
-    the step that ends the problem. With `endless` the horizon is a limit of time, after which the
-    problem would go on: nothing is paid for a state that is the last one for its sake alone.
+    The rewards of a path add up to its share of the objective; those of the terminal state come
+    with the step that ends the problem. With `endless` the horizon is a limit of time, after which
+    the problem would go on: a state at which only the horizon ends the path has no terminal
+    rewards.
 
     **Raises:** `ValueError` where the objective is no mean of sums, which has no reward of a step.
     """
@@ -72,7 +73,7 @@ class GymDynamics:
         self.features, self.horizon = problem.features, self.simulator.horizon
 
     def first(self, noise: Float[Array, " initial_noise"]) -> tuple[PyTree, Array]:
-        """A first state and its observation."""
+        """An initial state and its observation."""
         state = jax.tree.map(jnp.asarray, self.simulator.initial(self.schedule.constants, noise))
         return state, self._seen(jnp.zeros((), jnp.int32), state)
 
@@ -92,7 +93,7 @@ class GymDynamics:
         return NextState(after, self._seen(t + 1, after), reward, summary, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
-        """The outputs that the last state alone has, none of a step."""
+        """The outputs that only the terminal state has, none of a step."""
 
         def both():
             constants, now = self.schedule.constants, at(self.schedule.steps, 0)
@@ -115,7 +116,7 @@ class GymDynamics:
         return sum((w * outputs[k] for k, w in self.weights.items() if k in outputs), zero)
 
     def _told(self, outputs: OutputsOf, last: OutputsOf, ended: Array) -> OutputsOf:
-        """The outputs of a step joined with those of the last state, by the kind of total."""
+        """The outputs of a step joined with those of the terminal state, by the kind of total."""
         summary = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
         for name, value in last.items():
             before, kind = summary.get(name, jnp.zeros(())), self.kinds.get(name, "sum")

@@ -12,8 +12,8 @@ import equinox as eqx
 import jax
 from jaxtyping import PyTree
 
+from snapo.checker.check import problem_mistakes, simulator_mistakes
 from snapo.checker.findings import Findings
-from snapo.checker.first import problem_mistakes, simulator_mistakes
 from snapo.engine import Engine, EngineName, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once

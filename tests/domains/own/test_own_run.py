@@ -205,7 +205,7 @@ WRONG = {
     "branch": ("left = there - sold", "left = there - sold if there > sold else 0.0",
                ["step, ", "Python decides here"]),
     "name": ("sold = smooth.minimum(there", "sold = smooth.minimum(their", ["NameError", "their"]),
-    "nan": ("0.1 * left", "0.1 * jnp.log(left - 1e6)", ["output profit is not finite"]),
+    "nan": ("0.1 * left", "0.1 * jnp.log(left - 1e6)", ["output profit is non-finite"]),
     "shape": ("jnp.stack([state", "jnp.sum([state", ["observe"]),
 }  # fmt: skip
 

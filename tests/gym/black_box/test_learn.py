@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.checker.first import first_mistakes
+from snapo.checker.check import first_mistakes
 from snapo.solver import statistics
 
 gymnasium = pytest.importorskip("gymnasium")
 import snapo.gym  # noqa: E402
-from snapo.gym.black_box.inside import value  # noqa: E402
 from snapo.gym.black_box.model import Model  # noqa: E402
+from snapo.gym.black_box.rounds import value  # noqa: E402
 
 ENGINES = ("auto", "xla")
 

@@ -7,7 +7,7 @@ import jax
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
-from snapo.checker.wanted import unknown_outputs
+from snapo.checker.shapes import unknown_outputs
 from snapo.problem.inputs import named_inputs
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem

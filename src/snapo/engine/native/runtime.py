@@ -10,8 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory, address
+from snapo.lanes.machine.linked import KernelMemory, Linked, address
 from snapo.lanes.machine.threads import spread
 
 from .kernel.context import CONTEXT
@@ -177,7 +176,7 @@ class Runner:
 class Spare:
     """Scratch memory between calls: of all kernels together, at most `SPARE` bytes.
 
-    Memory is given back to the kernel that had it; what has waited longest goes first.
+    Memory returns to the kernel that had it; memory unused for longest is freed first.
     """
 
     def __init__(self):

@@ -1,6 +1,6 @@
 """A small ensemble of smooth networks, fitted to transitions: a policy is trained in it.
 
-Members differ by their first weights and by the batches that they see, so that they agree where
+Members differ by their initial weights and by the batches that they see, so that they agree where
 there are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a
 handful of trials"; there too a network predicts differences of observations).
 """
@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PyTree
 
-from .transitions import Transitions, scale_of
+from .real import Transitions, scale_of
 
 BATCH, ROUND = 256, 250  # rows of a step; steps between two looks at the rows held out
 HELD_OUT = 0.1
@@ -30,7 +30,7 @@ class Fit(NamedTuple):
     - `raw`: the same between numbers of order one, to go on from.
     - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
       the members' mean: differences, then the reward; last the share of ends that it misjudges.
-    - `spread`: [k] the standard deviation of what the environment adds by chance.
+    - `spread`: [k] the standard deviation of the environment's own noise.
     """
 
     layers: PyTree
@@ -197,7 +197,7 @@ _all_told = jax.jit(jax.vmap(_forward, (0, None)))
 
 
 def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """How far the members' mean is off, and what of it is chance."""
+    """The error of the members' mean, and the part of it that is noise."""
     summary = np.asarray(_all_told(raw, test.x))[:, : test.count]
     y, ended = np.asarray(test.y)[: test.count], np.asarray(test.ended)[: test.count]
     middle = summary.mean(0)
@@ -205,7 +205,7 @@ def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, n
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
-    # The mean is off by chance and by its members' own errors, of which their spread tells.
+    # The mean is off by noise and by its members' own errors, which their spread shows.
     local = summary[:, :, :size].var(0, ddof=1).mean(0) if len(summary) > 1 else np.zeros(size)
     probability = np.sqrt(np.maximum(0.0, moves - local / len(summary)))
     return error, probability * scales.y[1][:size]

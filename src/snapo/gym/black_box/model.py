@@ -93,7 +93,7 @@ class Model(Simulator):
 
 
 def _drawn(normal: Array, count: int) -> Array:
-    """A number from 0 to count - 1, by chance."""
+    """A random number from 0 to count - 1."""
     return jnp.clip(jnp.floor(uniform(normal) * count).astype(jnp.int32), 0, count - 1)
 
 

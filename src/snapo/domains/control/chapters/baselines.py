@@ -140,7 +140,7 @@ def agent(plant: Plant, policy: Policy, inputs: Any) -> "Agent":
 
 def play_twin(run: StudyRun) -> TwinReward:
     """The trained policy in the environment that has the plant's numbers."""
-    from snapo.gym.played import play
+    from snapo.gym.environments import play
 
     problem, plant, policy = run.setup.problem, plant_of(run), run.solution.policy
     _check_same(plant, plain(problem.inputs))

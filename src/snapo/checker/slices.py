@@ -1,9 +1,4 @@
-"""Slices that ask for more than there is: as in NumPy they come out shorter, without a word.
-
-`noise[1:4]` of two normals is one entry, which then spreads over a longer vector. JAX resolves a
-slice while Python runs and leaves no trace of the question in a program, so that it is asked of
-JAX's arrays as a method is traced.
-"""
+"""Slices and tables that are shorter than the horizon needs."""
 
 import sys
 import threading
@@ -12,14 +7,16 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
+import jax.extend.core as jex
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import PyTree
 
 from snapo.problem.simulator import Schedule, Simulator
 
-from ..findings import Notes
-from ..program.methods import CodeLine, line_among, methods, preparation
+from .findings import Notes
+from .methods import CodeLine, line_among, line_of, methods, preparation
 
 
 class Short(NamedTuple):
@@ -31,7 +28,7 @@ class Short(NamedTuple):
 
 
 def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every slice of every method asks for entries that there are."""
+    """Every slice of every method lies within its array."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name), _asked() as result:
@@ -40,7 +37,7 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
                 notes.warning(
                     f"{method.name}, {item.line}",
                     f"The slice [{item.requested}] is taken of {item.length} entries: it is "
-                    f"shorter than it says, without an error. In: {item.line.text}",
+                    f"shorter than its bounds, without an error. In: {item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )
 
@@ -89,7 +86,7 @@ def outside(part: slice, length: int) -> bool:
     """Whether an end that a slice names lies outside of an axis."""
     endpoints = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
     backwards = isinstance(part.step, int) and part.step < 0
-    # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] says how far to go.
+    # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] ends at an entry.
     low = -length - 1 if backwards else -length
     return any(not low <= end <= length for end in endpoints)
 
@@ -97,3 +94,67 @@ def outside(part: slice, length: int) -> bool:
 def _written(part: slice) -> str:
     start, stop = ("" if end is None else end for end in (part.start, part.stop))
     return f"{start}:{stop}" if part.step is None else f"{start}:{stop}:{part.step}"
+
+
+TABLE = (
+    "A NumPy table that is used inside a method keeps the precision in which JAX met it first: "
+    "put it into the schedule, Schedule({'table': table}, …), or write "
+    "jnp.asarray(table.tolist()) where it is used."
+)
+
+
+class TraceTable(NamedTuple):
+    """An array of a program that has another precision, and the line that first uses it."""
+
+    shape: tuple[int, ...]
+    dtype: str
+    line: CodeLine | None
+
+
+def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
+    """Every method as training traces it, and then as evaluation does; stops at errors."""
+    # JAX keeps a table's conversion as long as a program holds it, as compiled ones do.
+    selected: list[Any] = []
+    for precision in ("float32", "float64", "float32"):
+        dtype = np.dtype(precision)
+        with jax.enable_x64(precision == "float64"):
+            for method in methods(simulator, schedule, dtype=dtype):
+                try:
+                    closed = method.traced()
+                except Exception as error:
+                    where, message, _ = notes.explained(error, method.name)
+                    notes.error(where, f"It fails in {precision}. {message}", TABLE)
+                    continue
+                selected.append(closed)
+                for result in dict.fromkeys(_others(closed, dtype)):
+                    _write(notes, method.name, result, precision)
+        notes.stop_on_errors()
+
+
+def _write(notes: Notes, method: str, result: TraceTable, precision: str) -> None:
+    where = f"{method}, {result.line}" if result.line else notes.method(method)
+    text = f" In: {result.line.text}" if result.line else ""
+    notes.error(
+        where,
+        f"A table of shape {result.shape} is {result.dtype} where all else is {precision}.{text}",
+        TABLE,
+    )
+
+
+def _others(closed: Any, dtype: np.dtype, caller: CodeLine | None = None) -> Iterator[TraceTable]:
+    """The floating tables of a program, and of those inside it, of another type than `dtype`."""
+    for var in closed.jaxpr.constvars:
+        kind = np.dtype(var.aval.dtype)
+        if jnp.issubdtype(kind, jnp.floating) and kind != dtype:
+            users = (eqn for eqn in closed.jaxpr.eqns if any(x is var for x in eqn.invars))
+            user = next(users, None)
+            line = line_of(user) if user is not None else None
+            yield TraceTable(tuple(var.aval.shape), kind.name, line or caller)
+    for eqn in closed.jaxpr.eqns:
+        for inner in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_program):
+            if _is_program(inner):
+                yield from _others(inner, dtype, line_of(eqn) or caller)
+
+
+def _is_program(x: Any) -> bool:
+    return isinstance(x, jex.ClosedJaxpr)

@@ -1,21 +1,84 @@
-"""The reverse sweep of a phase: cotangents in, gradients added up, cotangents out."""
+"""The two sweeps of a phase: forward with its tape, and in reverse with its gradients."""
 
 from dataclasses import dataclass
 
-from snapo.lanes.body import operations
+from snapo.lanes import body
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.storage import ArrayPlace
 from snapo.lanes.emit.values import EmittedValues
-from snapo.lanes.gradients.accumulate import accumulate
-from snapo.lanes.gradients.plan import Gradients
-from snapo.lanes.gradients.rows import Rows
-from snapo.lanes.program.program import BIG, Program, ProgramValue
+from snapo.lanes.gradients.rows import Gradients, Rows, accumulate
+from snapo.lanes.program.program import BIG, Op, Program, ProgramValue
 from snapo.lanes.program.sweeps import SweepPlan, dependents
 
 from ..rollout import Phase
-from .context import Build, field
-from .layouts import TAPES
+from . import noise
+from .context import TAPES, Build, field
 from .sweep import KernelSweep, replace_all, sweep
+
+
+def forward(
+    build: Build,
+    phase: Phase,
+    program: Program,
+    ops: list[Op],
+    outputs: list[ProgramValue],
+    taped: list[ProgramValue],
+) -> None:
+    """Writes the function: `ops` of the program, for these outputs and those kept on the tape."""
+    tape = build.layouts[TAPES[phase.name]]
+    for value in taped:
+        tape.add(value, value.shape, value.dtype)
+    with sweep(build, phase, "forward") as s:
+        row = s.tape_row()
+        values = s.values(program, {v: tape.address(v, row) for v in taped})
+        read = {v for op in ops for v in op.inputs} | set(taped) | set(outputs)
+        _inputs(s, values, program, read)
+        body.write(values, ops, [*outputs, *taped])
+        _deliver(s, values, outputs)
+        build.used(values.workspace)
+
+
+def _inputs(
+    s: KernelSweep, values: EmittedValues, program: Program, read: set[ProgramValue]
+) -> None:
+    """Binds the path's arrays that are `read`: carry, noise, actions, given states."""
+    local = program.inputs[len(s.phase.cut.path.reads) :]
+    for value, (key, _) in zip(local, s.phase.inputs):
+        if value not in read:
+            continue
+        if key == "noise":
+            noise.bind(s, values, value)
+        else:
+            values.bind(value, _given(s, key))
+        if value.size <= BIG:
+            values.small(value)
+
+
+def _given(s: KernelSweep, key) -> ArrayPlace:
+    """Position of an array of the path that this phase takes as an argument."""
+    layouts = s.build.layouts
+    if key == "action":
+        return layouts["actions"].address(key, s.step_row("actions"))
+    if key[0] == "start":
+        return layouts["start"].address(key, s.block_row("start"))
+    return layouts["carry"].address(key, field("carry"))
+
+
+def _deliver(s: KernelSweep, values: EmittedValues, outputs: list[ProgramValue]) -> None:
+    """Writes the outputs: the next carry, totals and final states, records."""
+    layouts = s.build.layouts
+    carry: list[tuple[ProgramValue, ArrayPlace]] = []
+    for value, (key, _) in zip(outputs, s.phase.outputs):
+        if key[0] == "scale":
+            continue
+        if key[0] == "record":
+            values.copy(value, layouts["records"].address(key, s.step_row("records")))
+        elif key[0] in ("final", "end"):
+            values.copy(value, layouts["final"].address(key, s.block_row("final")))
+        else:
+            carry.append((value, layouts["carry"].address(key, field("carry"))))
+    replace_all(values, carry)
+
 
 AHEAD = 2  # rows of tape that are fetched before they are needed
 
@@ -37,7 +100,7 @@ class Transposed:
     back: list[ProgramValue]
 
     def required(self) -> list[ProgramValue]:
-        """Everything that the reverse sweep must bring about."""
+        """All values that the reverse sweep must compute."""
         return [*self.back, *self.gradients.required()]
 
 
@@ -60,7 +123,7 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepP
         _cotangents(s, values, transposed)
         # What is computed again has the bits that it had: a maximum is compared with its terms.
         later = dependents(program, transposed.cotangents)
-        operations.write(values, division.reverse, transposed.required(), later)
+        body.write(values, division.reverse, transposed.required(), later)
         step_row = function.row(field("step_sums"), s.t, "step_sums") if stepwise else None
         sums = function.sums(step_row)
         accumulate(values, rows, sums, row, chunk_row)
@@ -72,7 +135,7 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepP
 
 
 def _waiting(s: KernelSweep, rows: Rows) -> str:
-    """How many steps wait to be gathered: all slots, or the steps that are left."""
+    """Number of steps that wait to be gathered: all slots, or the remaining steps."""
     code = s.code
     left = code.index(f"sub nsw i64 %end, {s.t}") if s.stepwise else "1"
     below = code.index(f"icmp slt i64 {left}, {rows.steps}")
@@ -108,7 +171,7 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
 
 
 def fetch_ahead(code: Code, row: str, stride: int) -> None:
-    """Asks for the rows of the tape that come next: they descend, which no processor guesses."""
+    """Prefetches the next rows of the tape: they descend, which processors do not predict."""
     code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
     lines = stride // 64
     with code.loop(-(-lines // 4)) as loop:

@@ -15,9 +15,9 @@ from snapo.problem import inputs as inputs_
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact
 
-from ..mistakes import short
+from .findings import short
 
-_SNAPO = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+_SNAPO = os.path.dirname(os.path.dirname(__file__))
 # Code that a user's line calls: its caller is named.
 _OWN = tuple(os.path.join(_SNAPO, part, "") for part in ("problem", "checker", "engine", "solver"))
 _LIBRARIES = f"{os.sep}site-packages{os.sep}"
@@ -97,7 +97,7 @@ def preparation(simulator: Simulator, inputs: PyTree) -> Method:
 
 
 class CodeLine(NamedTuple):
-    """A line of a user's code; `user_code` says that it is one of snapo's."""
+    """A line of a user's code; `user_code`: whether it is one of snapo's."""
 
     file: str
     number: int
@@ -115,9 +115,9 @@ def line_of(eqn) -> CodeLine | None:
 
 
 def said_by_user(eqn) -> bool:
-    """Whether a read is `x.at[index].get(mode=…)`, which says what is meant outside of `x`.
+    """Whether a read is `x.at[index].get(mode=…)`, which defines reads outside of `x`. With
 
-    With mode="clip" JAX makes of it what it makes of x[index].
+    mode="clip" JAX's program is that of x[index].
     """
     traceback = eqn.source_info.traceback
     codes = traceback.raw_frames()[0] if traceback else []
