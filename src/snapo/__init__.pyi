@@ -2,7 +2,7 @@
 
 from snapo import log as log
 from snapo import noise as noise
-from snapo.case.columns import write_table as write_table
+from snapo.case.csv import write_table as write_table
 from snapo.checker.check import check as check
 from snapo.checker.findings import Finding as Finding
 from snapo.checker.findings import Findings as Findings
@@ -28,11 +28,10 @@ from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
 from snapo.problem.angle import angle_features as angle_features
 from snapo.problem.angle import wrap_angle as wrap_angle
+from snapo.problem.carry.export import TableDecisions as TableDecisions
+from snapo.problem.carry.export import decision_table as decision_table
 from snapo.problem.carry.export import to_onnx as to_onnx
 from snapo.problem.carry.save import PolicyFileError as PolicyFileError
-from snapo.problem.carry.save import load_policy as load_policy
-from snapo.problem.carry.table import TableDecisions as TableDecisions
-from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.families.family import Family as Family
 from snapo.problem.inputs import Frozen as Frozen
@@ -52,18 +51,19 @@ from snapo.problem.objective import MeanVariance as MeanVariance
 from snapo.problem.objective import Objective as Objective
 from snapo.problem.objective import Probability as Probability
 from snapo.problem.objective import Target as Target
+from snapo.problem.policies.composed import Stages as Stages
 from snapo.problem.policies.memory import GRU as GRU
 from snapo.problem.policies.memory import LastObservations as LastObservations
 from snapo.problem.policies.memory import Memory as Memory
-from snapo.problem.policies.stages import Stages as Stages
+from snapo.problem.policies.rules import BaseStock as BaseStock
+from snapo.problem.policies.rules import Constant as Constant
+from snapo.problem.policies.rules import Linear as Linear
+from snapo.problem.policies.rules import Threshold as Threshold
 from snapo.problem.policy import MLP as MLP
-from snapo.problem.policy import BaseStock as BaseStock
-from snapo.problem.policy import Constant as Constant
-from snapo.problem.policy import Linear as Linear
 from snapo.problem.policy import Network as Network
 from snapo.problem.policy import Policy as Policy
 from snapo.problem.policy import Residual as Residual
-from snapo.problem.policy import Threshold as Threshold
+from snapo.problem.policy import load_policy as load_policy
 from snapo.problem.problem import Problem as Problem
 from snapo.problem.process import Process as Process
 from snapo.problem.process import Schwartz as Schwartz

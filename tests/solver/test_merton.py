@@ -16,7 +16,7 @@ from snapo.engine import Xla
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
 from snapo.problem.objective import CRRA, ExpectedUtility
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.prepare import prepare
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo

@@ -11,7 +11,8 @@ from snapo.problem.code.version import of_preparation, read_context
 from snapo.problem.form import form_of
 from snapo.problem.inputs import unnamed
 from snapo.problem.policies.memory import remembered
-from snapo.problem.policy import Constant, Policy
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import Policy
 from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator

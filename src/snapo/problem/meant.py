@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from .actions.base import count
 from .code.version import reading_once
 from .objective import Limit, Mean, Objective
-from .policies.plain import NEEDED
+from .policies.composed import NEEDED
 from .problem import Problem
 from .scenarios import Scenarios, Sources
 from .simulator import Simulator, at

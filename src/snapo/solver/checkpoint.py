@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.carry import archive
-from snapo.problem.carry.describe import described, difference
+from snapo.problem.carry.save import described, difference, read_arrays, write_arrays
 
 from .learning.features import FeatureScale
 from .learning.growth import Growth
@@ -151,12 +150,12 @@ def _two(file: Path, both: Any, *keys: str) -> list[Any]:
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
-    archive.write(file, arrays, header)
+    write_arrays(file, arrays, header)
 
 
 def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays in their order and the header, whatever may be wrong with the file."""
     try:
-        return archive.read(file)
+        return read_arrays(file)
     except ValueError as error:
         raise CheckpointError(str(error)) from None

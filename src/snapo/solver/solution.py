@@ -23,8 +23,8 @@ from .sensitivity import Sensitivities, SensitivityRow
 from .show import html
 from .show.figures import Figures
 from .show.frame import frame
-from .show.tables import tables_of
-from .show.workbook import write_tables
+from .show.tables import TRAINING, flat, histogram, sensitivities_chart
+from .show.workbook import SheetTable, write_tables
 from .statistics import Estimate
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
@@ -113,7 +113,7 @@ class Solution:
     def plot(self) -> Figures:
         """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`,
         `plot.fan(name)`, `plot.policy(state)`."""
-        return Figures(self)
+        return Figures(self.sensitivities, self.totals, self.history, self.policy, self.problem)
 
     def frame(self, table: str = "totals", backend: str = "pandas") -> Any:
         """A table as a data frame of "pandas", "polars" or "pyarrow".
@@ -141,7 +141,15 @@ class Solution:
         file = Path(file)
         if file.suffix.lower() != ".xlsx":
             raise ValueError(f"write_table: {file.name!r}; allowed is a name that ends in .xlsx.")
-        write_tables(file, tables_of(self))
+        tables = {"result": SheetTable(("what", "value"), list(flat(self.summary())))}
+        if self.sensitivities is not None:
+            rows = list(self.sensitivities.rows())
+            chart = sensitivities_chart(rows)
+            tables["sensitivities"] = SheetTable(SensitivityRow._fields, rows, chart)
+        if self.history:
+            tables["training"] = SheetTable(Record._fields, self.history, TRAINING)
+        tables |= {f"total {name}": histogram(total) for name, total in self.totals.items()}
+        write_tables(file, tables)
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""

@@ -19,7 +19,7 @@ from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import problem_of
 from snapo.problem.objective import Limit, Objective
-from snapo.problem.policies.plain import as_policy
+from snapo.problem.policies.composed import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.contract.inputs import storage_inputs
 from snapo.domains.gas_storage.contract.records import StorageCase

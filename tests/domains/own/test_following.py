@@ -7,7 +7,7 @@ import jax
 import pytest
 
 import snapo
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN as CONTROL
 from snapo.domains.control.study import make_setup as make_plant
 from snapo.domains.own import DOMAIN

@@ -10,7 +10,7 @@ from examples import american_put
 import snapo
 from snapo.engine import Native, Xla
 from snapo.engine.norms import adjoint_norms
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator

@@ -8,7 +8,7 @@ import pytest
 
 import snapo
 from snapo.engine.norms import Norms
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.solver.learning import horizon

@@ -13,8 +13,8 @@ import numpy as np
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
+from snapo.problem.policies.composed import Plain
 from snapo.problem.policies.memory import GRU, LastObservations
-from snapo.problem.policies.plain import Plain
 from snapo.problem.policy import MLP, Policy, parameters
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact

@@ -9,30 +9,36 @@ They are drawn from the solution alone, so a loaded one has them too. Each takes
 and returns the figure.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+
 from ..derivatives.bump import one_percent
+from ..learning.progress import Record
+from ..sensitivity import Sensitivities
 from .rolled import CELLS, POINTS, decisions, series_named, simulated_series
-
-if TYPE_CHECKING:
-    from snapo.problem.policy import Policy
-    from snapo.problem.problem import Problem
-
-    from ..solution import Solution
 
 INK, SOFT, BAD = "#1d3f72", "#c6d5ea", "#d55e00"
 BARS, BINS = 15, 60
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Figures:
-    """The figures of one solution; needs matplotlib, which `pip install 'snapo[cli]'` brings."""
+    """The figures of one solution; needs matplotlib, which `pip install 'snapo[cli]'` brings.
 
-    def __init__(self, solution: Solution):
-        self._solution = solution
+    The fields are those of the solution.
+    """
+
+    _sensitivities: Sensitivities | None
+    _totals: Mapping[str, np.ndarray]
+    _history: Sequence[Record]
+    _policy: Policy | None
+    _problem: Problem | None
 
     def __repr__(self) -> str:
         names = "tornado(), distribution(output), training(), fan(name), policy(state)"
@@ -46,7 +52,7 @@ class Figures:
 
         **Raises:** `ValueError` where the solution has no sensitivities.
         """
-        sensitivities = self._solution.sensitivities
+        sensitivities = self._sensitivities
         if sensitivities is None:
             raise ValueError("plot.tornado: this solution was made without sensitivities.")
         bars = []
@@ -80,7 +86,7 @@ class Figures:
 
         **Raises:** `KeyError` for a name that is no output's.
         """
-        totals = self._solution.totals
+        totals = self._totals
         if output is None:
             output = max(totals, key=lambda name: float(np.nanstd(totals[name])))
         if output not in totals:
@@ -156,18 +162,18 @@ class Figures:
 
     def _played(self, subject: str, problem: Problem | None) -> tuple[Problem, Policy]:
         """The problem and the policy, where there are both."""
-        problem = problem or self._solution.problem
+        problem = problem or self._problem
         if problem is None:
             raise ValueError(
                 f"plot.{subject}: a loaded solution needs a problem: {subject}(…, problem)."
             )
-        if self._solution.policy is None:
+        if self._policy is None:
             raise ValueError(f"plot.{subject}: this solution came without its policy.")
-        return problem, self._solution.policy
+        return problem, self._policy
 
     def training(self, *, ax: Any = None) -> Any:
         """The smooth objective of every step, and the exact value at each validation."""
-        history = self._solution.history
+        history = self._history
         figure, ax = _axes(ax)
         steps = [record.step for record in history]
         ax.plot(steps, [record.objective for record in history], color=SOFT, label="smooth, a step")

@@ -1,43 +1,19 @@
 """The tables of a solution, for a workbook."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..learning.progress import Record
-from ..sensitivity import SensitivityRow
 from .workbook import Picture, SheetTable
 
-if TYPE_CHECKING:
-    from ..solution import Solution
-
 BINS = 40
-
-
-def tables_of(solution: Solution) -> dict[str, SheetTable]:
-    """Result, sensitivities, training, and the histogram of every output."""
-    tables = {"result": SheetTable(("what", "value"), list(flat(solution.summary())))}
-    if solution.sensitivities is not None:
-        rows = list(solution.sensitivities.rows())
-        tables["sensitivities"] = SheetTable(SensitivityRow._fields, rows, sensitivities(rows))
-    if solution.history:
-        tables["training"] = SheetTable(Record._fields, solution.history, TRAINING)
-    for name, totals in solution.totals.items():
-        values = np.asarray(totals, np.float64)
-        counts, edges = np.histogram(values[np.isfinite(values)], BINS)
-        rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
-        picture = Picture("bar", "from", ("paths",))
-        tables[f"total {name}"] = SheetTable(("from", "to", "paths"), rows, picture)
-    return tables
 
 
 TRAINING = Picture("line", "step", ("objective",))
 
 
-def sensitivities(rows: list[Any]) -> Picture | None:
+def sensitivities_chart(rows: list[Any]) -> Picture | None:
     """Derivatives by label, or by input where most have none; no chart that is too long to read.
 
     `rows`: input, label …
@@ -58,3 +34,11 @@ def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]
             yield name, "; ".join(map(str, value))
         else:
             yield name, value
+
+
+def histogram(totals: np.ndarray) -> SheetTable:
+    """How many paths have a total between two numbers."""
+    values = np.asarray(totals, np.float64)
+    counts, edges = np.histogram(values[np.isfinite(values)], BINS)
+    rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
+    return SheetTable(("from", "to", "paths"), rows, Picture("bar", "from", ("paths",)))
