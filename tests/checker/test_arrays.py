@@ -18,7 +18,7 @@ from snapo.checker.check import check
 from snapo.checker.findings import Notes, StopCheck
 from snapo.checker.program.methods import Method
 from snapo.checker.program.points import SamplePoints
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule
 
 from .test_check import Good, inputs

@@ -15,7 +15,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.policies.composed import Stages
 from snapo.problem.policies.rules import Constant, Linear
 from snapo.problem.policy import MLP, parameters, trainable
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth

@@ -16,8 +16,7 @@ from snapo.engine import Xla
 from snapo.problem.code.version import read_context
 from snapo.problem.noise import Stored
 from snapo.problem.objective import Limit, Mean, Objective, Weighted, as_objective
-from snapo.problem.prepare import all_versions
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, all_versions
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth

@@ -13,8 +13,7 @@ from snapo.problem.inputs import unnamed
 from snapo.problem.policies.memory import remembered
 from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import Policy
-from snapo.problem.prepare import all_versions
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, all_versions
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
 

@@ -13,11 +13,11 @@ from jaxtyping import PyTree
 
 from snapo.problem.carry.save import described, difference, read_arrays, write_arrays
 
+from .learning.conditioning import Growth
 from .learning.features import FeatureScale
-from .learning.growth import Growth
 from .learning.progress import Progress, Record, Round
-from .limits.dual import Dual
-from .windows.critic import blank
+from .learning.windows import blank
+from .limits import Dual
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")

@@ -15,17 +15,24 @@ from snapo.problem.problem import Problem
 from . import checkpoint
 from .derivatives.interval import Curvature, Reported
 from .derivatives.verdict import COLUMNS, Verdict
-from .files import write_csv, write_text
-from .learning.growth import Growth
+from .figures import Figures
+from .learning.conditioning import Growth
 from .learning.progress import Record
-from .limits.found import LimitFound
+from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .show import html
-from .show.figures import Figures
-from .show.frame import frame
-from .show.tables import TRAINING, flat, histogram, sensitivities_chart
-from .show.workbook import SheetTable, write_tables
 from .statistics import Estimate
+from .tables import (
+    TRAINING,
+    SheetTable,
+    flat,
+    frame,
+    histogram,
+    paragraph,
+    sensitivities_chart,
+    write_csv,
+    write_tables,
+    write_text,
+)
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
@@ -106,7 +113,7 @@ class Solution:
     def _repr_html_(self) -> str:
         """The same in a notebook."""
         sensitivities = self.sensitivities
-        text = "".join(map(html.paragraph, self.lines()))
+        text = "".join(map(paragraph, self.lines()))
         return text if sensitivities is None else text + sensitivities._repr_html_()
 
     @property

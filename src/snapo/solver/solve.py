@@ -26,14 +26,12 @@ from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
 from .learning.features import scale_of, to_be_drawn, undrawn
-from .learning.following import resolve_auto
-from .learning.settings import TrainingPlan
+from .learning.log import recorded
+from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import others, race
-from .learning.told import recorded
 from .measure.measure import MeasuredRun, measure
-from .measure.settings import Evaluation as Evaluation
-from .provenance.clock import Clock
-from .provenance.versions import versions
+from .measure.selection import Evaluation as Evaluation
+from .provenance import Clock, versions
 from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 

@@ -13,8 +13,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snapo.case.csv import NUMBER
-from snapo.solver.show.tables import TRAINING, flat, sensitivities_chart
-from snapo.solver.show.workbook import MAX_NAME, Picture, SheetTable, write_tables
+from snapo.solver.tables import (
+    MAX_NAME,
+    TRAINING,
+    Picture,
+    SheetTable,
+    flat,
+    sensitivities_chart,
+    write_tables,
+)
 
 from . import run_folder
 

@@ -14,7 +14,7 @@ from snapo.domains.gas_storage.contract.records import StorageCase
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.setup import make_setup
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import probe
 from snapo.study.study import Setup
 

@@ -12,7 +12,7 @@ from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
-from snapo.solver.learning.following import resolve_auto as chosen
+from snapo.solver.learning.settings import resolve_auto as chosen
 from snapo.solver.train import Training
 
 from ..agent import Agent

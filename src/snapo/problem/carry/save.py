@@ -229,7 +229,7 @@ def _made(kind: type, fields: dict[str, Any], arrays: Sequence[np.ndarray], dept
 
 
 class _Named(NamedTuple):
-    """A function of `registry.functions`."""
+    """A function of `functions`."""
 
     name: str
 

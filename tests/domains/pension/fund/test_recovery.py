@@ -22,7 +22,7 @@ from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.results.figures.plausible import remarks
 from snapo.engine import Xla
 from snapo.problem.policies.rules import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 

@@ -20,7 +20,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
 from snapo.problem.policies.rules import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import pull_back

@@ -1,5 +1,11 @@
-"""Numbers between bounds."""
+"""Sets of numbers: a box, integers, shares of a whole; and what every set of actions can do.
 
+Whole numbers.
+
+Shares of a whole.
+"""
+
+import abc
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +17,66 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
-from .base import ROUNDING, Actions, count
+
+def count(name: str, values: Any, minimum: int, more: str = "") -> int:
+    """A whole number of at least `minimum`.
+
+    **Raises:** `ValueError` for anything else; `more` ends its sentence.
+    """
+    available = isinstance(values, int | np.integer) and not isinstance(values, bool)
+    if not available or values < minimum:
+        raise ValueError(
+            f"{name} is {values!r}; allowed is a whole number of at least {minimum}{more}."
+        )
+    return int(values)
+
+
+class Actions(eqx.Module):
+    """Where a decision lies: `size` numbers, and the way in from a network's unbounded ones.
+
+    A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one,
+    of the value, holds the decisions that can be taken. `smooth` says which is meant, as it does
+    in a simulator.
+    """
+
+    size: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """Maps unbounded numbers into the set."""
+
+    @abc.abstractmethod
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """An action of the set, moved by an unbounded correction, and still in the set."""
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """The action of the exact set nearest to one of the smooth set; in training, itself."""
+        return action
+
+    @property
+    def exploration_size(self) -> int:
+        """How many normals `explore` takes; 0 for a set whose smooth form explores by itself."""
+        return 0
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """An action of the smooth set that is drawn at random to this share, 0 to 1."""
+        return action
+
+    @abc.abstractmethod
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        """What is wrong with these numbers for the exact set, and a remedy; None if nothing is."""
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """[size] low and [size] high, in float64: 0 and 1, unless the set has others."""
+        return np.zeros(self.size), np.ones(self.size)
+
+    def together(self) -> list[list[int]]:
+        """The components in groups whose members cannot move alone: by default each by itself."""
+        return [[i] for i in range(self.size)]
+
+
+ROUNDING = 1e-5  # of a bound, in float32
+
 
 BoxBound = float | tuple[float, ...]
 BoxBounds = float | Sequence[float] | np.ndarray  # as they may be given
@@ -166,3 +231,108 @@ def _squash(raw: Array, low: Any, high: Any) -> Array:
     if above:
         return high - jax.nn.softplus(-raw)
     return low + (high - low) * jax.nn.sigmoid(raw)
+
+
+class Simplex(Actions):
+    """Actions on the probability simplex: `size` numbers, none negative, that sum to one.
+
+    >>> snapo.Simplex(4).squash(np.zeros(4)).tolist()
+    [0.25, 0.25, 0.25, 0.25]
+    """
+
+    size: int = eqx.field(static=True)
+
+    def __init__(self, size: int):
+        self.size = count("Simplex: size", size, 2, ", the number of shares")
+
+    def squash(self, raw: Float[Array, " size"], smooth=None) -> Float[Array, " size"]:
+        """Maps unbounded numbers onto the simplex by a softmax."""
+        return jax.nn.softmax(raw)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """Shares whose logarithms are those of `base` plus a correction."""
+        return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
+
+    @property
+    def exploration_size(self) -> int:
+        return self.size
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """(1 - share) action + share x, with shares x whose logarithms are normals times 2."""
+        return (1 - share) * action + share * jax.nn.softmax(2 * normals)
+
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        if np.all(action >= -ROUNDING) and abs(action.sum() - 1) <= 100 * ROUNDING:
+            return None
+        return (
+            f"Its shares are {np.round(action, 4).tolist()}.",
+            "A Simplex takes shares of at least 0 that sum to 1: action.squash(…).",
+        )
+
+    def together(self) -> list[list[int]]:
+        return [list(range(self.size))]
+
+
+class Integers(Actions):
+    """Actions that are whole numbers: `size` of them, each between its `low` and its `high`.
+
+    In training an action may lie anywhere between its bounds; in the value it is rounded to the
+    nearest whole number (a half to the even one).
+
+    **Arguments:** as those of `BoxBounds`; a finite bound is a whole number.
+
+    **Raises:** `ValueError` as `BoxBounds`, and for a finite bound that is no whole number.
+
+    >>> lots = snapo.Integers(0, 10)
+    >>> lots.settle(np.array([3.4]), snapo.Exact()).tolist()  # in the value
+    [3.0]
+    >>> round(float(snapo.Smooth(0.1).round(3.4)), 6)  # in training
+    3.4
+    """
+
+    low: BoxBound = eqx.field(static=True)
+    high: BoxBound = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    def __init__(self, low: BoxBounds, high: BoxBounds, size: int | None = None):
+        box = Box(low, high, components("Integers", low, high, size))
+        for name, bound in zip(("low", "high"), box.bounds()):
+            broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
+            if broken.size:
+                raise ValueError(f"Integers: {name} is {broken[0]:g}; allowed is a whole number.")
+        self.low, self.high, self.size = box.low, box.high, box.size
+
+    @property
+    def box(self) -> Box:
+        """All numbers between the bounds."""
+        return Box(self.low, self.high, self.size)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """[size] low and [size] high, in float64."""
+        return self.box.bounds()
+
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """Maps unbounded numbers between the bounds, as a `BoxBounds` does; exact: rounded."""
+        return self.settle(self.box.squash(raw), smooth)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """base + correction, clipped to the bounds; exact: rounded."""
+        return self.settle(self.box.near(base, correction, smooth), smooth)
+
+    @property
+    def exploration_size(self) -> int:
+        return self.size
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """As of a `BoxBounds`: in training numbers need not be whole."""
+        return self.box.explore(action, normals, share)
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        return smooth.round(action)
+
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        off = np.abs(action - np.round(action)) > ROUNDING * np.maximum(1.0, np.abs(action))
+        if off.any():
+            i = int(np.flatnonzero(off)[0])
+            return f"Action {i} is {action[i]:g}, no whole number.", "Round it: smooth.round(…)."
+        return self.box.fault(action)

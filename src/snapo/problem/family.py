@@ -16,9 +16,9 @@ from jax.scipy.special import ndtr
 from jaxtyping import PyTree
 from scipy.stats import qmc
 
-from .. import inputs as inputs_
-from ..problem import Problem
-from ..simulator import Around, Schedule, Simulator
+from . import inputs as inputs_
+from .problem import Problem
+from .simulator import Around, Schedule, Simulator
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,8 @@ from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
-from ..adjoint import float64, pull_back
+from ..adjoint import DROPPED, adjoint_of_good_weights, all_finite, finite, float64, pull_back
 from ..evaluate import DECIDED, in_a_row
-from ..finite_paths import DROPPED, adjoint_of_good_weights, all_finite, finite
 from ..statistics import Estimate
 from .changes import BlockPlan, plan
 

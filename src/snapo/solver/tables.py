@@ -1,11 +1,87 @@
-"""Results as a workbook: a sheet for each table, native numbers and dates, native charts."""
+"""Results as tables: CSV files, data frames, HTML for notebooks, and workbooks."""
 
 import datetime
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+
+def write_csv(file: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """A table with a header; numbers keep all their digits."""
+
+    def lines() -> Iterable[str]:
+        yield ",".join(header)
+        for row in rows:
+            yield ",".join(_csv_cell(value) for value in row)
+
+    write_text(file, "\n".join(lines()) + "\n")
+
+
+def _csv_cell(value: Any) -> str:
+    if isinstance(value, float | np.floating):
+        return repr(float(value))
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+
+
+def write_text(file: Path, text: str) -> None:
+    """Writes a file whole or not at all."""
+    partial = file.with_name(file.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(file)
+
+
+BACKENDS = ("pandas", "polars", "pyarrow")
+
+
+def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
+    """A data frame with these columns; a table of Arrow for "pyarrow".
+
+    **Raises:** `ValueError` for another backend, `ModuleNotFoundError` where it is not installed.
+    """
+    try:
+        match backend:
+            case "pandas":
+                import pandas
+
+                return pandas.DataFrame(dict(columns))
+            case "polars":
+                import polars
+
+                return polars.DataFrame(dict(columns))
+            case "pyarrow":
+                import pyarrow
+
+                return pyarrow.table(dict(columns))
+    except ModuleNotFoundError:
+        message = f"frame: {backend} is not installed: pip install {backend}"
+        raise ModuleNotFoundError(message) from None
+    raise ValueError(f"frame: {backend!r}; allowed is one of {', '.join(BACKENDS)}.")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
+    """A table of texts; columns not in `text` are figures, flush right."""
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        sides = ("left" if i in text else "right" for i in range(len(row)))
+        return "".join(
+            f'<{tag} style="text-align:{side}">{escape(cell)}</{tag}>'
+            for side, cell in zip(sides, row)
+        )
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{cells('th', head)}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def paragraph(text: str) -> str:
+    """A line of text."""
+    return f"<p>{escape(text)}</p>"
+
 
 NEEDED = "workbooks need the package openpyxl: pip install 'snapo[xlsx]'"
 MAX_ROWS, MAX_NAME = 1_000_000, 31  # of a sheet; letters of its name
@@ -117,3 +193,40 @@ def _draw(sheet: Any, table: SheetTable, columns: int) -> None:
     chart.title, chart.height, chart.width = sheet.title, 9, 18
     chart.x_axis.title, chart.x_axis.delete, chart.y_axis.delete = picture.x, False, False
     sheet.add_chart(chart, f"{get_column_letter(columns + 2)}2")
+
+
+BINS = 40
+
+
+TRAINING = Picture("line", "step", ("objective",))
+
+
+def sensitivities_chart(rows: list[Any]) -> Picture | None:
+    """Derivatives by label, or by input where most have none; no chart that is too long to read.
+
+    `rows`: input, label …
+    """
+    labelled = sum(bool(row[1]) for row in rows) > len(rows) / 2
+    return (
+        Picture("bar", "label" if labelled else "input", ("value",)) if len(rows) <= 400 else None
+    )
+
+
+def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value of nested tables, with its way in words."""
+    for key, value in table.items():
+        name = f"{before}{key}"
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{name}, ")
+        elif isinstance(value, list | tuple):
+            yield name, "; ".join(map(str, value))
+        else:
+            yield name, value
+
+
+def histogram(totals: np.ndarray) -> SheetTable:
+    """How many paths have a total between two numbers."""
+    values = np.asarray(totals, np.float64)
+    counts, edges = np.histogram(values[np.isfinite(values)], BINS)
+    rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
+    return SheetTable(("from", "to", "paths"), rows, Picture("bar", "from", ("paths",)))

@@ -20,23 +20,22 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from .. import statistics
-from ..adjoint import float64
+from ..adjoint import finite, float64
 from ..evaluate import DECIDED, chunks, in_a_row, value_of
-from ..finite_paths import finite
-from ..limits.found import NEARLY
+from ..learning.settings import TrainingPlan
+from ..limits import NEARLY
 from ..train import Progress
-from ..verdict import further, idle
-from ..verdict.constant import (
+from .constant import (
     at_limit,
     constant_baselines,
     constant_decisions,
     describe,
+    equal_on_all_paths,
+    idle_advice,
     never_taken,
     numbers_text,
 )
-from ..verdict.further import Further
-from ..verdict.stopping import ends_for_good
-from .settings import TrainingPlan
+from .further import Further, compared_step, ends_for_good, restless, times_of, too_short
 
 CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
 SATURATED, CONSTANT = "saturated", "constant"
@@ -110,10 +109,10 @@ def ending(
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
-    does_nothing = idle.equal_on_all_paths(problem, exact)
+    does_nothing = equal_on_all_paths(problem, exact)
     selected = untrained is progress.best
     over_start = NONE if selected else _over(problem, untrained, exact, engine)
-    notes = [idle.advice(value_of(problem.objective, exact))] if does_nothing else []
+    notes = [idle_advice(value_of(problem.objective, exact))] if does_nothing else []
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
         taken = _decisions(problem, progress.best, held_paths, decisions, engine)
@@ -184,7 +183,7 @@ def _further(
     available = exact[problem.objective.outputs[0]]
     best, spread = value_of(problem.objective, exact), float(np.nanstd(available))
     size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
-    times = further.times(progress, training)
+    times = times_of(progress, training)
     paths, maximum = ENOUGH, len(available)
     while True:
         late = _over(rated, progress.halfway, exact, engine, paths)
@@ -196,7 +195,7 @@ def _further(
 
 def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
     return (
-        f"{STILL}the steps after {further.compared_step(progress, training)} of "
+        f"{STILL}the steps after {compared_step(progress, training)} of "
         f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
         f"bring about {more.more:,.2g}; try steps={2 * progress.step}."
     )
@@ -209,16 +208,16 @@ def _short(
     gradient: tuple[float, float] | None,
 ) -> str:
     """Why nobody can tell whether a training has ended; empty where it has."""
-    if further.too_short(training, progress.step):
+    if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:
         return (
-            f"the steps after {further.compared_step(progress, training)} gained "
+            f"the steps after {compared_step(progress, training)} gained "
             f"{Gain(more.late, more.late_error)}"
         )
     moved = parameters(progress.best) - parameters(progress.halfway)
     path = float(np.linalg.norm(moved))
-    if gradient is not None and further.restless(*gradient, path, more.size):
+    if gradient is not None and restless(*gradient, path, more.size):
         return f"the gradient is {gradient[0] / gradient[1]:.2g} times its noise"
     return ""
 

@@ -1,5 +1,9 @@
-"""Why a training broke off: the output and the step in which numbers are no longer finite."""
+"""How a solution came about: seconds by stage, versions, and why a training broke off."""
 
+import platform
+import threading
+import time
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import jax
@@ -12,10 +16,69 @@ from snapo.problem.policies.memory import remembering
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
-from ..adjoint import float64
-from ..finite_paths import finite
-from ..learning.progress import Progress
-from ..learning.settings import TrainingPlan
+from .adjoint import finite, float64
+from .learning.progress import Progress
+from .learning.settings import TrainingPlan
+
+LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "llvmlite", "diffrax")
+
+
+def versions() -> dict[str, str]:
+    """What decides the numbers besides the inputs: this package, its libraries and the machine."""
+    table = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in LIBRARIES:
+        try:
+            table[name] = version(name)
+        except PackageNotFoundError:
+            table[name] = "not installed"
+    return table
+
+
+COMPILERS = ("/jax/core/compile", "/snapo/compile")  # events that tell of compiling
+
+
+class Clock:
+    """Books the time of a run under the names of its stages, and that of compiling apart.
+
+    A context manager: it listens to JAX's compiler and to that of the native engine until it is
+    left. Compiling within compiling, as the tracing of a kernel is, counts once; that of other
+    threads takes none of this one's time.
+    """
+
+    def __init__(self):
+        self.seconds = {"compile": 0.0, "train": 0.0, "evaluate": 0.0}
+        self._started, self._thread = time.perf_counter(), threading.get_ident()
+        self._compiled: list[tuple[float, float]] = []
+        self._listener: Any = self._heard
+
+    def __enter__(self) -> "Clock":
+        jax.monitoring.register_event_duration_secs_listener(self._listener)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._listener)
+
+    def _heard(self, event: str, duration: float, **_: Any) -> None:
+        """An event is told when it ends."""
+        if event.startswith(COMPILERS) and threading.get_ident() == self._thread:
+            now = time.perf_counter()
+            self._compiled.append((now - duration, now))
+
+    def stage(self, name: str) -> None:
+        """Books the time since the last call under this name, less the compiling in it."""
+        now, heard = time.perf_counter(), sorted(self._compiled)
+        compiled, reached = 0.0, self._started
+        for first, last in heard:
+            compiled += max(0.0, last - max(first, reached))
+            reached = max(reached, last)
+        self.seconds[name] += max(0.0, now - self._started - compiled)
+        self.seconds["compile"] += compiled
+        self._started, self._compiled = now, []
+
+    def total(self) -> dict[str, float]:
+        """The seconds of every stage, and of all together."""
+        return self.seconds | {"total": sum(self.seconds.values())}
+
 
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
