@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy

@@ -25,7 +25,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.solver.solve import solve
 from snapo.study.study import Setup
 

@@ -15,8 +15,9 @@ from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from snapo.case import table as tables
+from snapo.case.load import load
 from snapo.case.quantity import quantity_of
-from snapo.case.table import CaseTable, load
+from snapo.case.table import CaseTable
 from snapo.study import commands
 
 CASE, UNKNOWN = "case.toml", "a_key_that_nobody_knows"

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from snapo.problem.code import program
+from snapo.problem.code.version import path, text
 from snapo.problem.problem import Problem
 
 
@@ -15,9 +15,9 @@ def programs(problem: Problem):
 
         def rolled(leaves, constants, now, *noise):
             own = jax.tree.unflatten(structure, leaves)
-            return program.path(own, None)(constants, now, *noise)
+            return path(own, None)(constants, now, *noise)
 
-        prepared = program.text(
+        prepared = text(
             lambda leaves, values: jax.tree.unflatten(structure, leaves).prepare(values),
             leaves,
             {name: given.value for name, given in problem.inputs_by_name.items()},
@@ -26,4 +26,4 @@ def programs(problem: Problem):
         now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
         constants = jax.tree.map(jnp.asarray, schedule.constants)
         vectors = [jnp.zeros(size) for size in sizes]
-        return prepared, program.text(rolled, leaves, constants, now, *vectors)
+        return prepared, text(rolled, leaves, constants, now, *vectors)

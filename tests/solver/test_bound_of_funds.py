@@ -13,7 +13,7 @@ from tests.solver.test_merton import EQUIVALENT, GAMMA, MARKET, OBJECTIVE, UTILI
 from tests.solver.test_merton import Merton as MertonOfTest
 
 from snapo import Input, Mean, Problem
-from snapo.problem.policy import Constant, Linear
+from snapo.problem.policies.rules import Constant, Linear
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.solver.bound import Bound, bound
 

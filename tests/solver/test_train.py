@@ -12,8 +12,8 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
-from snapo.solver.learning.following import resolve_auto
-from snapo.solver.learning.told import start_notes
+from snapo.solver.learning.log import start_notes
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.train import Training, initial_progress, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)

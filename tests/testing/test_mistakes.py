@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.table import CaseTable, load, parse
+from snapo.case.load import load
+from snapo.case.table import CaseTable, parse
 from snapo.testing.mistakes import UNKNOWN, refusals, spoilt_files, spoilt_keys
 
 CASE = """kind = "toy"

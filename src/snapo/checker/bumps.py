@@ -16,8 +16,7 @@ from jaxtyping import PyTree
 
 from snapo.engine.transpose import pull_back
 from snapo.problem import inputs as inputs_
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import in_mean
+from snapo.problem.problem import in_mean, prepare
 from snapo.problem.simulator import Schedule, Simulator
 
 from .findings import Notes, StopCheck

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from snapo.solver.files import write_text
+from snapo.solver.tables import write_text
 
 from .export import csv_of, page_rows, zipped
 

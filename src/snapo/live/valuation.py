@@ -17,10 +17,10 @@ from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
+from snapo.solver.adjoint import finite
 from snapo.solver.bound import bound
-from snapo.solver.by_block.passes import DerivativePass
+from snapo.solver.derivatives.by_block import DerivativePass
 from snapo.solver.evaluate import Value, estimate, finite_totals, value_of_groups
-from snapo.solver.finite_paths import finite
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate

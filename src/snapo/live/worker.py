@@ -166,7 +166,7 @@ def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
     if not order.get("workbook"):
         files.write(Path(folder))
         return
-    from snapo.case.workbook.write import write_workbook
+    from snapo.case.workbook import write_workbook
 
     with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
         files.write(Path(made))

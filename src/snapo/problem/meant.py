@@ -15,10 +15,10 @@ from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
 import jax
 import jax.numpy as jnp
 
-from .actions.base import count
+from .actions.sets import count
 from .code.version import reading_once
 from .objective import Limit, Mean, Objective
-from .policies.plain import NEEDED
+from .policies.composed import NEEDED
 from .problem import Problem
 from .scenarios import Scenarios, Sources
 from .simulator import Simulator, at

@@ -16,10 +16,34 @@ from .code.version import Version, of_preparation, of_rollout, read_context, rea
 from .form import form_of
 from .noise import base as noise
 from .objective import Limit, Objective, as_constraints, as_objective, priced
-from .prepare import prepare
+from .quickly import compiled_sooner
 from .scenarios import Sources
 from .simulator import Interface, Schedule, Simulator
 from .unseen import partly_observed
+
+
+def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
+    """The schedule in float64 NumPy."""
+    with jax.enable_x64(True), read_context(of_preparation(simulator, inputs)):
+        part, completed = simulator.prepared_apart()
+        schedule = _prepare(part, inputs_.plain(inputs))
+        return jax.tree.map(np.asarray, completed(schedule))
+
+
+def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
+    """The versions of all of a simulator's code; one of its own where it cannot be run."""
+    try:
+        schedule = prepare(simulator, inputs)
+        versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)
+    except Exception:  # who runs it says why
+        return object()
+    return None if versions == (None, None) else versions
+
+
+@compiled_sooner
+def _prepare(simulator: Simulator, plain: PyTree):
+    return simulator.prepare(plain)
+
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")

@@ -27,9 +27,9 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64
-from .relaxations.known import Relaxation, relaxation_of
-from .show import html
+from .relaxations.stop import Relaxation, relaxation_of
 from .statistics import critical, independent, mean, skewed_mean, with_error
+from .tables import paragraph, table
 
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
@@ -115,8 +115,8 @@ class Bound:
             for name, item in self._named().items()
         ]  # fmt: skip
         small = f"It {self.says_little}. " if self.says_little else ""
-        below = html.paragraph(f"{small}{self.paths} paths; penalty: {self.words}")
-        return html.table(("", "value", "", "95 % from", "to"), rows) + below
+        below = paragraph(f"{small}{self.paths} paths; penalty: {self.words}")
+        return table(("", "value", "", "95 % from", "to"), rows) + below
 
     def _named(self) -> dict[str, Between]:
         return {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}

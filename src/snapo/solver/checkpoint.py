@@ -11,14 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.carry import archive
-from snapo.problem.carry.describe import described, difference
+from snapo.problem.carry.save import described, difference, read_arrays, write_arrays
 
+from .learning.conditioning import Growth
 from .learning.features import FeatureScale
-from .learning.growth import Growth
 from .learning.progress import Progress, Record, Round
-from .limits.dual import Dual
-from .windows.critic import blank
+from .learning.windows import blank
+from .limits import Dual
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")
@@ -151,12 +150,12 @@ def _two(file: Path, both: Any, *keys: str) -> list[Any]:
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
-    archive.write(file, arrays, header)
+    write_arrays(file, arrays, header)
 
 
 def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays in their order and the header, whatever may be wrong with the file."""
     try:
-        return archive.read(file)
+        return read_arrays(file)
     except ValueError as error:
         raise CheckpointError(str(error)) from None

@@ -30,13 +30,12 @@ from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
-from .by_block.passes import DerivativePass
 from .derivatives.bump import FEWEST, one_percent
+from .derivatives.by_block import DerivativePass
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
-from .show import html
-from .show.frame import frame
 from .statistics import Estimate
+from .tables import frame, table
 
 
 class SensitivityRow(NamedTuple):
@@ -171,7 +170,7 @@ class Sensitivities(NamedTuple):
 
     def _repr_html_(self) -> str:
         """The same table in a notebook."""
-        return html.table(HEAD, (line for name in self.inputs for line in self._lines(name)), LEFT)
+        return table(HEAD, (line for name in self.inputs for line in self._lines(name)), LEFT)
 
     def _lines(self, name: str) -> list[tuple[str, ...]]:
         """One input as lines of cells."""

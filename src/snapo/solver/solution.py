@@ -15,17 +15,24 @@ from snapo.problem.problem import Problem
 from . import checkpoint
 from .derivatives.interval import Curvature, Reported
 from .derivatives.verdict import COLUMNS, Verdict
-from .files import write_csv, write_text
-from .learning.growth import Growth
+from .figures import Figures
+from .learning.conditioning import Growth
 from .learning.progress import Record
-from .limits.found import LimitFound
+from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .show import html
-from .show.figures import Figures
-from .show.frame import frame
-from .show.tables import tables_of
-from .show.workbook import write_tables
 from .statistics import Estimate
+from .tables import (
+    TRAINING,
+    SheetTable,
+    flat,
+    frame,
+    histogram,
+    paragraph,
+    sensitivities_chart,
+    write_csv,
+    write_tables,
+    write_text,
+)
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
@@ -106,14 +113,14 @@ class Solution:
     def _repr_html_(self) -> str:
         """The same in a notebook."""
         sensitivities = self.sensitivities
-        text = "".join(map(html.paragraph, self.lines()))
+        text = "".join(map(paragraph, self.lines()))
         return text if sensitivities is None else text + sensitivities._repr_html_()
 
     @property
     def plot(self) -> Figures:
         """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`,
         `plot.fan(name)`, `plot.policy(state)`."""
-        return Figures(self)
+        return Figures(self.sensitivities, self.totals, self.history, self.policy, self.problem)
 
     def frame(self, table: str = "totals", backend: str = "pandas") -> Any:
         """A table as a data frame of "pandas", "polars" or "pyarrow".
@@ -141,7 +148,15 @@ class Solution:
         file = Path(file)
         if file.suffix.lower() != ".xlsx":
             raise ValueError(f"write_table: {file.name!r}; allowed is a name that ends in .xlsx.")
-        write_tables(file, tables_of(self))
+        tables = {"result": SheetTable(("what", "value"), list(flat(self.summary())))}
+        if self.sensitivities is not None:
+            rows = list(self.sensitivities.rows())
+            chart = sensitivities_chart(rows)
+            tables["sensitivities"] = SheetTable(SensitivityRow._fields, rows, chart)
+        if self.history:
+            tables["training"] = SheetTable(Record._fields, self.history, TRAINING)
+        tables |= {f"total {name}": histogram(total) for name, total in self.totals.items()}
+        write_tables(file, tables)
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""

@@ -19,21 +19,19 @@ from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import problem_of
 from snapo.problem.objective import Limit, Objective
-from snapo.problem.policies.plain import as_policy
+from snapo.problem.policies.composed import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
 from .learning.features import scale_of, to_be_drawn, undrawn
-from .learning.following import resolve_auto
-from .learning.settings import TrainingPlan
+from .learning.log import recorded
+from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import others, race
-from .learning.told import recorded
 from .measure.measure import MeasuredRun, measure
-from .measure.settings import Evaluation as Evaluation
-from .provenance.clock import Clock
-from .provenance.versions import versions
+from .measure.selection import Evaluation as Evaluation
+from .provenance import Clock, versions
 from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 

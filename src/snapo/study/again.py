@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 
 from .domain import Domain, Options, RunsCode
 from .run_folder import CASE, differences

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from snapo.case.error import CaseError, Unquoted, nearest
-from snapo.case.table import DEEPEST, TOO_DEEP, is_deep
+from snapo.case.load import DEEPEST, TOO_DEEP, is_deep
 
 OPTION = "--set"
 

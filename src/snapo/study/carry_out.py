@@ -11,8 +11,8 @@ from snapo.case.error import CaseError
 from snapo.problem.code.version import reading_once
 from snapo.report.whole import changed_files, checksum, stamps, written_since
 from snapo.solver.bound import Penalty
-from snapo.solver.files import write_text
 from snapo.solver.solution import POLICY, SOLUTION
+from snapo.solver.tables import write_text
 
 from . import run_folder
 from .chapters.bound import BOUND, measure

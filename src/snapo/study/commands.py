@@ -35,8 +35,8 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
     """
     from tempfile import TemporaryDirectory
 
-    from snapo.case.table import load as load_tables
-    from snapo.case.workbook.write import write_workbook
+    from snapo.case.load import load as load_tables
+    from snapo.case.workbook import write_workbook
 
     with TemporaryDirectory() as made:
         written = new(kind, Path(made), size)

@@ -187,7 +187,7 @@ class Loaded(NamedTuple):
 
 def load(request: CaseRequest) -> Loaded:
     """Reads a case with the domain that its `kind` names."""
-    from snapo.case.table import load as load_tables
+    from snapo.case.load import load as load_tables
 
     from .assign import OPTION, assigned
 

@@ -10,13 +10,12 @@ import jax.numpy as jnp
 from snapo.case.error import CaseError
 from snapo.engine import EngineName, Engines, choose
 from snapo.problem import inputs as inputs_
-from snapo.problem.code.program import ProgramText, text
-from snapo.problem.code.version import of_preparation
+from snapo.problem.code.version import ProgramText, of_preparation, text
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator, at
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 

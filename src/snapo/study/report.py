@@ -4,7 +4,7 @@ from pathlib import Path
 
 from snapo.report.page import Page, render
 from snapo.report.sections.seeds import seeds
-from snapo.solver.files import write_text
+from snapo.solver.tables import write_text
 
 from .domain import Domain
 from .run_folder import REPORT

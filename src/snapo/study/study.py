@@ -16,11 +16,11 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver import statistics
-from snapo.solver.files import write_csv
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.relaxations.known import Relaxation
+from snapo.solver.relaxations.stop import Relaxation
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
+from snapo.solver.tables import write_csv
 
 ProgressCallback = Callable[[str], None]
 

@@ -9,14 +9,14 @@ from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
-from snapo.solver.files import write_csv
-from snapo.solver.learning.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
+from snapo.solver.tables import write_csv
 from snapo.solver.train import Progress, Record, initial_progress
-from snapo.solver.verdict.room import Room, room
+from snapo.solver.verdict.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
+from snapo.solver.verdict.further import Room, room
 
 from .run_folder import CHECKPOINT, GROUPS
 from .study import Part, Setup, StudyRun

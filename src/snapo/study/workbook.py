@@ -13,8 +13,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snapo.case.csv import NUMBER
-from snapo.solver.show.tables import TRAINING, flat, sensitivities
-from snapo.solver.show.workbook import MAX_NAME, Picture, SheetTable, write_tables
+from snapo.solver.tables import (
+    MAX_NAME,
+    TRAINING,
+    Picture,
+    SheetTable,
+    flat,
+    sensitivities_chart,
+    write_tables,
+)
 
 from . import run_folder
 
@@ -91,7 +98,7 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
     if not selected or not 2 <= len(rows) <= MAX_DRAWN:
         return None
     if {"value", "label", "input"} <= set(header):
-        return sensitivities(list(rows))
+        return sensitivities_chart(list(rows))
     return Picture("line", header[0], selected)
 
 

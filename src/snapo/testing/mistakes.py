@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 
 Read = Callable[[Path, dict[str, Any]], Any]
 Route = tuple[str | int, ...]

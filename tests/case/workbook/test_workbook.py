@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
-from snapo.case.workbook.flat import Unreadable, lines, tables
-from snapo.case.workbook.read import unpacked
-from snapo.case.workbook.write import write_workbook
+from snapo.case.load import load
+from snapo.case.workbook import Unreadable, lines, tables, unpacked, write_workbook
 from snapo.study import commands
 
 KEYS = st.text("abcäxyz_-. \"'[]=", min_size=1, max_size=6)

@@ -16,7 +16,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES, changed, tables_of
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.chapters import value
 from snapo.solver import checkpoint, train

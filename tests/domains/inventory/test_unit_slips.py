@@ -3,7 +3,7 @@
 import pytest
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.inventory import DOMAIN
 
 SPREAD = {"kind": "negative-binomial", "mean": 5.0}

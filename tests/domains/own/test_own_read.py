@@ -6,7 +6,7 @@ from tests.domains.own.small import CASE, PLACE, SIMULATOR, write
 
 import snapo
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.cli.main import main
 from snapo.domains.own import DOMAIN
 from snapo.study.domain import Domain, RunsCode

@@ -11,7 +11,7 @@ from tests.domains.own.small import CASE, PLACE, SIMULATOR, write
 
 from snapo.cli.main import main
 from snapo.domains.own import DOMAIN
-from snapo.solver.limits.found import LimitFound
+from snapo.solver.limits import LimitFound
 from snapo.solver.solution import Solution
 from snapo.study import commands
 from snapo.study.commands import CaseRequest

@@ -16,7 +16,7 @@ from snapo.engine.native import Native, Unsupported, unsupported
 from snapo.lanes import body
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator

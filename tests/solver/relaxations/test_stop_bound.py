@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.relaxations.decisions import NotStopping, decisions
-from snapo.solver.relaxations.known import relaxation_of
-from snapo.solver.relaxations.value import MAXIMUM, exponents
+from snapo.solver.relaxations.stop import relaxation_of
+from snapo.solver.relaxations.value import MAXIMUM, NotStopping, decisions, exponents
 
 STRIKE, RATE, VOLATILITY, DATES = 40.0, 0.06, 0.2, 4
 STEP = 1 / DATES

@@ -11,7 +11,7 @@ from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
-from snapo.solver.by_block.passes import DerivativePass
+from snapo.solver.derivatives.by_block import DerivativePass
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation

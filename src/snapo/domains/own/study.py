@@ -13,7 +13,7 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
-from snapo.solver.relaxations.known import UNKNOWN, Relaxable, bounded, relaxation_of
+from snapo.solver.relaxations.stop import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.chapters.bound import BOUND

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.solver.learning.clipping import PATHS
-from snapo.solver.learning.growth import Growth
+from snapo.solver.learning.conditioning import PATHS, Growth
 
 from .. import charts, evidence
 from ..drawing import draw

@@ -22,8 +22,8 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
 
+from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
-from ..finite_paths import DROPPED, finite
 from ..statistics import Estimate
 
 MOVE = 0.01  # of every number of an input

@@ -37,7 +37,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at
 from snapo.problem.smooth import Exact
 
-from ..windows.critic import observations
+from .windows import observations
 
 PATHS = 64
 MANY = 8  # more decided numbers than these: the network is wider there too

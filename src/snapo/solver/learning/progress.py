@@ -10,14 +10,12 @@ from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
-from ..limits.dual import Dual
-from ..windows.critic import Learner, learner
-from ..windows.window import UPDATES
+from ..limits import Dual
+from .conditioning import Growth
 from .features import FeatureScale
-from .following import resolve_auto
-from .growth import Growth
 from .optimiser import initial_state, restarted
-from .settings import Training, TrainingPlan
+from .settings import Training, TrainingPlan, resolve_auto
+from .windows import UPDATES, Learner, learner
 
 SLOWER = 0.25  # of the rate, after a step that broke
 MAX_SLOWED = 3  # times that a run whose rate nobody gave goes on after it broke, with a lower one

@@ -17,9 +17,8 @@ from snapo.problem.smooth import EXACT, Smooth
 from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
-from ..derivatives.coordinates import coordinates
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
-from ..derivatives.surface import Surface, rollouts, surface_of
+from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (
     Value,
@@ -30,16 +29,26 @@ from ..evaluate import (
     totals_and_decisions,
     value_of,
 )
-from ..learning.convergence import AS_BEGUN, ending
+from ..learning.log import start_notes
 from ..learning.settings import TrainingPlan
-from ..learning.told import start_notes
-from ..limits.found import limits_found, notes_of
-from ..provenance.broken import why_broken
+from ..limits import limits_found, notes_of
+from ..provenance import why_broken
 from ..sensitivity import Sensitivities, sensitivities_and_totals, through_policy
 from ..statistics import of_shares
 from ..train import Progress
-from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
-from .settings import FEWEST, PAIR, Effort, Evaluation
+from ..verdict.convergence import AS_BEGUN, ending
+from .selection import (
+    FEWEST,
+    HIGHEST,
+    NEWEST,
+    PAIR,
+    START,
+    TOP,
+    Effort,
+    Evaluation,
+    Selection,
+    select,
+)
 
 GAP_PATHS = 4096  # at most: paths are paired, so the gap is known far better than the value
 TAIL = 200  # paths in a tail, below which the error of its measure is not known well

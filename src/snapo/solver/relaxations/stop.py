@@ -9,6 +9,7 @@ for every path and step, so that they are unbiased and their noise is small (And
 """
 
 from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +19,14 @@ from scipy.stats import qmc
 
 from snapo.engine import Rollout
 from snapo.engine.base import cast
+from snapo.problem.actions import Stop
 from snapo.problem.code.version import followed
 from snapo.problem.noise import Draws, Stored
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.simulator import at
 
-from .decisions import NotStopping, decisions, states_of
-from .value import better, fit, value
+from .value import NotStopping, better, decisions, fit, states_of, value
 
 FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
 FITTING = 258  # stream of the paths of the regression
@@ -138,3 +139,57 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
         return np.asarray(draws.step_noise)[t]
     many = jax.vmap(lambda item: item.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
     return np.asarray(many(draws))
+
+
+class Relaxation(Protocol):
+    """The inner problem of a simulator: best decisions of one path in hindsight, penalised.
+
+    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
+    - `description`: the penalty in a phrase, for a report.
+    """
+
+    @property
+    def terms(self) -> int: ...
+
+    @property
+    def description(self) -> str: ...
+
+    def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
+
+        `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
+        paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
+        penalty's parts (zeros: perfect foresight).
+        """
+        ...
+
+    def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the penalties of the policy's own decisions: of mean zero."""
+        ...
+
+
+@runtime_checkable
+class Relaxable(Protocol):
+    """A simulator that knows its relaxation."""
+
+    def relaxation(self, problem: Problem) -> Relaxation: ...
+
+
+UNKNOWN = "its simulator has no method `relaxation` and is no stopping problem; see docs/bounds.md"
+
+
+def bounded(problem: Problem) -> bool:
+    """Whether `relaxation_of` knows one, as far as can be told without work."""
+    return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
+
+
+def relaxation_of(problem: Problem) -> Relaxation:
+    """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
+
+    **Raises:** `ValueError` where there is none; it says why.
+    """
+    if isinstance(problem.simulator, Relaxable):
+        return problem.simulator.relaxation(problem)
+    if isinstance(problem.action, Stop):
+        return StopRelaxation(problem)
+    raise ValueError(UNKNOWN)

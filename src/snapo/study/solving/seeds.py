@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
-from snapo.solver.files import write_csv
+from snapo.solver.tables import write_csv
 
 from .. import run_folder
 from ..choice import with_needs

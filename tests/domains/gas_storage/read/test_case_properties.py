@@ -12,7 +12,7 @@ from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.csv import Row
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage.contract.feasibility import attainable
 from snapo.domains.gas_storage.read.case import read_case as resolve
 from snapo.domains.gas_storage.read.market import month_days, quotes

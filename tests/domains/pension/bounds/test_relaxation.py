@@ -15,7 +15,7 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.setup import make_setup
 from snapo.problem.objective import CRRA, CVaR, ExpectedUtility, Mean
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.solver.bound import bound

@@ -8,6 +8,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.load import load
 from snapo.case.meaning import check_meanings
 from snapo.case.parts import known_parts
 from snapo.case.settings import (
@@ -17,7 +18,7 @@ from snapo.case.settings import (
     read_evaluation,
     read_training,
 )
-from snapo.case.table import AnyTable, CaseTable, load, parse
+from snapo.case.table import AnyTable, CaseTable, parse
 
 from ..fund.observation import FEATURES
 from ..market.assets.asset_class import AssetNames

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.load import load
 from snapo.case.plausible import CheckedNumbers
-from snapo.case.table import TableContext, load, nearest, parse
+from snapo.case.table import TableContext, nearest, parse
 
 from ..records.case import PensionCase
 from ..records.inputs import every_given

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from snapo.engine import Native
 from snapo.problem.actions import Box
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

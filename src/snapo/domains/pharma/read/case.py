@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from snapo.case.error import CaseError
+from snapo.case.load import load
 from snapo.case.parts import known_parts
 from snapo.case.plausible import CaseFiles
 from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
-from snapo.case.table import TableContext, load, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import PharmaCase
 from ..time.numerics import Numerics
