@@ -10,8 +10,8 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.study import run_folder
-from snapo.study.choice import no_policy
 from snapo.study.commands import domain_of_run
+from snapo.study.training import no_policy
 
 ProgressCallback = Callable[[str], None]
 

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.report.whole import changed_files, checksum, is_sealed, sealed
+from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.solver.files import write_text
 from snapo.solver.provenance.versions import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
