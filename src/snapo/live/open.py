@@ -3,7 +3,6 @@
 import asyncio
 import sys
 import webbrowser
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,8 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.study import run_folder
 from snapo.study.commands import domain_of_run
+from snapo.study.study import ProgressCallback
 from snapo.study.training import no_policy
-
-ProgressCallback = Callable[[str], None]
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
