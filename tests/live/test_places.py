@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.case.files import read_files
-from snapo.live.case.places import InputPositions
+from snapo.live.files import read_files
+from snapo.live.positions import InputPositions
 from snapo.live.terms import usual
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -13,7 +13,7 @@ from snapo.study.domain import Options
 
 @pytest.fixture(scope="module")
 def storage(tmp_path_factory):
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     folder = tmp_path_factory.mktemp("storage")
     commands.new("gas-storage", folder)
@@ -24,7 +24,7 @@ def storage(tmp_path_factory):
 
 def counted(folder):
     """The places of a storage case, and a list with an entry for each time that it is read."""
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     loaded, readings = commands.load(commands.CaseRequest(folder)), []
 
@@ -59,7 +59,7 @@ def test_every_input_of_a_store_is_written_and_read_once(tmp_path):
 
 
 def storage_values(moved, name):
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     return storage_inputs(moved.case)[name].value
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.case.refusals import no_value, stopped
-from snapo.live.counts import PathCounts
+from snapo.live.rollout import PathCounts
+from snapo.live.terms import no_value, stopped
 from snapo.live.valuation import Valuation
 from snapo.live.worker import in_words, open_run
 from snapo.problem.inputs import Input

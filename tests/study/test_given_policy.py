@@ -19,8 +19,8 @@ from snapo.problem.policy import MLP, Residual, parameters
 from snapo.solver import checkpoint
 from snapo.solver.solution import POLICY, Solution
 from snapo.study import commands
-from snapo.study.solving.given import read
-from snapo.study.solving.prepare import Wanted, made_ready
+from snapo.study.initial_policy import read
+from snapo.study.prepare import Wanted, made_ready
 from snapo.testing.miniature import quiet
 
 OWN = MINIATURES["own"]

@@ -16,8 +16,8 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Supplied, stream
 from snapo.solver.evaluate import evaluate
 from snapo.solver.solution import Solution
 from snapo.study import commands, run_folder
+from snapo.study import seeds as table_of
 from snapo.study.domain import Options
-from snapo.study.solving import by_seed as table_of
 from snapo.testing.miniature import once, quiet
 
 SMALL = MINIATURES["inventory"]

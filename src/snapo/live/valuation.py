@@ -28,12 +28,10 @@ from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
 from snapo.study.study import PathTotals, Setup, Study
 
-from .case.places import InputPositions
-from .case.refusals import MAXIMUM, no_value
-from .counts import PathCounts
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
-from .rolled import Simulated, simulate, totals_of
-from .terms import Deltas, derivatives, slopes
+from .positions import InputPositions
+from .rollout import PathCounts, Simulated, simulate, totals_of
+from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
 
 HEALTH_PATHS, BOUND_PATHS = 1024, 512
 TOLD = 12  # times that a training tells how far it is

@@ -19,19 +19,17 @@ from typing import Any, TextIO
 
 from snapo.case.error import CaseError
 from snapo.solver.solution import Solution
-from snapo.study.again import case_of_run, options_of_run
 from snapo.study.commands import domain_of_run
 from snapo.study.domain import Options
+from snapo.study.prepare import case_of_run, options_of_run
 from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
 
-from .case.files import read_files
-from .case.places import InputPositions
-from .case.refusals import stopped
-from .counts import PathCounts
-from .moves import WhatIf
-from .recalculation import Recalculation
-from .rolled import numbers_of_a_path
+from .files import read_files
+from .moves import Recalculation, WhatIf
+from .positions import InputPositions
+from .rollout import PathCounts, numbers_of_a_path
+from .terms import stopped
 from .valuation import Valuation
 
 
@@ -219,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     post = Post(out)
-    from snapo.study.solving.prepare import use_every_core
+    from snapo.study.prepare import use_every_core
 
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .axes import number_axis
-from .drawing import WIDTH, legend_above, unit_above
-from .theme import LIGHT
+from .drawing import LIGHT, WIDTH, legend_above, number_axis, unit_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

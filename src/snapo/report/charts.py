@@ -9,10 +9,8 @@ import numpy as np
 from snapo.problem.scenarios import BLOCKS
 from snapo.solver.statistics import critical
 
-from .axes import date_axis, number_axis
-from .drawing import legend_above, unit_above
+from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
 from .quantity import number
-from .theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from .checksums import changed_files
 from .quantity import array, finite, money, plus_minus
-from .whole import changed_files
 
 RESULT = "result.json"
 PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in what is known of a run

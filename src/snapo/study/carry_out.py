@@ -1,4 +1,4 @@
-"""A study carried out into a folder: part by part, whatever fails, and again from where it was."""
+"""A study carried out into a folder, part by part, resumable, and the report of the folder."""
 
 import json
 import time
@@ -9,18 +9,47 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.code.version import reading_once
-from snapo.report.whole import changed_files, checksum, stamps, written_since
+from snapo.report.checksums import changed_files, checksum, stamps, written_since
+from snapo.report.evidence import seeds
+from snapo.report.page import Page, render
 from snapo.solver.bound import Penalty
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.solver.tables import write_text
 
 from . import run_folder
 from .chapters.bound import BOUND, measure
-from .choice import no_policy
 from .domain import GOOD, Domain
-from .report import write_report
+from .run_folder import REPORT
 from .study import Part, ProgressCallback, Study, StudyRun
-from .training import TRAINING
+from .training import TRAINING, no_policy
+
+
+def write_report(domain: Domain, folder: Path) -> Path:
+    """Writes `report.html` into a run folder and returns its path.
+
+    Where a file or a key is missing, the section says so in a sentence. The same files give the
+    same page, byte for byte.
+    """
+    summary = domain.report()
+    run = summary.folder.read(folder)
+    sections = [section(run) for section in summary.sections]
+    if run.get("by_seed"):
+        sections.insert(1, seeds(run))
+    page = Page(
+        title=str(run.get("title") or summary.title),
+        about=[(name, value) for name, value in summary.about(run) if value],
+        sections=sections,
+        footer=_footer(run.get("versions.snapo")),
+    )
+    write_text(folder / REPORT, render(page))
+    return folder / REPORT
+
+
+def _footer(version: str | None) -> str:
+    available = version and version[:1].isdigit()  # else it says that it is not installed
+    made = f"Made by snapo {version}" if available else "Made by snapo"
+    return f"{made} from the files of one run folder; the page needs and sends nothing."
+
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
 # A report is written before the end where the work since took so many times its own time, and no

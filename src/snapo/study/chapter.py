@@ -17,8 +17,8 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationError
 
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Section
-from snapo.report.sections.lacking import why_missing
 
 from .study import Part, StudyRun
 from .training import TRAINING

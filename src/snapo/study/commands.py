@@ -117,11 +117,11 @@ def solve(
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
-    from .solving.prepare import Wanted, carried_out, made_ready, output_folder
+    from .prepare import Wanted, carried_out, made_ready, output_folder
 
     began, requested = time.perf_counter(), Wanted(engine, reference, resume, policy)
     if seeds is not None:
-        from .solving.seeds import solve_seeds
+        from .seeds import solve_seeds
 
         return solve_seeds(request, progress, out, requested, seeds)
     loaded = load(request)
@@ -146,8 +146,7 @@ def certify(
     **Raises:** `CaseError` where there is no such run, or nothing bounds its value; it says why.
     """
     from . import run_folder
-    from .again import case_of_run, options_of_run
-    from .solving.prepare import use_every_core
+    from .prepare import case_of_run, options_of_run, use_every_core
 
     record = run_folder.read(run)
     domain = domain_of_run(run, record, simulator)
@@ -184,7 +183,7 @@ def domain_of_run(
 def report(run: Path) -> Path:
     """Writes the report of a run again, from the files of its folder; returns its path."""
     from . import run_folder
-    from .report import write_report
+    from .carry_out import write_report
 
     record = run_folder.read(run)
     domain = find(record.get("kind"), str(run / run_folder.RUN))
@@ -200,7 +199,7 @@ def printed(run: Path) -> Path:
 
     **Raises:** `CaseError` where no browser of this machine can.
     """
-    from snapo.report.pdf import BROWSERS, VARIABLE, browser, print_page
+    from snapo.report.page import BROWSERS, VARIABLE, browser, print_page
 
     from . import run_folder
 
@@ -239,7 +238,7 @@ def bench(kind: str | None, engine: str, progress: "ProgressCallback") -> dict[s
 
     **Raises:** `CaseError` where the kind that was asked for has nothing to time.
     """
-    from .solving.prepare import use_every_core
+    from .prepare import use_every_core
 
     requested: Sequence[str] = list(installed()) if kind is None else [kind]
     table = {}

@@ -9,8 +9,7 @@ import numpy as np
 
 from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
-from snapo.domains.gas_storage.contract.inputs import storage_inputs
-from snapo.domains.gas_storage.contract.records import StorageCase
+from snapo.domains.gas_storage.contract.records import StorageCase, storage_inputs
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.setup import make_setup

@@ -11,8 +11,7 @@ from tests.domains.gas_storage.storage_cases import CASES, changed
 
 from snapo.domains.gas_storage.references.intrinsic import values_after
 from snapo.domains.gas_storage.references.lattice import lattice
-from snapo.domains.gas_storage.references.marginal import marginal_values
-from snapo.domains.gas_storage.references.slope_table import PIECES, ROWS, slope_table
+from snapo.domains.gas_storage.references.marginal import PIECES, ROWS, marginal_values, slope_table
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.solver.evaluate import evaluate
 

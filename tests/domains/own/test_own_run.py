@@ -14,8 +14,8 @@ from snapo.domains.own import DOMAIN
 from snapo.solver.limits import LimitFound
 from snapo.solver.solution import Solution
 from snapo.study import commands
+from snapo.study.carry_out import write_report
 from snapo.study.commands import CaseRequest
-from snapo.study.report import write_report
 
 CODE = ("simulator", "Shop")
 

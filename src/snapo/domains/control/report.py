@@ -1,8 +1,8 @@
 """How a run of a controlled plant is told."""
 
+from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.quantity import number
-from snapo.report.sections.proof import history, making
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline

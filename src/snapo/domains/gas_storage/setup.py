@@ -18,17 +18,12 @@ from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
-from .bounds.guide import fitted_marginal
-from .bounds.innovation import innovation_table
-from .bounds.value_iteration import FittedValue, fit_guide
-from .contract.inputs import storage_inputs
-from .contract.records import StorageCase
+from .bounds.value_iteration import FittedValue, fit_guide, fitted_marginal, innovation_table
+from .contract.records import StorageCase, storage_inputs
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, simulator_of
-from .policy.fitted_guide import FittedKnots
-from .policy.innovation import Innovations
+from .policy.guide import FittedKnots, Innovations, ValueTable
 from .policy.network import StoragePolicy
-from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
 from .references.marginal import marginal_values
 

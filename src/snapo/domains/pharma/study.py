@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.chain import Chain
-from snapo.study import choice
+from snapo.study import training
 from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
 from snapo.study.study import LiveTable, Part, PathTotals, Study, StudyRun
@@ -80,8 +80,8 @@ def study(case: PharmaCase, options: Options) -> Study:
         }
     else:
         hooks["recalculated"] = lambda: RecipeCalculation(case)
-    selected = choice.with_needs(parts, case.parts)
-    entries = about(case) | choice.summary(parts, selected)
+    selected = training.with_needs(parts, case.parts)
+    entries = about(case) | training.summary(parts, selected)
     telling, entry = [_telling(part) for part in selected], partial(result, case)
     return PharmaStudy(case.kind, entries, telling, entry, inputs=pharma_inputs, **hooks)
 

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw
+from snapo.report.drawing import LIGHT, draw, number_axis
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Section, Text
 from snapo.report.quantity import decimals, finite, number, percent
 from snapo.report.rows import Column, table
-from snapo.report.theme import LIGHT
 from snapo.solver import bound as solver
 from snapo.solver.bound import Penalty
 

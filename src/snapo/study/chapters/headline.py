@@ -2,9 +2,9 @@
 
 from snapo.report.evidence import gradient, notes
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Section
 from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
-from snapo.report.sections.lacking import why_missing
 
 from .certificate import checks
 

@@ -9,6 +9,7 @@ from snapo.problem.inputs import Input
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles, Sensitivity
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table, Text
 from snapo.report.quantity import (
     SPACE,
@@ -23,7 +24,6 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.derivatives.bump import one_percent
 from snapo.solver.derivatives.verdict import Verdict
 from snapo.solver.sensitivity import Sensitivities

@@ -3,7 +3,7 @@
 import equinox as eqx
 import pytest
 
-from snapo.domains.gas_storage.prices.one_factor import OneFactor
+from snapo.domains.gas_storage.prices.factors import OneFactor
 from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, missing_members, register
 from snapo.domains.gas_storage.prices.registry import kinds
 

@@ -13,12 +13,10 @@ from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, unit_above
+from snapo.report.drawing import LIGHT, draw, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import readable, with_unit
-from snapo.report.theme import LIGHT
 from snapo.study.chapter import Chapter, Floats, floats
 from snapo.study.chapters.profile import recorded
 from snapo.study.study import StudyRun

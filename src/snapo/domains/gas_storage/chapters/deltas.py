@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from snapo.report import charts
-from snapo.report.axes import days as date_numbers
+from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
 from snapo.report.rows import Column, table
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 

@@ -9,9 +9,9 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.report import charts
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import finite, long_date, number, quantity
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Number
 from snapo.study.study import Setup, Today

@@ -8,9 +8,9 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.report import charts
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Facts, Section, Table, Text
 from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
@@ -19,9 +19,9 @@ from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
 from ..contract.simulator import simulator_of
-from ..policy.fitted_guide import FittedKnots
+from ..policy.guide import FittedKnots
 from ..references.intrinsic import intrinsic
-from ..references.refined import refined
+from ..references.lattice import refined
 from ..setup import OUTPUT, case_of, factors, on_independent_paths, policy_of
 from .position import working_volume
 from .run import StorageRun

@@ -24,13 +24,11 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..policy.innovation import Innovations, of_day, of_end
-from ..policy.observation import curve_ahead, observation
-from ..policy.value_table import ValueTable
+from ..policy.guide import Innovations, ValueTable, of_day, of_end
+from ..policy.network import curve_ahead, observation
 from ..prices.process import PriceProcess, use
-from .end import EndTerms
-from .reachable import InventoryLimits, reachable
-from .records import Contract, StorageCase
+from .feasibility import InventoryLimits, reachable
+from .records import Contract, EndTerms, StorageCase
 from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 
 

@@ -17,8 +17,7 @@ from snapo.problem.smooth import Exact
 
 from ..contract.schedule import StoreState
 from ..contract.simulator import StorageSimulator, simulator_of
-from .network import StoragePolicy
-from .observation import HEAD, Economics
+from .network import HEAD, Economics, StoragePolicy
 
 ROUND = 256  # inventories and prices of one call
 SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price

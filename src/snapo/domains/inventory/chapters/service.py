@@ -7,9 +7,9 @@ import numpy as np
 
 from snapo.report.evidence import notes
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Section, Table
 from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.headline import marks
 from snapo.study.study import LiveTable, PathTotals, StudyRun

@@ -11,9 +11,9 @@ import numpy as np
 from snapo.problem.inputs import plain
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.report import evidence
+from snapo.report.missing import not_asked
 from snapo.report.page import Block, Facts, Mark, Section, Table, Text
 from snapo.report.quantity import finite, number
-from snapo.report.sections.lacking import not_asked
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Number

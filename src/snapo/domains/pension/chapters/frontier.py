@@ -19,11 +19,9 @@ from snapo.problem.objective import CVaR, Mean, Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, unit_above
+from snapo.report.drawing import LIGHT, draw, number_axis, unit_above
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, plus_minus
-from snapo.report.theme import LIGHT
 from snapo.solver.evaluate import estimate, path_totals, value_of
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapter import Chapter, Number

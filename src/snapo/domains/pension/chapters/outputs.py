@@ -14,9 +14,9 @@ import numpy as np
 
 from snapo.problem.inputs import plain
 from snapo.problem.objective import CVaR, Mean, Objective, Probability
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Table, Text
 from snapo.report.quantity import SPACE, decimals, measured, number, plus_minus
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import estimate
 from snapo.solver.sensitivity import held_of_several
 from snapo.solver.statistics import Estimate

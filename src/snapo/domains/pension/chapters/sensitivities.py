@@ -9,9 +9,9 @@ import numpy as np
 from snapo.problem.inputs import Input, plain
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus, rough
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter

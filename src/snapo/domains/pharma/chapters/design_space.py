@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, legend_above, unit_above
+from snapo.report.drawing import LIGHT, draw, legend_above, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity, with_unit
-from snapo.report.theme import LIGHT
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 

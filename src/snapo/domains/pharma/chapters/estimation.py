@@ -11,9 +11,9 @@ from scipy.stats import t as student
 from snapo.case.quantity import numbers_in
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, power, with_unit
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 

@@ -8,10 +8,10 @@ from importlib.metadata import PackageNotFoundError, version
 
 from snapo.report.evidence import spent
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity, seconds
-from snapo.report.sections.lacking import why_missing
-from snapo.solver.provenance import versions
+from snapo.solver.provenance.versions import versions
 from snapo.study.chapter import Chapter
 from snapo.study.domain import GOOD
 from snapo.study.run_folder import case_files

@@ -5,10 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import legend_above, unit_above
+from snapo.report.drawing import LIGHT, legend_above, number_axis, unit_above
 from snapo.report.quantity import number, with_unit
-from snapo.report.theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

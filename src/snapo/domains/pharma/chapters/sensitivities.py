@@ -7,9 +7,9 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, percent, with_unit
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats
 from snapo.study.study import Part, StudyRun
 

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TypeVar
 
-from ..folder import LEFT_OUT, PLANNED, RunFiles
-from ..page import Missing, Section, Text
+from .folder import LEFT_OUT, PLANNED, RunFiles
+from .page import Missing, Section, Text
 
 AnyFolder = TypeVar("AnyFolder", bound=RunFiles)
 SectionFunction = Callable[[AnyFolder], Section]

@@ -1,5 +1,10 @@
-"""A run made ready: its folder, all that decides its numbers, and its study."""
+"""A run prepared: its folder, all that decides its numbers, and its study.
 
+The case is new, or it is read again from the copy in the folder of its run.
+"""
+
+import datetime
+import json
 import os
 import time
 from collections.abc import Iterable, Mapping
@@ -9,12 +14,54 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError, Unquoted
+from snapo.case.table import load
 
-from .. import run_folder
-from ..domain import Loaded, Options, RunsCode
+from . import run_folder
+from .domain import Domain, Loaded, Options, RunsCode
+from .run_folder import CASE, differences
 
 if TYPE_CHECKING:
-    from ..study import ProgressCallback, Study
+    from .study import ProgressCallback, Study
+
+
+def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, Any]]:
+    """The file of a run's case, and its tables with the keys that `--set` changed.
+
+    **Raises:** `CaseError` where the copy in the run folder is gone.
+    """
+    recorded = record["decides"]["case"]
+    results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
+    if not results:
+        message = "the copy of the case is gone: solve the case again"
+        raise CaseError(str(out / CASE), "", None, message)
+    file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
+    return file, _as_recorded(data, recorded)
+
+
+def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
+    """As the case of a run is studied again: without the checks that it passed, unless it runs code
+    that has changed since."""
+    decided = record["decides"].get("options", {})
+    same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided.items()
+    return Options(engine, about=record.get("about") if same else None)
+
+
+def _as_recorded(data: Any, recorded: Any) -> Any:
+    """Tables of a file with the recorded values; those that are the same keep their types."""
+    if isinstance(data, dict) and isinstance(recorded, dict):
+        return {key: _as_recorded(data.get(key), value) for key, value in recorded.items()}
+    if isinstance(data, list) and isinstance(recorded, list) and len(data) == len(recorded):
+        return [_as_recorded(old, new) for old, new in zip(data, recorded, strict=True)]
+    if _plain(data) == recorded:
+        return data
+    if isinstance(data, datetime.date) and isinstance(recorded, str):
+        return datetime.date.fromisoformat(recorded)
+    return recorded
+
+
+def _plain(data: Any) -> Any:
+    """As run.json holds it."""
+    return json.loads(json.dumps(data, default=str))
 
 
 def use_every_core() -> None:
@@ -85,7 +132,7 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
         options |= loaded.domain.decides(loaded.case)
     values = None
     if requested.policy is not None:
-        from .given import read
+        from .initial_policy import read
 
         values = read(requested.policy, loaded.domain.kind, out, requested.resume)
         options["policy"] = values.checksum
@@ -95,7 +142,7 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     request = Options(requested.engine, requested.reference, about)
     study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
     if values is not None:
-        from .begun import begun_with
+        from .initial_policy import begun_with
 
         study = begun_with(study, values, str(loaded.file))
     return Prepared(loaded, out, decides, study)
@@ -119,7 +166,7 @@ def carried_out(
     `began`: when the command did, by `time.perf_counter()`; `adjacent`: seconds of other work for
     it.
     """
-    from ..carry_out import carry_out
+    from .carry_out import carry_out
 
     run_folder.copy_case(prepared.loaded.file, prepared.out)
     spent = time.perf_counter() - began
