@@ -17,7 +17,7 @@ from snapo.checker.indices import moving_indices
 from snapo.checker.methods import Method
 from snapo.checker.slices import outside, short_slices, tables
 from snapo.checker.watch import SamplePoints
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule
 
 from .test_check import Good, inputs

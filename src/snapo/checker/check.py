@@ -21,9 +21,9 @@ from snapo.problem.inputs import unnamed
 from snapo.problem.noise import Stored
 from snapo.problem.objective import Limit, Mean, Objective, Weighted, as_objective
 from snapo.problem.policies.memory import remembered
-from snapo.problem.policy import Constant, Policy
-from snapo.problem.prepare import all_versions
-from snapo.problem.problem import Problem
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem, all_versions
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact, Smooth

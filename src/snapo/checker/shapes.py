@@ -10,7 +10,7 @@ from jaxtyping import PyTree
 from snapo.problem import inputs as inputs_
 from snapo.problem.actions import Actions
 from snapo.problem.objective import Limit, Objective, as_constraints
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
 

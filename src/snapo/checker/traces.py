@@ -12,8 +12,7 @@ from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.lost import lost
-from snapo.problem.code.program import text
-from snapo.problem.code.version import read_context
+from snapo.problem.code.version import read_context, text
 from snapo.problem.problem import in_mean
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth

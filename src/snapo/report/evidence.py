@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.solver.learning.clipping import PATHS
-from snapo.solver.learning.growth import Growth
+from snapo.solver.learning.conditioning import PATHS, Growth
 
 from . import charts
 from .drawing import LIGHT, draw, unit_above

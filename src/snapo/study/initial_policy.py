@@ -20,10 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.carry import archive
-from snapo.problem.carry.describe import described
-from snapo.problem.carry.save import PolicyFileError, load_policy
-from snapo.problem.policy import Policy, trainable
+from snapo.problem.carry.save import PolicyFileError, described, read_arrays
+from snapo.problem.policy import Policy, load_policy, trainable
 from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -110,7 +108,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
         content = file.read_bytes()
         if not content.startswith(ZIP):
             raise ValueError("this is no .npz file")
-        arrays, header = archive.read(file)
+        arrays, header = read_arrays(file)
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
     except ValueError as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError, Unquoted
-from snapo.case.table import load
+from snapo.case.load import load
 
 from . import run_folder
 from .domain import Domain, Loaded, Options, RunsCode

@@ -27,9 +27,9 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
-from snapo.solver.files import write_text
-from snapo.solver.provenance.versions import versions
+from snapo.solver.provenance import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
+from snapo.solver.tables import write_text
 
 from .study import Part
 

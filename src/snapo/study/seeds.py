@@ -15,8 +15,8 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
-from snapo.solver.files import write_csv
 from snapo.solver.solution import Solution
+from snapo.solver.tables import write_csv
 
 from . import run_folder
 from .domain import CaseRequest, Loaded, load, remarks

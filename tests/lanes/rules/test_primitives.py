@@ -16,7 +16,7 @@ from snapo.engine.native.explain import _whole
 from snapo.lanes import jax_private, rules
 from snapo.lanes.program import cut, flatten
 from snapo.lanes.rules import conversions, elementwise
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.smooth import Exact
 
 

@@ -6,7 +6,7 @@ from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.page import Mark, Section, Table, Text
 from snapo.report.quantity import NONE, SPACE, decimals, finite, measured, number
-from snapo.solver.limits.found import LimitFound
+from snapo.solver.limits import LimitFound
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION

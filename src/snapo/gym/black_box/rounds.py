@@ -23,7 +23,7 @@ from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.train import Training, initial_progress, train
 
 from ..agent import Agent

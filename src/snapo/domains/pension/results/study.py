@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from snapo.solver.provenance.versions import versions
+from snapo.solver.provenance import versions
 from snapo.study import training
 from snapo.study.domain import Options
 from snapo.study.study import Part, Setup, Study, StudyRun

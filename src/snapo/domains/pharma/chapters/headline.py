@@ -11,7 +11,7 @@ from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity, seconds
-from snapo.solver.provenance.versions import versions
+from snapo.solver.provenance import versions
 from snapo.study.chapter import Chapter
 from snapo.study.domain import GOOD
 from snapo.study.run_folder import case_files

@@ -212,7 +212,9 @@ def read_uncertainty(
             if entry in which:
                 raise section.error("of", table.of, "this number stands there twice")
             if entry in fit.entries:
-                message = "the uncertainty of this number comes with its fit, from the file `fitted`"
+                message = (
+                    "the uncertainty of this number comes with its fit, from the file `fitted`"
+                )
                 raise section.error("of", table.of, message)
             unit = numbers.unit(*entry)
             distribution = read_distribution(section, table.distribution, unit)
