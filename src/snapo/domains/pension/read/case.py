@@ -215,7 +215,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     return replace(case, notes=(*case.notes, *slips.values()), slips=tuple(slips))
 
 
-def _market(reader: _Reader, grid: TimeGrid, amount: float) -> dict[str, Any]:
+def _market(reader: _Reader, grid: TimeGrid, amount: CaseInput) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
     position, optional = reader.context, reader.optional_table
     curve = reader.table(tables.CurveTable, "curve")
