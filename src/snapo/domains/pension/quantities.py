@@ -56,6 +56,10 @@ class FundQuantity(Quantity):
         """The quantity in a group of inputs."""
         return replace(self, group=group, **changes)
 
+    def in_column(self, column: str, meaning: str, **changes: Any) -> Self:
+        """The quantity of a column of a CSV."""
+        return replace(self, column=column, meaning=meaning, **changes)
+
     def cell(self, row: Row) -> float:
         if self.blank is not None and not row.cells.get(self.column):
             return self.blank
@@ -84,7 +88,7 @@ class FundQuantity(Quantity):
 
     def column_of(self, name: str, rows: Sequence[Row], labels: Sequence[str]) -> CaseInput:
         """The numbers of a column that may be left out: then they are zero, and no input."""
-        if self.column not in rows[0].cells:
+        if not rows or self.column not in rows[0].cells:
             return empty(name, (len(rows),))
         return self.from_rows(name, rows, labels)
 

@@ -28,13 +28,10 @@ LIMITS = {
     "fill_return": "from_excess_return",
 }
 BY_COHORT = SHARE.of("plan", range=Range(0.0, 2.0))
-PROTECTION = replace(
-    BY_COHORT, column="protection",
-    meaning="the share of a pot that earns as its annuity does; the rest earns cash",
-)  # fmt: skip
-EXPOSURE = replace(
-    BY_COHORT, column="exposure", meaning="the weight of a cohort's pot in the excess return"
+PROTECTION = BY_COHORT.in_column(
+    "protection", "the share of a pot that earns as its annuity does; the rest earns cash"
 )
+EXPOSURE = BY_COHORT.in_column("exposure", "the weight of a cohort's pot in the excess return")
 
 
 def read_pots(

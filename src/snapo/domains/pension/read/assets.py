@@ -26,35 +26,25 @@ from ..quantities import (
 )
 from ..records.assets import AssetGroup, Assets
 from ..records.regulation import RISKS
-from .cells import (
-    WHOLE,
-    TimeGrid,
-    empty,
-    number,
-    unique,
-    word,
-)
+from .cells import WHOLE, TimeGrid, empty, number, unique, word
 from .tables import AssetsTable
 
-MEAN = SHARE.of(
-    "premium", unit=YEARLY, range=Range(-0.999, 1.0), column="mean",
-    meaning="the mean of a class: under excess returns over cash, under total returns all of it",
+MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
+    "mean", "the mean of a class: under excess returns over cash, under total returns all of it"
+)
+IN_CELL = VOLATILITY.in_column(
+    "volatility", "volatility of a class in its own currency, its mean as the case gives it",
+    range=Range(0.0, 5.0),
 )  # fmt: skip
-OF_CLASS = replace(
-    VOLATILITY, by=FROM_YEAR,
-    meaning="volatility of a class in its own currency, its mean as the case gives it",
-)  # fmt: skip
-SMOOTHING = SHARE.of(
-    "model", column="smoothing",
-    meaning="the share of a step's return that an appraisal shows at once",
-)  # fmt: skip
+IN_FILE = replace(IN_CELL, range=VOLATILITY.range, by=FROM_YEAR, column="value")
+SMOOTHING = SHARE.of("model").in_column(
+    "smoothing", "the share of a step's return that an appraisal shows at once"
+)
 LIMITS = ("low", "high", "group", "group_low", "group_high", "max_sale", "band")
 OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
-FEE = RATE.of(
-    "assets", range=FRACTION, column="fee", blank=0.0,
-    meaning="the fee per year, as a share of the holding",
-)  # fmt: skip
-COST = replace(FEE, unit="1", column="cost", meaning="the cost of trading as a share of the trade")
+OF_TRADE = RATE.of("assets", unit="1", range=FRACTION, blank=0.0)
+COST = OF_TRADE.in_column("cost", "the cost of trading as a share of the trade")
+FEE = OF_TRADE.in_column("fee", "the fee per year, as a share of the holding", unit=YEARLY)
 WEIGHT = SHARE.of("assets", meaning="a weight held today, before the first trade")
 FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was not divided by 100
 
@@ -164,12 +154,9 @@ def _volatility(section: TableContext, row: Row) -> CaseInput:
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
         file = FileReference(section, "file", text)
-        moving = OF_CLASS.from_dated_rows(
-            "asset_volatility", read_rows(file, ("from_year", "value"))
-        )
+        moving = IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
         return replace(moving, positions=())  # in a file that only another file names
-    cell = replace(OF_CLASS, range=Range(0.0, 5.0), column="volatility")
-    return cell.from_rows("asset_volatility", [row], ("",))
+    return IN_CELL.from_rows("", [row], ("",))
 
 
 def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:

@@ -19,10 +19,9 @@ from ..quantities import AMOUNT
 from ..records.plan import CashPlan
 from .cells import NEVER, TimeGrid, years
 
-PAYMENT = AMOUNT.of(
-    "plan", column="amount",
-    meaning="a payment agreed in money, on top of the rule of contributions",
-)  # fmt: skip
+PAYMENT = AMOUNT.of("plan").in_column(
+    "amount", "a payment agreed in money, on top of the rule of contributions"
+)
 HALF = datetime.timedelta(15)  # of a month: a later day belongs to the next one
 
 

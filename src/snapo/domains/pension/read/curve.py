@@ -19,14 +19,7 @@ from ..market.smith_wilson import MAXIMUM, cash_flows, distance, fit, log_bond
 from ..quantities import RATE, FundQuantity, on_steps
 from ..records.market import Inflation, MarketCurve
 from ..records.people import PAYMENT_YEARS
-from .cells import (
-    NEVER,
-    TableReader,
-    TimeGrid,
-    empty,
-    rising,
-    years,
-)
+from .cells import NEVER, TableReader, TimeGrid, empty, rising, years
 from .tables import CurveTable, InflationTable, RatesTable
 
 SPEED = 0.1  # towards an ultimate rate, where the case does not say
@@ -35,21 +28,18 @@ PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence
 HELD = "Market values of assets today, prices of risk and excess returns are held"
 # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
 NODE = RATE.of("curve", range=Range(-0.999, 1.0))
-ZERO = replace(
-    NODE, column="zero",
-    meaning="KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
+ZERO = NODE.in_column(
+    "zero",
+    "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
     f" a parallel shift. {HELD}",
-)  # fmt: skip
-SWAP = replace(
-    NODE, column="swap", meaning=f"KR01: the par swap rate of one tenor, the others held. {HELD}"
 )
-FORWARD = replace(
-    NODE, column="forward",
-    meaning="KR01: the forward rate of one interval; the sum of all is a parallel shift."
-    f" {HELD}",
-)  # fmt: skip
-BREAK_EVEN = replace(
-    NODE, column="rate", meaning="IE01: the break-even at one node, while nominal rates are held"
+SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others held. {HELD}")
+FORWARD = NODE.in_column(
+    "forward",
+    f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}",
+)
+BREAK_EVEN = NODE.in_column(
+    "rate", "IE01: the break-even at one node, while nominal rates are held"
 )
 # Ready-made scenarios need no model: this one stands still.
 IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}

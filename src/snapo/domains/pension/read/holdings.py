@@ -1,6 +1,6 @@
 """Reads `[credit]`, `[currencies]` and `[overlay]`: ratings, currencies and swaps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,77 +11,53 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, FRACTION, POSITIVE, Range
 from snapo.case.table import TableContext
 
-from ..quantities import (
-    AMOUNT,
-    NUMBER,
-    RATE,
-    SHARE,
-    VOLATILITY,
-    YEARLY,
-    FundQuantity,
-    input_of,
-)
+from ..quantities import AMOUNT, NUMBER, RATE, SHARE, VOLATILITY, YEARLY, FundQuantity, input_of
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
 from ..records.regulation import MARKETS
-from .cells import (
-    TableReader,
-    TimeGrid,
-    empty,
-    rising,
-    unique,
-    whole_steps,
-    word,
-    years,
-)
+from .cells import TableReader, TimeGrid, rising, unique, whole_steps, word, years
 from .tables import CreditTable, CurrenciesTable, OverlayTable
 
-SPREAD = RATE.of("model", range=POSITIVE)
+SPREAD, FEE = RATE.of("model", range=POSITIVE), RATE.of("model", range=FRACTION, blank=0.0)
 SHOCK = replace(VOLATILITY, range=Range(0.0, 5.0), blank=0.0)
-CREDIT = {
-    "spread": SPREAD.of("credit", meaning="the spread today, at unchanged prices of the holdings"),
-    "mean_spread": replace(SPREAD, meaning="where the spread reverts to"),
-    "mean_reversion": NUMBER.of(
-        "model", unit=YEARLY, range=POSITIVE,
-        meaning="mean reversion of the logarithm of a spread",
+REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
+CREDIT = (
+    SPREAD.of("credit").in_column(
+        "spread", "the spread today, at unchanged prices of the holdings"
     ),
-    "volatility": replace(SHOCK, meaning="volatility of the logarithm of a spread"),
-    "default_loss": RATE.of(
-        "premium", range=FRACTION, blank=0.0,
-        meaning="the share of a holding lost per year at the mean spread",
+    SPREAD.in_column("mean_spread", "where the spread reverts to"),
+    REVERSION.in_column("mean_reversion", "mean reversion of the logarithm of a spread"),
+    SHOCK.in_column("volatility", "volatility of the logarithm of a spread"),
+    FEE.of("premium").in_column(
+        "default_loss", "the share of a holding lost per year at the mean spread"
     ),
-}  # fmt: skip
+)
 NOT_HEDGED = "the hedged share does not feel it"
-CURRENCY = {
-    "volatility": replace(SHOCK, meaning=f"volatility of a currency; {NOT_HEDGED}"),
-    "premium": RATE.of(
-        "premium", range=Range(-1.0, 1.0), blank=0.0,
-        meaning=f"return of a currency over the difference of rates; {NOT_HEDGED}",
+CURRENCY = (
+    SHOCK.in_column("volatility", f"volatility of a currency; {NOT_HEDGED}"),
+    FEE.of("premium", range=Range(-1.0, 1.0)).in_column(
+        "premium", f"return of a currency over the difference of rates; {NOT_HEDGED}"
     ),
-    "hedge_ratio": SHARE.of(
-        "model", blank=0.0, meaning="the share of a currency's exposure that is hedged"
+    SHARE.of("model", blank=0.0).in_column(
+        "hedge_ratio", "the share of a currency's exposure that is hedged"
     ),
-    "hedge_cost": RATE.of(
-        "model", range=FRACTION, blank=0.0,
-        meaning="the cost of hedging a currency, per year of the hedged amount",
-    ),
-}  # fmt: skip
-NOTIONAL = AMOUNT.of(
-    "overlay", range=ANY, column="notional",
-    meaning="the notional held today, before the first trade",
-)  # fmt: skip
-SWAP_COST = RATE.of(
-    "overlay", unit="1", range=FRACTION, column="cost", blank=0.0,
-    meaning="the share of the notional traded that trading swaps costs",
-)  # fmt: skip
+    FEE.in_column("hedge_cost", "the cost of hedging a currency, per year of the hedged amount"),
+)
+NOTIONAL = AMOUNT.of("overlay").in_column(
+    "notional", "the notional held today, before the first trade", range=ANY
+)
+SWAP_COST = FEE.of("overlay", unit="1").in_column(
+    "cost", "the share of the notional traded that trading swaps costs"
+)
 
 
 def read_credit(section: TableContext, table: CreditTable | None) -> Credit:
     """Spreads by rating; none without the table."""
     if table is None:
-        return Credit((), **{name: empty(f"credit_{name}") for name in CREDIT})
-    needed = [name for name, quantity in CREDIT.items() if quantity.blank is None]
-    rows = read_rows(FileReference(section, "file", table.file), ("rating", *needed), tuple(CREDIT))
+        return Credit((), **_columns("credit", CREDIT, (), ()))
+    needed = [quantity.column for quantity in CREDIT if quantity.blank is None]
+    optional = [quantity.column for quantity in CREDIT]
+    rows = read_rows(FileReference(section, "file", table.file), ("rating", *needed), optional)
     ratings = unique(rows, "rating")
     return Credit(ratings, **_columns("credit", CREDIT, rows, ratings))
 
@@ -89,13 +65,10 @@ def read_credit(section: TableContext, table: CreditTable | None) -> Credit:
 def read_currencies(section: TableContext, table: CurrenciesTable | None) -> Currencies:
     """Foreign currencies; none without the table."""
     if table is None:
-        none: dict[str, Any] = {name: empty(f"currency_{name}") for name in CURRENCY}
-        return Currencies((), **none)
-    rows = read_rows(
-        FileReference(section, "file", table.file),
-        ("currency", "volatility"),
-        (*CURRENCY, "market"),
-    )
+        return Currencies((), **_columns("currency", CURRENCY, (), ()))
+    optional = [*(quantity.column for quantity in CURRENCY), "market"]
+    reference = FileReference(section, "file", table.file)
+    rows = read_rows(reference, ("currency", "volatility"), optional)
     names = unique(rows, "currency")
     markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
     emerging = tuple(market == MARKETS[1] for market in markets)
@@ -104,13 +77,10 @@ def read_currencies(section: TableContext, table: CurrenciesTable | None) -> Cur
 
 
 def _columns(
-    prefix: str, quantities: Mapping[str, FundQuantity], rows: Sequence[Row], labels: Sequence[str]
+    prefix: str, quantities: Sequence[FundQuantity], rows: Sequence[Row], labels: Sequence[str]
 ) -> dict[str, Any]:
-    """The numbers of columns, named like them; without one that was left out."""
-    return {
-        name: replace(quantity, column=name).column_of(f"{prefix}_{name}", rows, labels)
-        for name, quantity in quantities.items()
-    }
+    """{column: its numbers}; of one that was left out, none."""
+    return {x.column: x.column_of(f"{prefix}_{x.column}", rows, labels) for x in quantities}
 
 
 SWAPS = ("rates", "zero-coupon", "inflation")  # kinds of swaps of the overlay

@@ -18,13 +18,9 @@ from .tables_people import LeeCarterTable, MortalityTable
 
 SEX = ("male", "female")
 RATIO = AMOUNT.of("people", unit="1", range=ANY)
-PROBABILITY = replace(
-    RATIO, range=FRACTION, column="q", meaning="a death probability rises by 1 % of itself"
-)
+PROBABILITY = RATIO.in_column("q", "a death probability rises by 1 % of itself", range=FRACTION)
 FORMULA = replace(RATIO, meaning="a number of the formula of mortality rises by 1 % of itself")
-LOADING = replace(
-    RATIO, column="loading", meaning="how far the hazard of an age follows the mortality factor"
-)
+LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
 OLD = 110  # a table that ends here or later is used as it is, and so is one that ends at `HALF`

@@ -12,36 +12,21 @@ from snapo.case.table import TableContext
 
 from ..quantities import AMOUNT
 from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, FundMembers, Mortality
-from .cells import (
-    WHOLE,
-    TableReader,
-    TimeGrid,
-    empty,
-    number,
-    unique,
-    word,
-    years,
-)
+from .cells import WHOLE, TableReader, TimeGrid, empty, number, unique, word, years
 from .mortality import SEX
 from .tables_people import MembersTable
 
 STATUS = ("active", "deferred", "pensioner", "spouse")
 PEOPLE = AMOUNT.of("people")
-NUMBER = replace(
-    PEOPLE, unit="members", column="number", meaning="the number of members of a cohort"
+NUMBER = PEOPLE.in_column("number", "the number of members of a cohort", unit="members")
+PENSION = PEOPLE.in_column("pension", "the yearly pension that each member has earned")
+SALARY = PEOPLE.in_column(
+    "salary", "the salary of each member, and with it contributions and accrual"
 )
-PENSION = replace(
-    PEOPLE, column="pension", meaning="the yearly pension that each member has earned"
+FACTOR = PEOPLE.of("people", unit="1", blank=1.0).in_column(
+    "mortality", "the death probabilities of a cohort rise by 1 % of themselves"
 )
-SALARY = replace(
-    PEOPLE, column="salary",
-    meaning="the salary of each member, and with it contributions and accrual",
-)  # fmt: skip
-FACTOR = replace(
-    PEOPLE, unit="1", column="mortality", blank=1.0,
-    meaning="the death probabilities of a cohort rise by 1 % of themselves",
-)  # fmt: skip
-FLOW = replace(PEOPLE, range=ANY, column="amount", meaning="an expected payment")
+FLOW = PEOPLE.in_column("amount", "an expected payment", range=ANY)
 
 
 def read_members(
