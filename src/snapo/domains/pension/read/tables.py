@@ -38,7 +38,7 @@ def _plain_day(value: Any) -> Any:
 
 Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 Name = Annotated[str, Field(min_length=1)]
-LayerWidth = Annotated[int, Field(ge=1, le=1024)]
+HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
 Ratio = Annotated[float, Field(gt=0)]
 DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
 OF_FACTOR = "of a factor of the short rate; the curve is fitted again"
@@ -220,9 +220,7 @@ class PolicyTable(CaseTable):
     """`[policy]`: the observation, and the widths of the hidden layers."""
 
     observation: list[str] | None = Field(None, description="a list of names")
-    hidden: Annotated[list[LayerWidth], Field(max_length=4)] = Field(
-        [32, 32], description="a list of widths, such as [32, 32]"
-    )
+    hidden: HiddenLayers = Field([32, 32], description="a list of widths, such as [32, 32]")
 
 
 class SensitivityTable(CaseTable):
