@@ -4,7 +4,7 @@ The usual moves of an actuary: rates, spreads and fees one basis point, shares, 
 ratios one percentage point, quantities (money, members, death probabilities) one per cent of
 themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
 "premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
-The unit "money" stands for the currency of the case.
+The unit "money" is the currency of the case.
 """
 
 import math
@@ -117,7 +117,7 @@ def plain(allowed: Range, default: Any = ...) -> Any:
 
 
 def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -> CaseInput:
-    """The numbers of a key under the name of their input, in the currency of the case."""
+    """The numbers of a key with the name of their input, in the currency of the case."""
     numbers: CaseInput = getattr(table, key)
     unit = numbers.unit.replace("money", currency)
     return replace(numbers, name=f"{prefix}_{key}", unit=unit)

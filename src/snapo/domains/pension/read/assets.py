@@ -195,7 +195,7 @@ def _weights(
 def _groups(
     rows: Sequence[Row], classes: Sequence[AssetClass], low: np.ndarray, high: np.ndarray
 ) -> tuple[AssetGroup, ...]:
-    """Groups in the order in which they appear; limits may stand in any of a group's rows.
+    """Groups in the order in which they appear; limits may be in any of a group's rows.
 
     Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
     may weigh.

@@ -1,4 +1,4 @@
-"""Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
+"""Reads a pension case: a TOML file and the CSVs next to it become a `PensionCase`."""
 
 import datetime
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ from .scenarios import read_scenarios
 from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
 
-# All tables but those that are read with what they name.
+# All tables but those that are read with the files or rules that they name.
 FORMATS: dict[str, type[CaseTable]] = {
     "fund": tables.FundTable,
     "curve": tables.CurveTable,
@@ -130,7 +130,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    """The same for TOML data that was read already; other files are looked for next to `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")

@@ -66,7 +66,7 @@ def word(row: Row, column: str, available: Sequence[str]) -> str:
 
 
 def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
-    """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
+    """The index in `names` of the name in a cell; -1 for an empty or absent cell."""
     text = row.cells.get(column, "")
     if not text:
         return -1
@@ -125,7 +125,7 @@ def known_words(
     available: Sequence[str],
     missing: str = "there is no such name",
 ) -> None:
-    """Every word of a list must be known, and stand there once."""
+    """Every word of a list must be known, and occur once."""
     for i, item in enumerate(values):
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")

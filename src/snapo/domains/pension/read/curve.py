@@ -41,12 +41,12 @@ FORWARD = NODE.in_column(
 BREAK_EVEN = NODE.in_column(
     "rate", "IE01: the break-even at one node, while nominal rates are held"
 )
-# Ready-made scenarios need no model: this one stands still.
+# Ready-made scenarios need no model: this one is at rest.
 IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
 
 
 class RateQuotes(NamedTuple):
-    """Where a curve stands: the key and the name of its file; its inputs by name, each with a
+    """The file of a curve: the key and the name of its file; its inputs by name, each with a
     column of its own; the name of the rate far out."""
 
     key: str
@@ -120,7 +120,7 @@ def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> No
 def quotes(
     section: TableReader, table: CurveTable | InflationTable, values: RateQuotes, annual: bool
 ) -> MarketCurve:
-    """Nodes from a CSV whose second column says which rate is quoted."""
+    """Nodes from a CSV whose second column is the quoted rate."""
     rows = read_rows(FileReference(section, values.key, values.file), ("tenor",))
     name, quantity = _quoted(rows, values.inputs)
     column, rows = quantity.column, _liquid(section, table, rows)

@@ -38,11 +38,11 @@ def read_plan(
     contribution: Contribution,
     money: str,
 ) -> PensionPlan:
-    """Terms of the scheme; numbers that nothing was said about are no inputs."""
+    """Terms of the scheme; numbers left at a default of zero are no inputs."""
 
     def input(key: str) -> CaseInput:
         numbers = input_of(table, key, "plan", money)
-        # A share of one that was left unsaid is a fact of the format, not a number of the owner.
+        # A default share of one is an input, a default of zero is not.
         stated = key in table.model_fields_set or numbers.used() != 0
         return numbers if stated else _nothing(numbers.name)
 
@@ -145,7 +145,7 @@ def read_contribution(
             raise section.error("recovery_years", term, message)
 
     def input(name: str) -> CaseInput:
-        # A loading of zero that nobody wrote is no number of the owner's.
+        # A default loading of zero is no input.
         requested = name in used and (name != "loading" or name in table.model_fields_set)
         requested = requested and (
             name != "recovery_years" or level is None

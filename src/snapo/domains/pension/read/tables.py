@@ -1,4 +1,4 @@
-"""The tables of a pension case as they stand in the TOML file, each key with its meaning.
+"""The tables of a pension case of the TOML file, each key with its meaning.
 
 The description of a key is the text that an error message quotes as allowed.
 """
@@ -89,7 +89,7 @@ SOUGHT = Only(
 
 
 def csv(columns: str, default: Any = ...) -> Any:
-    """A field that names a CSV beside the case."""
+    """A field that names a CSV next to the case."""
     return Field(default, description=f"the name of a CSV file with columns {columns}")
 
 
@@ -199,7 +199,7 @@ class CorrelationsTable(CaseTable):
 
 
 class OverlayTable(CaseTable):
-    """`[overlay]`: receiver swaps by tenor, at par unless their kind says otherwise."""
+    """`[overlay]`: receiver swaps by tenor, at par unless their kind is another."""
 
     file: Name = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = one_of("assets", "liability", default="assets")
@@ -210,7 +210,7 @@ class OverlayTable(CaseTable):
 
 
 class ScenariosTable(CaseTable):
-    """`[scenarios]`: ready-made scenarios in place of the generator."""
+    """`[scenarios]`: ready-made scenarios instead of the generator."""
 
     training: Name = Field(description="the name of a CSV file")
     evaluation: Name = Field(description="the name of another CSV file")
@@ -250,7 +250,7 @@ class FundReportTable(CaseTable):
 
 
 class RegulationTable(CaseTable):
-    """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
+    """`[regulation]`: a regulator's rules, and the figures they ask for."""
 
     rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
     policy_ratios: list[Ratio] = Field(

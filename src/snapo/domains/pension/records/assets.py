@@ -12,7 +12,7 @@ AttributionPart = Literal["cash", "rates", "credit", "assets"]
 
 @dataclass(frozen=True)
 class AssetRow:
-    """One row of the asset table, and what its kind says of it. Exactly one of a case is cash.
+    """One row of the asset table, with the properties of its kind. Exactly one of a case is cash.
 
     - `currency`: position in `PensionCase.currencies`, -1 for the fund's own.
     - `group`: name of a group, or "". `eligible`: share that counts as collateral, 0 to 1.
@@ -21,9 +21,9 @@ class AssetRow:
 
     - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
     - `part`: the part of an attribution that its return over cash belongs to.
-    - `collateral`: the share that is eligible where the table is silent.
-    - `risk`: the risk beside rates and spreads that a regulator sees in it where the table is
-      silent, one of `records.regulation.RISKS`; "none" only where there is none.
+    - `collateral`: the share that is eligible where the table has none.
+    - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
+      table has none, one of `records.regulation.RISKS`; "none" only where there is none.
     - `linked`: whether its payments follow prices.
     - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
     """
@@ -123,7 +123,7 @@ class Overlay:
       receive the growth of prices); the others are of rates, at par but for those at the positions
       `zero_coupon`.
     - `maturity`: [b] whole steps, rising among swaps of rates and of inflation. `notional`: money,
-      what the fixed leg is worth when the swap is struck, index [b].
+      the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of the liability
       payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].

@@ -24,7 +24,7 @@ from ..bonds.payments import Payments, Prices, curve_prices, ratio
 from ..currencies import CurrencyTerms
 from ..factors import MarketFactors, Moments
 
-# Columns that not every kind has; `AssetClass.columns` says which of them a kind has.
+# Columns that not every kind has; `AssetClass.columns` lists those of a kind.
 SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")
 
 
@@ -82,7 +82,7 @@ class AssetMixture(NamedTuple):
 
 
 class AssetClass(AssetRow, ABC):
-    """The behaviour of a kind of classes, which sets what `AssetRow` lists and
+    """The behaviour of a kind of classes, which sets the attributes of `AssetRow` and
 
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
     """

@@ -56,7 +56,7 @@ class ShortRate:
 
         def part_of(key: str) -> Sequence[CaseInput]:
             parts, count = getattr(table, key), cls.count()
-            if [part.written for part in parts] == [0.0]:  # one 0 stands for all
+            if [part.written for part in parts] == [0.0]:  # one 0 for all factors
                 return parts * count
             if len(parts) != count:
                 stated = [part.written for part in parts]
