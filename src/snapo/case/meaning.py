@@ -12,6 +12,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from .error import CaseError
+from .given import CaseInput
 
 Tables = Mapping[str, Any]
 
@@ -54,6 +55,7 @@ def check_meanings(file: str, tables: Tables) -> None:
             for only in conditions(type(table).model_fields[key]):
                 if not only.applies(tables):
                     value = getattr(table, key)
+                    value = value.written if isinstance(value, CaseInput) else value
                     displayed = None if isinstance(value, dict | list) else value
                     where = f"{name}.{key}" if name else key
                     mistakes.append(CaseError(file, where, displayed, only.why(tables)))

@@ -7,6 +7,7 @@ is the one that it valued, whatever the domain.
 """
 
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cached_property, partial
@@ -304,7 +305,13 @@ class InputPositions:
             recorded[name] = CaseInput(
                 name, x.value.ravel(), x.names(), x.unit, index, positions=located
             )
-        return recorded
+        # Two inputs of one file would both move.
+        inputs_at = Counter(at for x in recorded.values() for at in set(x.positions))
+        return {
+            name: x
+            for name, x in recorded.items()
+            if all(at is None or inputs_at[at] == 1 for at in x.positions)
+        }
 
     def case_at(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> ChangedCase:
         """The case in which the inputs named have these values; `files`: another case to put them

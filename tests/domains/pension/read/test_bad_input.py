@@ -49,6 +49,10 @@ MISTAKES = {
         "case.toml", 'kind = "hull-white"', 'kind = "g2++"',
         ["rates.volatility", "g2++", "2 of them"],
     ),
+    "no number for a factor": (
+        "case.toml", "mean_reversion = 0.03", "mean_reversion = []",
+        ["rates.mean_reversion", "hull-white", "1 of them"],
+    ),
     "missing rate of the basis": (
         "case.toml", "rate = 0.002", "# ",
         ["liability.rate", '"spread"'],

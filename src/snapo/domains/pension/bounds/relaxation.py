@@ -1,4 +1,4 @@
-"""The bound of a fund: its assets at a deflator's prices in place of the market's returns.
+"""The bound of a fund: its assets at a deflator's prices instead of the market's returns.
 
 With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
 is the most that a unit of deflated money can grow to on average within the limits of weights and

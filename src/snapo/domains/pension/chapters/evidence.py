@@ -39,7 +39,7 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 
 
 class BondsPriced(PensionSimulator):
-    """The fund, with the discounted worth of bonds at the horizon: "bond 10".
+    """The fund, with the discounted value of bonds at the horizon: "bond 10".
 
     Per unit of their forward price; index-linked where the liability
     is valued as following prices.
@@ -70,10 +70,10 @@ class MarketTest:
 
 
 def measure(run: StudyRun) -> tuple[MarketTest, ...]:
-    """Discounted values beside their expectations, with the trained policy.
+    """Discounted values and their expectations, with the trained policy.
 
     The scenarios are "Q" whatever the measure of the case, without the cost of hedging currencies,
-    which nobody receives. Costs count where they are paid. None where scenarios are supplied;
+    which is paid to no one. Costs count where they are paid. None where scenarios are supplied;
     appraised values and bases with a spread are no prices.
     """
     case, setup = case_of(run), run.setup

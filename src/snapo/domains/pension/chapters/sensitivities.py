@@ -123,7 +123,7 @@ def measure(run: StudyRun) -> MoveEffects:
 
 
 def effects(setup: Setup, solution: Solution) -> MoveEffects:
-    """Effects of the usual moves on the objective: each number alone, and all of an input's."""
+    """Effects of the usual moves on the objective: each number by itself, and all of an input's."""
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
@@ -229,7 +229,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
 
 
 def _columns(unit: str) -> list[tuple[str, str]]:
-    """Heads of the columns that tell of one effect."""
+    """Heads of the columns of one effect."""
     return [("Effect", unit), ("95 % half-width", unit), ("of it policy", unit), ("Derivative", ""),
             ("Policy reacting", unit)]  # fmt: skip
 

@@ -208,7 +208,7 @@ def _signed(scenario: str) -> str:
 
 def _balance(assets: float, liability: float, scale: float) -> tuple[str, ...]:
     amounts = assets / scale, liability / scale
-    digits = decimals(amounts, 4)  # a surplus is small beside what it is left of
+    digits = decimals(amounts, 4)  # a surplus is a small difference of two large numbers
     return tuple(number(x, digits) for x in (*amounts, amounts[0] - amounts[1]))
 
 

@@ -132,7 +132,7 @@ FEATURES: dict[str, Feature] = {
 
 
 def slots(case: PensionCase) -> dict[str, slice]:
-    """Where each observed name stands in the observation."""
+    """The slice of each observed name in the observation."""
     slices, start = {}, 0
     for name in case.observation:
         stop = start + FEATURES[name].size(case)

@@ -47,7 +47,7 @@ class PriceGrowth(NamedTuple):
 
 
 def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
-    """All moments, exact at every time of the grid; `today`: at time 0 alone, without the scan
+    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan
     over the steps that the others need."""
     item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)

@@ -32,7 +32,7 @@ def due(case: PensionCase, count: int) -> np.ndarray:
 
 
 def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
-    """[count] what a pension in payment has grown to in each step; ones without fixed increases."""
+    """[count] a pension in payment, grown, in each step; ones without fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
         return jnp.ones(count)

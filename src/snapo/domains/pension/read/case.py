@@ -1,4 +1,4 @@
-"""Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
+"""Reads a pension case: a TOML file and the CSVs next to it become a `PensionCase`."""
 
 import datetime
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ from .scenarios import read_scenarios
 from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
 
-# All tables but those that are read with what they name.
+# All tables but those that are read with the files or rules that they name.
 FORMATS: dict[str, type[CaseTable]] = {
     "fund": tables.FundTable,
     "curve": tables.CurveTable,
@@ -131,7 +131,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    """The same for TOML data that was read already; other files are looked for next to `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")
@@ -216,7 +216,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     return replace(case, notes=(*case.notes, *slips.values()), slips=tuple(slips))
 
 
-def _market(reader: _Reader, grid: TimeGrid, amount: float) -> dict[str, Any]:
+def _market(reader: _Reader, grid: TimeGrid, amount: CaseInput) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
     position, optional = reader.context, reader.optional_table
     curve = reader.table(tables.CurveTable, "curve")

@@ -1,18 +1,16 @@
-"""Cells of the tables: optional ones, words, names, times, and numbers that change in time."""
+"""Cells of the tables: optional ones, words, names and times."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext, nearest
-
-from ..records.said import InputNumber
 
 NEVER = 1e-9  # of a year: two times closer than this are one
 
@@ -41,32 +39,9 @@ class TableReader(TableContext):
         return values
 
 
-def single(name: str, value: float, metadata: InputNumber) -> CaseInput:
-    """One plain number, used once (index [])."""
-    return metadata.input(name, [value], ("",), np.array(0))
-
-
 def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
     """A number that the case does not have: no value, zeros of `shape` where it is used."""
     return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
-
-
-def listed(
-    name: str, values: Sequence[float], labels: Sequence[str], metadata: InputNumber
-) -> CaseInput:
-    """One number per label, each used once (index [n])."""
-    return metadata.input(name, values, labels, np.arange(len(values)))
-
-
-def per_factor(section: TableContext, table: CaseTable, key: str, count: int) -> list[Any]:
-    """The entries of a key that has one for each of `count` factors; one 0 stands for all."""
-    value = getattr(table, key)
-    result = value if isinstance(value, list) else [value]
-    result = result * count if result == [0.0] else result
-    if len(result) != count:
-        kind = getattr(table, "kind", "")
-        raise section.error(key, value, f'kind "{kind}" needs {count} of them, one per factor')
-    return result
 
 
 def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
@@ -91,7 +66,7 @@ def word(row: Row, column: str, available: Sequence[str]) -> str:
 
 
 def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
-    """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
+    """The index in `names` of the name in a cell; -1 for an empty or absent cell."""
     text = row.cells.get(column, "")
     if not text:
         return -1
@@ -135,57 +110,6 @@ def years(value: float) -> str:
     return f"{round(months)}m" if abs(months - round(months)) < 1e-3 else f"{value:g}y"
 
 
-class PiecewiseNumber(NamedTuple):
-    """A number that changes in time: `values` [n] with `labels`, and which holds in each step."""
-
-    values: list[float]
-    labels: list[str]
-    index: np.ndarray
-
-
-def piecewise(
-    inputs: float | str, read: Callable[[], list[Row]], grid: TimeGrid, low: float
-) -> PiecewiseNumber:
-    """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
-    if not isinstance(inputs, str):
-        return PiecewiseNumber([float(inputs)], [""], np.zeros(grid.steps, np.int64))
-    rows = read()
-    begins = rising(rows, "from_year", -NEVER)
-    if begins[0] > NEVER:
-        raise rows[0].error("from_year", "the first value must hold from year 0 on")
-    values = [row.number("value", low) for row in rows]
-    times = np.arange(grid.steps) * grid.step
-    index = np.searchsorted(begins, times + NEVER, side="right") - 1
-    used = int(index[-1]) + 1
-    # A value that begins after the last decision is used nowhere: it is no input.
-    return PiecewiseNumber(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
-
-
-def stepwise(
-    section: TableContext, key: str, values: float | str, grid: TimeGrid, low: float = 0.0
-) -> PiecewiseNumber:
-    """The same for a key of the TOML file."""
-    reference = FileReference(section, key, str(values))
-    return piecewise(values, lambda: read_rows(reference, ("from_year", "value")), grid, low)
-
-
-def side_by_side(
-    name: str, parts: Sequence[PiecewiseNumber], names: Sequence[str], metadata: InputNumber
-) -> CaseInput:
-    """Several numbers that change in time as one input, index [T, len(parts)]."""
-    values, labels, columns = [], [], []
-    for part, local in zip(parts, names):
-        columns.append(part.index + len(values))
-        values += part.values
-        labels += [f"{local} {label}".strip() for label in part.labels]
-    return metadata.input(name, values, labels, np.stack(columns, 1))
-
-
-def alone(name: str, part: PiecewiseNumber, metadata: InputNumber) -> CaseInput:
-    """One number that changes in time, index [T]."""
-    return metadata.input(name, part.values, part.labels, part.index)
-
-
 def whole_steps(row: Row, column: str, step: float) -> int:
     """A time in years that is a whole number of steps, at least one."""
     steps = row.number(column, step, 100.0) / step
@@ -201,7 +125,7 @@ def known_words(
     available: Sequence[str],
     missing: str = "there is no such name",
 ) -> None:
-    """Every word of a list must be known, and stand there once."""
+    """Every word of a list must be known, and occur once."""
     for i, item in enumerate(values):
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")

@@ -103,7 +103,7 @@ class PensionPlan:
     - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between
       birthdays "constant-force", "uniform" deaths.
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
-      same salary, so that payroll in wages of today stays constant. Closed: nobody enters, actives
+      same salary, so that payroll in wages of today stays constant. Closed: no one enters, actives
       go on accruing. `accruing` False: no new accrual at all (frozen plan).
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """

@@ -1,4 +1,4 @@
-"""Technical provisions beside low dependency and buy-out, and the payments of a recovery plan.
+"""Technical provisions, low dependency and buy-out, and the payments of a recovery plan.
 
 Each basis discounts the expected payments at annual rates of the curve plus its margin (gilts plus
 a margin). Payments, and so mortality, are the same on every basis: a case has one set of them.
@@ -88,7 +88,7 @@ def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
 
 
 def side_by_side(case: PensionCase, paid: Due) -> Bases:
-    """The same from expected payments, discounted on the curve alone."""
+    """The same from expected payments, discounted only on the curve."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding

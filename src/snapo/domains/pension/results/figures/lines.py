@@ -51,7 +51,7 @@ SIZES = ((1e9, " billion"), (1e6, " million"), (1e3, " thousand"))
 
 
 class Examined(NamedTuple):
-    """A case before any simulation: its figures, the reconciliation, and remarks for its owner."""
+    """A case before any simulation: its figures, the reconciliation, and remarks for its user."""
 
     figures: LiabilityFigures
     lines: list[ReconciledFigure]
