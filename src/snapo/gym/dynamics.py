@@ -89,8 +89,8 @@ class GymDynamics:
         if isinstance(self.simulator, Ends):
             ended = ended | self.simulator.over(constants, after)
         reward = self._worth(outputs) + jnp.where(ended, self._worth(last), 0.0)
-        summary = self._told(outputs, last, ended)
-        return NextState(after, self._seen(t + 1, after), reward, summary, ended, due & ~ended)
+        combined = self._told(outputs, last, ended)
+        return NextState(after, self._seen(t + 1, after), reward, combined, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
         """The outputs that only the terminal state has, none of a step."""
@@ -117,15 +117,15 @@ class GymDynamics:
 
     def _told(self, outputs: OutputsOf, last: OutputsOf, ended: Array) -> OutputsOf:
         """The outputs of a step joined with those of the terminal state, by the kind of total."""
-        summary = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
+        combined = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
         for name, value in last.items():
-            before, kind = summary.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
-            if kind == "sum" or name not in summary:
+            before, kind = combined.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
+            if kind == "sum" or name not in combined:
                 joined = before + value
             else:
                 joined = jnp.maximum(before, value) if kind == "max" else value
-            summary[name] = jnp.where(ended, joined, before)
-        return summary
+            combined[name] = jnp.where(ended, joined, before)
+        return combined
 
 
 class Compiled(NamedTuple):

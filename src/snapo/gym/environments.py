@@ -59,8 +59,8 @@ class Environment(gymnasium.Env):
         self._t, self._state = self._t + 1, moved.state
         ended, late = bool(moved.ended), bool(moved.late)
         but = () if ended else self._only_last
-        summary = {name: float(x) for name, x in moved.outputs.items() if name not in but}
-        return np.asarray(moved.observation), float(moved.reward), ended, late, summary
+        info = {name: float(x) for name, x in moved.outputs.items() if name not in but}
+        return np.asarray(moved.observation), float(moved.reward), ended, late, info
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal(size, np.float32)
@@ -182,10 +182,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         self._t = np.where(repeated, 0, self._t + 1).astype(np.int32)
         ended, late = np.asarray(moved.ended), np.asarray(moved.late)
         self._done = ended | late
-        summary = {name: np.asarray(value) for name, value in moved.outputs.items()}
-        counts = {f"_{name}": ended if name in self._only_last else ~repeated for name in summary}
+        info = {name: np.asarray(value) for name, value in moved.outputs.items()}
+        counts = {f"_{name}": ended if name in self._only_last else ~repeated for name in info}
         rewards = np.asarray(moved.reward, np.float64)
-        return np.asarray(moved.observation), rewards, ended, late, summary | counts
+        return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
         """All paths moved; those to start `repeated` at their initial state, where nothing
@@ -197,10 +197,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
             return jnp.where(repeated.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
         state = jax.tree.map(either, fresh, moved.state)
-        reward, outputs, *endpoints = jax.tree.map(
+        reward, outputs, *flags = jax.tree.map(
             lambda old: either(jnp.zeros((), old.dtype), old), tuple(moved[2:])
         )
-        return state, NextState((), either(first, moved.observation), reward, outputs, *endpoints)
+        return state, NextState((), either(first, moved.observation), reward, outputs, *flags)
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal((self.num_envs, size), np.float32)
