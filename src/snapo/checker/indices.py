@@ -166,20 +166,20 @@ FEW = 32  # points outside at which the entry that is read is looked at
 
 def moving_indices(notes: Notes, points: SamplePoints) -> None:
     """Reads past an end that move a result, and writes past it, which JAX drops."""
-    monitored, summary = points.recorder, set()
-    if not monitored.reads:
+    recorder, reported = points.recorder, set()
+    if not recorder.reads:
         return
-    sites = zip(monitored.reads, points.met.outside)
+    sites = zip(recorder.reads, points.met.outside)
     for number, (site, (index, axis, is_outside)) in enumerate(sites):
         which = np.flatnonzero(is_outside)
         if not which.size or (site.line is not None and site.line.user_code):
             continue
         if not site.writes and not _matters(points, number, which):
             continue
-        met, length, size = _met(site, index[which], axis[which])
-        if (site.line, length) not in summary:
-            summary.add((site.line, length))
-            _write(notes, points.method.name, site, _said(met, length, size))
+        position, length, size = _met(site, index[which], axis[which])
+        if (site.line, length) not in reported:
+            reported.add((site.line, length))
+            _write(notes, points.method.name, site, _said(position, length, size))
 
 
 def _matters(points: SamplePoints, number: int, which: np.ndarray) -> bool:
@@ -207,20 +207,20 @@ def _met(site: CodeSite, index: np.ndarray, axis: np.ndarray) -> tuple[int, int,
     return int(index[k]) - length * int(index[k] < 0), length, size
 
 
-def _said(met: int, length: int, size: int) -> str:
+def _said(index: int, length: int, size: int) -> str:
     if size > 1:
-        return f"{size} entries are taken from index {met} on and the array has {length}"
-    return f"an index is {met} and the array has {length} entries"
+        return f"{size} entries are taken from index {index} on and the array has {length}"
+    return f"an index is {index} and the array has {length} entries"
 
 
-def _write(notes: Notes, method: str, site: CodeSite, metadata: str) -> None:
+def _write(notes: Notes, method: str, site: CodeSite, message: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
-    met = "With these inputs" if method == "prepare" else "On a path"
+    where_met = "With these inputs" if method == "prepare" else "On a path"
     done = "drops such a write" if site.writes else "reads the nearest one"
     note = notes.warning if site.writes else notes.error
     note(
         where,
-        f"{met} {metadata}: JAX {done}, without an error.{text}",
+        f"{where_met} {message}: JAX {done}, without an error.{text}",
         CORRECT if site.writes else f"{CORRECT} {MEANT}",
     )

@@ -27,24 +27,24 @@ class Jump(NamedTuple):
 
 def jumps(notes: Notes, points: SamplePoints) -> None:
     """Comparisons of a step or an end that make an output or the state jump, as warnings."""
-    monitored, summary = points.recorder, set()
-    request = [
+    recorder, reported = points.recorder, set()
+    candidates = [
         k
-        for k, comparison in enumerate(monitored.comparisons)
+        for k, comparison in enumerate(recorder.comparisons)
         if comparison.line and not comparison.line.user_code
     ]
-    if points.method.name not in ("step", "terminal") or not request:
+    if points.method.name not in ("step", "terminal") or not candidates:
         return
     observed = points.met
     held = [not moves or _held(x) for x, moves in zip(points.arguments, points.moving)]
-    for number in request:
-        line = monitored.comparisons[number].line
+    for number in candidates:
+        line = recorder.comparisons[number].line
         first, second = _sides(observed.truths[number], points.steps)
-        if not first.size or line in summary:
+        if not first.size or line in reported:
             continue
         largest = _largest(points, number, first, second, held, observed.results)
         if largest is not None and line is not None:
-            summary.add(line)
+            reported.add(line)
             notes.warning(
                 f"{points.method.name}, {line}",
                 f"A comparison makes {largest.name} jump, by {largest.size:.4g} on a path: "

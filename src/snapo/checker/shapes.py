@@ -118,10 +118,10 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
             _same_state(notes, state, after)
             _scalars(notes, "step", outputs)
             with notes.during("terminal"):
-                endpoints = jax.eval_shape(simulator.terminal, constants, state, smooth)
-            _scalars(notes, "terminal", endpoints)
+                final_outputs = jax.eval_shape(simulator.terminal, constants, state, smooth)
+            _scalars(notes, "terminal", final_outputs)
             notes.stop_on_errors()
-            names.append((set(outputs), set(endpoints)))
+            names.append((set(outputs), set(final_outputs)))
     if not names[0][0] | names[0][1]:
         notes.error(
             notes.method("step"),
@@ -246,10 +246,10 @@ def require(
 ) -> None:
     """Reports unknown outputs and other mistakes of this kind, and stops if there are any."""
     for unknown_output in unknown_outputs(objective, constraints, outputs):
-        metadata = (
+        message = (
             unknown_output.subject
             if unknown_output.got in unknown_output.subject
             else f"{unknown_output.subject[:-1]}: {unknown_output.got}."
         )
-        notes.error(unknown_output.of, metadata, f"The outputs are {sorted(outputs)}.")
+        notes.error(unknown_output.of, message, f"The outputs are {sorted(outputs)}.")
     notes.stop_on_errors()

@@ -299,8 +299,8 @@ def moments(
     last = np.arange((len(times) - 1) * len(runs) * paths, len(times) * len(runs) * paths)
     leaves, tree = jax.tree.flatten(step.arguments["state"])
     after = stepped.observe(stepped.some(last)).results
-    endpoints = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
-    yield SamplePoints(terminal, {"state": endpoints}, 1, by_inputs)
+    final_states = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
+    yield SamplePoints(terminal, {"state": final_states}, 1, by_inputs)
 
 
 def _tainted(made: Method, schedule: Any) -> dict[str, list[bool]]:

@@ -122,8 +122,8 @@ class Clip:
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
         """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
-        item = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
-        size = np.concatenate(item).max(0)
+        sizes = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
+        size = np.concatenate(sizes).max(0)
         # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
         bound = np.multiply(size, self.norm, out=np.zeros_like(size), where=size > 0)
         return np.stack([bound, np.full_like(size, self.keep)], axis=-1)

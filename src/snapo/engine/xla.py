@@ -102,7 +102,7 @@ class Xla(Engine):
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
-        endpoints = window.is_last(simulator.horizon)
+        is_last = window.is_last(simulator.horizon)
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )
@@ -120,7 +120,7 @@ class Xla(Engine):
             start,
             first,
             window.length,
-            endpoints,
+            is_last,
         )
 
     def traced(self, call: "XlaCall", record: tuple[str, ...] = ()) -> Rollout:
@@ -180,8 +180,8 @@ def _adjoint(
         return _pulled_back(engine, call, weights, bounds, wrt)
 
     batched = any(weight.ndim == 2 for weight in weights.values())
-    item = jax.tree.map(lambda weight: weight.ndim - 1, weights)
-    axes = call.axes(), item, None if bounds is None else 0
+    weight_axes = jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    axes = call.axes(), weight_axes, None if bounds is None else 0
     out = (0, None, None, int(batched))
     return Adjoint(*_over_devices(engine, some, (call, weights, bounds), axes, out))
 

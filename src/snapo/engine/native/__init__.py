@@ -6,10 +6,10 @@ simulator passes through it:
     rollout             trees that paths share; the phases as functions of arrays, traced and cut
     kernel/             rows of memory, and all functions of a kernel:
       context             the kernel under construction and its rows
-      sweep, phases       the two sweeps of each phase
+      sweep               a sweep of a phase while it is written
       noise               noise inside the kernel
       shared              the tables that all paths share
-      kernel              the module, and the loop over blocks of paths
+      kernel              the two sweeps of each phase, the loop over blocks, the module
     call, runtime       trees into rows and back; memory and threads
     engine, explain     `values` and `adjoint`; every stage as text, and reasons
 """

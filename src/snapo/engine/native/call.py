@@ -40,7 +40,7 @@ class Seats(NamedTuple):
     """The path of every lane of all blocks, part by part; the last path of a part fills its last
     block.
 
-    - `path`: [blocks x lanes] the number of each lane's path; `local`: whether it counts there.
+    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts there.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 
@@ -57,8 +57,8 @@ class Seats(NamedTuple):
         path = [
             start + np.minimum(slot, size - 1) for start, slot, size in zip(starts, slots, sizes)
         ]
-        local = [seat < size for seat, size in zip(slots, sizes)]
-        return cls(np.concatenate(path), np.concatenate(local), np.cumsum([0, *blocks]))
+        inner = [seat < size for seat, size in zip(slots, sizes)]
+        return cls(np.concatenate(path), np.concatenate(inner), np.cumsum([0, *blocks]))
 
     @property
     def blocks(self) -> int:
@@ -163,7 +163,7 @@ class NativeCall:
         """All inputs of a run; `parts`: the number of paths in each of its sums, by default all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
         self.slots = Seats.of(parts or (self.paths,), lanes)
-        path, local, blocks = self.slots.path, self.slots.inner, self.slots.blocks
+        path, inner, blocks = self.slots.path, self.slots.inner, self.slots.blocks
         first, length, _ = self.window
         filled = self._filled(bounds if weights is not None else None)
         columns = 1 if weights is None else len(next(iter(weights.values())))
@@ -192,7 +192,7 @@ class NativeCall:
         for name, array in (weights or {}).items():
             rows = memory["weights"].reshape(columns, blocks, -1)
             # Paths that fill a last block count for nothing.
-            counted = np.where(local, np.asarray(array)[:, path], 0)
+            counted = np.where(inner, np.asarray(array)[:, path], 0)
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.slots.edges

@@ -187,8 +187,8 @@ def _losses(raw, test: _Data) -> Float[Array, " E"]:
     count = jnp.arange(test.x.shape[0]) < test.count
 
     def one(layers):
-        item = _parts(layers, test.x, test.y, test.ended).sum(1)
-        return jnp.sum(jnp.where(count, item, 0.0)) / test.count
+        losses = _parts(layers, test.x, test.y, test.ended).sum(1)
+        return jnp.sum(jnp.where(count, losses, 0.0)) / test.count
 
     return jax.vmap(one)(raw)
 
@@ -198,17 +198,18 @@ _all_told = jax.jit(jax.vmap(_forward, (0, None)))
 
 def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, np.ndarray]:
     """The error of the members' mean, and the part of it that is noise."""
-    summary = np.asarray(_all_told(raw, test.x))[:, : test.count]
+    predictions = np.asarray(_all_told(raw, test.x))[:, : test.count]
     y, ended = np.asarray(test.y)[: test.count], np.asarray(test.ended)[: test.count]
-    middle = summary.mean(0)
+    middle = predictions.mean(0)
     moves = ((middle[:, :size] - y[:, :size]) ** 2).mean(0)
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
     # The mean is off by noise and by its members' own errors, which their spread shows.
-    local = summary[:, :, :size].var(0, ddof=1).mean(0) if len(summary) > 1 else np.zeros(size)
-    probability = np.sqrt(np.maximum(0.0, moves - local / len(summary)))
-    return error, probability * scales.y[1][:size]
+    count, means = len(predictions), predictions[:, :, :size]
+    disagreement = means.var(0, ddof=1).mean(0) if count > 1 else np.zeros(size)
+    noise = np.sqrt(np.maximum(0.0, moves - disagreement / count))
+    return error, noise * scales.y[1][:size]
 
 
 def _in_units(raw, scales: _Scales):

@@ -88,7 +88,7 @@ def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     )
     half = STARTS // 2
     started = firsts[rng.integers(0, len(firsts), half)]
-    met = observed.before[rng.integers(0, observed.count, STARTS - half)]
+    visited = observed.before[rng.integers(0, observed.count, STARTS - half)]
     every = np.concatenate([observed.before, observed.after]).astype(np.float64)
     low, high = every.min(0), every.max(0)
     room = BEYOND * np.maximum(high - low, units.scale)
@@ -101,7 +101,7 @@ def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
         "scale": units.scale,
         "low": np.maximum(low - room, available.real.low - slack),
         "high": np.minimum(high + room, available.real.high + slack),
-        "starts": np.concatenate([started, met]).astype(np.float64),
+        "starts": np.concatenate([started, visited]).astype(np.float64),
     }
 
 
@@ -197,13 +197,13 @@ def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) ->
     capacity = -(-plan.steps // real.hold) + real.limit
     result = fit(observed, raw, capacity, LATER if number else FIRST, plan.seed)
     box = Box(np.ravel(real.actions.low), np.ravel(real.actions.high), real.size)
-    size, endpoints = observed.before.shape[1], bool(observed.ended.any())
+    size, can_end = observed.before.shape[1], bool(observed.ended.any())
     model = Model(
         horizon=plan.horizon,
         action=box,
         noise_size=size,
         members=plan.members,
-        can_end=endpoints,
+        can_end=can_end,
         circles=available.circles,
         reward=plan.reward,
         over=plan.over,
@@ -251,8 +251,8 @@ def compared(
         if common is not None and available.room(maximum):
             available.play(noisy(agent, available.real, available.rng))
     firsts = np.stack([item.start for item in played])
-    complete = replace(inside.model, horizon=available.real.decisions)
-    model = value(complete, inside.inputs, policy, firsts, plan.engine, plan.seed)
+    full_length = replace(inside.model, horizon=available.real.decisions)
+    model = value(full_length, inside.inputs, policy, firsts, plan.engine, plan.seed)
     return Compared.of([entry.total for entry in played], model)
 
 

@@ -92,7 +92,7 @@ def ahead(size: int) -> int:
 def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
     """The function that draws `size` normals for each of `count` steps from `first` on.
 
-    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `text` is as long, of 32 bits.
+    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `%words` is as long, of 32 bits.
     """
     name = f"draw_{dtype}_{size}"
     if not module.first(name):
@@ -104,10 +104,10 @@ def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> st
     count = code.index(f"mul nsw i64 %count, {size}")
     rounds = code.index(f"lshr i64 {code.index(f'add nsw i64 {count}, 1')}, 1")
     with code.loop(rounds) as loop:
-        text = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
+        integers = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
         unit = np.dtype(dtype).itemsize * lanes
         out = code.pointer("%out", code.index(f"mul nsw i64 {loop.i}, {2 * unit}"))
-        code.store(normal(code, code.load(text, "uint32", 2 * lanes), dtype), out, 2 * lanes)
+        code.store(normal(code, code.load(integers, "uint32", 2 * lanes), dtype), out, 2 * lanes)
     code.do("ret void")
     header = (
         f"define internal void @{name}(ptr %key, ptr %paths, i64 %first, i64 %count, "
@@ -180,7 +180,7 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     steps = 1 if s.initial else ahead(size)
     rows = steps * size + SPARE
     out = values.workspace.allocate((rows,), value.dtype, code.lanes)
-    text = values.workspace.allocate((rows,), np.uint32, code.lanes)
+    integers = values.workspace.allocate((rows,), np.uint32, code.lanes)
     antithetic = s.build.traced.setup.antithetic
     name = draw_function(code.module, size, value.dtype.name, antithetic)
     key = code.pointer(field("keys"), 8 if s.initial else 0)
@@ -191,7 +191,7 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
         code.do(
             f"call void @{name}(ptr {key}, ptr {paths}, i64 {first}, i64 {count}, "
             f"ptr {code.pointer(out.base, out.offset)}, "
-            f"ptr {code.pointer(text.base, text.offset)})"
+            f"ptr {code.pointer(integers.base, integers.offset)})"
         )
 
     if s.initial:
@@ -208,8 +208,8 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
         row = code.index(f"mul nsw i64 {slot}, {size * out.unit}")
         base = code.pointer(out.base, row)
     shape = value.shape
-    position = ArrayPlace(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
-    values.bind(value, position)
+    array = ArrayPlace(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
+    values.bind(value, array)
 
 
 def _supplied(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:

@@ -51,9 +51,9 @@ def _computed(
     bind(values, program, piece, tables, fixed=False)
     body.write(values, program.ops, program.outputs)
     for value, leaf in zip(program.outputs, leaves):
-        position = tables.address(leaf)
-        if homes[value].offset != position.offset or value.constant is not None:
-            values.copy(value, position)
+        array = tables.address(leaf)
+        if homes[value].offset != array.offset or value.constant is not None:
+            values.copy(value, array)
     build.used(values.workspace)
 
 
