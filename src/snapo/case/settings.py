@@ -61,7 +61,7 @@ AUTO = "or left out: then it follows the problem"
 
 
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: six keys follow the problem.
+    """`[training]` of a plant or of a simulator of one's own: six keys are chosen from the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
@@ -109,7 +109,7 @@ class EvaluationTable(CaseTable):
 
 
 class ObjectiveTable(CaseTable):
-    """`[objective]`: the figure to maximise; `kind` says which of the other keys apply.
+    """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply.
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
@@ -198,7 +198,7 @@ def read_training(
 
 
 def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> None:
-    """Refuses training on windows for objectives that have no worth of what lies ahead."""
+    """Refuses training on windows for objectives that have no continuation value."""
     for kind in kinds:
         if training.window != "auto" and kind != "mean":
             message = f'windows need an objective of kind "mean", and there is "{kind}"'
