@@ -317,7 +317,7 @@ def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> l
         raise CaseError(name, f"line {line}", got, message)
     for column in names:
         if column and names.count(column) > 1:
-            raise CaseError(name, f"line {line}", column, "this column stands there twice")
+            raise CaseError(name, f"line {line}", column, "this column is there twice")
     return names
 
 

@@ -115,16 +115,16 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             if step == len(here):
                 here.append(empty)
             elif last:
-                raise Unreadable(f"{key} stands there twice")
+                raise Unreadable(f"{key} is there twice")
         else:
             if not isinstance(here, dict):
                 raise Unreadable(f"{key}: an entry of a list has a number, [0]")
             if last and step in here:
-                raise Unreadable(f"{key} stands there twice")
+                raise Unreadable(f"{key} is there twice")
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
-            raise Unreadable(f"{key}: a value stands there already, and not a table")
+            raise Unreadable(f"{key}: there is a value already, and not a table")
 
 
 TOP, HEAD = "case", ("key", "value", "as", "note")

@@ -84,7 +84,7 @@ class Bound:
             return ""
         summary = f"a gap of {gap:,.3g} ± {error:,.2g}"
         share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
-        few = ", which a few paths of great hindsight decide" if self.few else ""
+        few = ", which a few paths that gain much by foresight decide" if self.few else ""
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
@@ -165,7 +165,7 @@ def bound(
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
-        message = "only a mean of what each path is worth is bounded from above"
+        message = "only a mean of the values of paths is bounded from above"
         raise ValueError(f"bound: the objective is {kind}; {message}.")
     if relaxation is None:
         relaxation = relaxation_of(problem)

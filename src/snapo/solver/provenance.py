@@ -119,7 +119,7 @@ def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, eng
     if not invalid:
         return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), advice])
     summary = ", ".join(
-        f"{paths.size} of {draws.size} paths are not finite in output {name!r}"
+        f"{paths.size} of {draws.size} paths are non-finite in output {name!r}"
         for name, paths in invalid.items()
     )
     lost = np.flatnonzero(~finite(totals, invalid))[:FEW]
@@ -137,7 +137,7 @@ def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
     many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
     text = f" {errors[0].where}: {errors[0].subject}" if errors else ""
-    return f"{many} not finite, though all totals are.{text}"
+    return f"{many} non-finite, though all totals are.{text}"
 
 
 def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:

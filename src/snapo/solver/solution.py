@@ -168,7 +168,7 @@ class Solution:
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
-            *([f"made as large as possible: {self.maximised}"] if self.maximised else []),
+            *([f"maximised: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
             *map(str, self.constraints),

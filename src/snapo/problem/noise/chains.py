@@ -46,7 +46,7 @@ class Markov(Noise):
         if p.ndim < 2 or p.shape[-1] != p.shape[-2]:
             raise ValueError(f"Markov: transition has shape {p.shape}; it is [regimes, regimes].")
         if np.any(p < 0) or np.any(p.sum(-1) <= 0):
-            raise ValueError("Markov: transition has a chance below 0, or a row without any.")
+            raise ValueError("Markov: transition has a probability below 0, or a row without any.")
 
     def probabilities(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
         """Of the next regime."""

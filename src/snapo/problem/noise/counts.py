@@ -181,7 +181,7 @@ def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: f
     values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
-            f"{type(noise).__name__}: most, the largest number told apart, is missing; it cannot "
+            f"{type(noise).__name__}: the largest number distinguished is missing; it cannot "
             "follow from a parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load

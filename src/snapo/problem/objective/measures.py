@@ -152,7 +152,7 @@ class ExpectedUtility(ByPath):
     @property
     def as_cost(self) -> Objective:
         raise ValueError(
-            f"ExpectedUtility of {self.output}: a utility is of what shall be large, so its "
+            f"ExpectedUtility of {self.output}: a utility is of a quantity to be maximised, so its "
             "weight is positive and it has no upper limit. Of a cost, let the simulator give "
             f"-{self.output} as an output, and write the utility of that."
         )

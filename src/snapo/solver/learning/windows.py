@@ -80,7 +80,8 @@ def learner(problem: Problem, seed: int) -> Learner:
         objective = problem.objective
         raise ValueError(
             "Training: window needs an objective that is a mean of outputs summed over the path; "
-            f"{type(objective).__name__} of {', '.join(objective.outputs)} has no worth ahead."
+            f"{type(objective).__name__} of {', '.join(objective.outputs)} "
+            "has no continuation value."
         )
     return blank(problem.features, seed)
 

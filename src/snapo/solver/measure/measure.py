@@ -299,5 +299,5 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
         notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
-        notes.append(f"Paths left out since they are not finite: {counts}.")
+        notes.append(f"Paths left out since they are non-finite: {counts}.")
     return tuple(notes)

@@ -43,7 +43,7 @@ class StopRelaxation:
     """
 
     terms = 1
-    description = "the surprises of a fitted value of the rights"
+    description = "the innovations of a fitted value of the rights"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon

@@ -65,7 +65,7 @@ def describe_idle(steps: Sequence[int], history: Sequence[Record]) -> str:
     where = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     value = history[steps[0] - 1].exact
     return (
-        f"Training began anew from other first weights at {where}, since every path earned the "
+        f"Training restarted from other initial weights at {where}, since every path earned the "
         f"same ({value:,.6g})."
     )
 

@@ -163,7 +163,7 @@ def without_advice(notes: Iterable[str]) -> list[str]:
 
 UNMOVED_ADVICE = (
     f"{NOTHING}over the network that was drawn at random: try more steps, another "
-    "learning_rate, wider starting states or features that tell states apart."
+    "learning_rate, wider starting states or features that distinguish states."
 )
 
 
