@@ -269,9 +269,9 @@ class Breaks(snapo.Simulator):
 @pytest.mark.parametrize(
     "kind, said",
     [
-        ("state", "64 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+        ("state", "64 of 64 paths are non-finite in output 'cash', first at step 2 of the 4 of a "
          "path, in state water."),
-        ("output", "32 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+        ("output", "32 of 64 paths are non-finite in output 'cash', first at step 2 of the 4 of a "
          "path, in output cash."),
         ("derivative", "not finite, though all totals are. step, "),
     ],

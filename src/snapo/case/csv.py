@@ -64,8 +64,8 @@ def cell(value: Any) -> str:
 def write_table(frame: Any, file: Path | str) -> Path:
     """Writes a data frame (pandas, polars, pyarrow …) as a file that a case can name.
 
-    The file's ending says how: `.csv` or `.parquet`. Column names are those of the file; an index
-    is left out. Returns the path.
+    The file's suffix determines how: `.csv` or `.parquet`. Column names are those of the file; an
+    index is left out. Returns the path.
 
     **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
     another ending, `TypeError` for an object that is no frame.
@@ -109,7 +109,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class FileReference:
-    """Where a case names a file: the table, the key, and the name that stands there."""
+    """Where a case names a file: the table, the key, and the name itself."""
 
     section: TableContext
     key: str
@@ -138,7 +138,7 @@ class Row:
     def number(
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
     ) -> float:
-        """A finite number within [low, high]; `allowed`: the same in words."""
+        """A finite number within [low, high]; `allowed`: the same as text."""
         text, allowed = self.cells[column], allowed or within(low, high)
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
@@ -192,7 +192,7 @@ class Row:
 
 
 def within(low: float, high: float) -> str:
-    """The words for a range: "a number of at least 0"."""
+    """The text of a range: "a number of at least 0"."""
     if low == -math.inf:
         return "a finite number"
     if high == math.inf:
@@ -317,7 +317,7 @@ def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> l
         raise CaseError(name, f"line {line}", got, message)
     for column in names:
         if column and names.count(column) > 1:
-            raise CaseError(name, f"line {line}", column, "this column stands there twice")
+            raise CaseError(name, f"line {line}", column, "this column is there twice")
     return names
 
 

@@ -1,6 +1,6 @@
-"""What every domain's case format shares: one TOML file, plain files beside it, clear errors.
+"""What every domain's case format shares: one TOML file, plain files next to it, clear errors.
 
-A case is data: nothing in it is executed, and every file that it names lies beside it. The
+A case is data: nothing in it is executed, and every file that it names lies next to it. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
 """
 
@@ -88,7 +88,7 @@ def not_utf8(error: UnicodeDecodeError) -> str:
 class TableRead(NamedTuple):
     """A table of a case that was checked: its name in messages, its data, and its options.
 
-    `options`: {key: the words and truth values that it may have}, of keys with several.
+    `options`: {key: the texts and truth values that it may have}, of keys with several.
     """
 
     name: str
@@ -112,13 +112,13 @@ def recorded_tables() -> Iterator[list[TableRead]]:
 
 
 def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
-    """Records the words of a key that chooses the format of its table, such as `kind`."""
+    """Records the values of a key that chooses the format of its table, such as `kind`."""
     if (tables := _tables_read.get()) is not None:
         tables.append(TableRead(name, data, {}, {key: tuple(kinds)}))
 
 
 def options_of(annotation: Any) -> tuple[str | bool, ...]:
-    """The words and truth values of a type, as far as it lists them."""
+    """The texts and truth values of a type, as far as it lists them."""
     if annotation is bool:
         return (False, True)
     parts = get_args(annotation)
@@ -156,7 +156,7 @@ def parse(
         entries, meant = {}, set()
         for item in error.errors():
             key = str(item["loc"][0])
-            # Of a union's several complaints about one key, the first stands for all.
+            # Of a union's several complaints about one key, the first is reported.
             entries.setdefault(key, _explain(table, data, file, name, item))
             if item["type"] == "extra_forbidden":
                 meant.update(difflib.get_close_matches(key, table.model_fields, n=1))
@@ -167,7 +167,7 @@ def parse(
 
 
 def _check_sizes(table: CaseTable, file: str, name: str) -> None:
-    """Numbers that could only overflow, and texts that nobody reads, are a mistake in every key."""
+    """Numbers that would overflow and overlong texts are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
         message = f"allowed is {type(table).model_fields[key].description}"

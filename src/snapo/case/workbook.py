@@ -1,4 +1,4 @@
-"""A workbook as the case that it holds: its sheets as TOML and CSV files in a folder beside it.
+"""A workbook as the case that it holds: its sheets as TOML and CSV files in a folder next to it.
 
 Formulas are read as the values that the spreadsheet program stored, and never evaluated.
 """
@@ -23,7 +23,7 @@ from .toml import one_value, to_toml
 PART = re.compile(r'([A-Za-z0-9_-]+|"(?:[^"\\]|\\.)*")((?:\[\d+\])*)(\.|$)', re.ASCII)
 PLAIN = re.compile(r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]+")
 LARGEST_NUMBER = 1e15  # whole numbers beyond lose digits in a spreadsheet
-TEXT = "TOML"  # the word beside a value that is written as TOML
+TEXT = "TOML"  # the word next to a value that is written as TOML
 
 
 class Unreadable(ValueError):
@@ -59,7 +59,7 @@ def is_kept(number: float) -> bool:
 
 
 def _is_plain(value: Any) -> bool:
-    """Whether a cell of a spreadsheet holds this value as it is."""
+    """Whether a cell of a spreadsheet holds this value unchanged."""
     if isinstance(value, bool):
         return True
     if isinstance(value, int | float):
@@ -74,7 +74,7 @@ def _is_plain(value: Any) -> bool:
 def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
     """The inverse of `lines`.
 
-    **Raises:** `Unreadable` for a key that is none, stands there twice, or contradicts another.
+    **Raises:** `Unreadable` for a key that is none, is there twice, or contradicts another.
     """
     data: dict[str, Any] = {}
     for key, value, kind in result:
@@ -115,16 +115,16 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             if step == len(here):
                 here.append(empty)
             elif last:
-                raise Unreadable(f"{key} stands there twice")
+                raise Unreadable(f"{key} is there twice")
         else:
             if not isinstance(here, dict):
                 raise Unreadable(f"{key}: an entry of a list has a number, [0]")
             if last and step in here:
-                raise Unreadable(f"{key} stands there twice")
+                raise Unreadable(f"{key} is there twice")
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
-            raise Unreadable(f"{key}: a value stands there already, and not a table")
+            raise Unreadable(f"{key}: there is a value already, and not a table")
 
 
 TOP, HEAD = "case", ("key", "value", "as", "note")
@@ -136,7 +136,7 @@ def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     """Writes the tables `data` of a case, and the CSV files in its folder, to a workbook.
 
     Keys at the top are on the sheet "case", each table has a sheet of its own name, and each CSV
-    one of its file's name. Comments of case.toml are notes beside the keys.
+    one of its file's name. Comments of case.toml are notes next to the keys.
 
     **Raises:** `CaseError` where openpyxl is missing.
     """
@@ -209,7 +209,7 @@ def _rows(file: Path) -> list[list[Any]]:
     selected = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     mark = separator(selected[0]) if selected else ","
     head, *rows = list(csv.reader(selected, delimiter=mark)) or [[]]
-    plain = mark == ","  # other dialects keep their texts, which are read as they stand
+    plain = mark == ","  # other dialects keep their texts, which are read unchanged
     return [head, *([_native(cell.strip()) if plain else cell for cell in row] for row in rows)]
 
 
@@ -234,7 +234,7 @@ BESIDE = (".npy", ".parquet", ".py")  # files of a case that no sheet can hold
 
 
 def unpacked(file: Path) -> Path:
-    """The folder with case.toml and the CSVs of a workbook, written beside it under its name.
+    """The folder with case.toml and the CSVs of a workbook, written next to it with its name.
 
     **Raises:** `CaseError` where openpyxl is missing, the file is no workbook, or a sheet cannot be
     read; it names sheet and line.

@@ -1,4 +1,4 @@
-"""One policy for a range of inputs: it sees them, beside what it observes.
+"""One policy for a range of inputs: it sees them, in addition to what it observes.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
 ranges evenly, each with a schedule of its own. Afterwards the policy decides in any member.
@@ -123,7 +123,7 @@ class Family:
 
     @cached_property
     def _seen(self) -> "ObservedMember":
-        # Where each input stands among the leaves of the plain tree that `prepare` gets.
+        # Where each input is among the leaves of the plain tree that `prepare` gets.
         leaves = jax.tree.leaves(self.problem.inputs, is_leaf=inputs_.is_input)
         positions = [i for i, leaf in enumerate(leaves) if inputs_.is_input(leaf)]
         position = dict(zip(self.problem.inputs_by_name, positions))
@@ -150,7 +150,7 @@ class ObservedMember(Around):
         return Schedule((schedule.constants, 2 * (values - low) / (high - low) - 1), schedule.steps)
 
     def with_values(self, inputs: PyTree, values) -> PyTree:
-        """The inputs with others in place of those seen."""
+        """The inputs with others instead of those seen."""
         leaves, structure = jax.tree.flatten(inputs)
         first = 0
         for i in self.where:
@@ -219,7 +219,7 @@ class Members(Around):
         return self.inner.terminal(_of(constants, state["member"]), state["own"], smooth)
 
     def state_scale(self, constants):
-        # That of the first member stands for all.
+        # That of the first member serves all.
         scale = self.inner.state_scale(_of(constants, 0))
         return None if scale is None else {"member": 1.0, "own": scale}
 

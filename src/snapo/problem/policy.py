@@ -43,7 +43,7 @@ class Policy(eqx.Module):
     def for_problem(self, interface: Interface, key) -> "Policy":
         """The policy for this set of actions and number of features: itself, unless it is a recipe.
 
-        `interface` is `simulator.interface(schedule)`; first weights are drawn with `key`.
+        `interface` is `simulator.interface(schedule)`; initial weights are drawn with `key`.
         """
         return self
 

@@ -3,11 +3,11 @@
     inputs → prepare → schedule → rollout → totals → objective
     inputs ← prepare's transpose ← d schedule ← engine.adjoint ← weights
 
-Training and sensitivities both read what this file gives.
+Both training and sensitivities use these functions.
 
 The adjoint over the paths that are finite: one bad path must not cost a whole run.
 
-A path is bad where a total that the objective uses, or the path's own adjoint, is not finite. Bad
+A path is bad where a total that the objective uses, or the path's own adjoint, is non-finite. Bad
 paths are counted wherever they are left out, and of all paths at most `DROPPED` may be: what is
 left out may be what matters. A path of ruin, whose total is finite, is never left out: it has the
 utility that it has, minus infinity.
@@ -152,7 +152,7 @@ def adjoint_of_good_weights(
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
-    Those count for nothing; the weights of the others stay what they are.
+    Those count for nothing; the weights of the others stay unchanged.
     """
     result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):
@@ -170,8 +170,8 @@ def adjoint_of_good_weights(
 def _good(bound_engine: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
     """Which paths have a finite value and a finite adjoint.
 
-    A forward sweep finds most of the others; only where the adjoint of the rest is not finite
-    either, each path is looked at alone.
+    A forward sweep finds most of the others; only where the adjoint of the rest is non-finite
+    too, each path is looked at by itself.
     """
     values = {key: options[key] for key in ("window", "start", "actions") if key in options}
     valid = finite(float64(bound_engine.values(policy, draws, smooth, **values).totals), names)
@@ -203,7 +203,7 @@ def _spread(weights: Mapping[str, np.ndarray], valid: np.ndarray) -> Weights:
 
 
 def _only(selected: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
-    """The noise, the starting states and the recorded actions of chosen paths alone."""
+    """The noise, the starting states and the recorded actions of chosen paths only."""
     values = dict(options)
     if options.get("start") is not None:
         values["start"] = jax.tree.map(lambda leaf: leaf[selected], options["start"])

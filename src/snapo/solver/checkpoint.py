@@ -85,14 +85,15 @@ def _with_critic(file: Path, like: Progress) -> Progress:
     try:
         features = _load(file)[1]["header"]["features"]
     except (KeyError, TypeError):
-        return like  # what is wrong with the file shows where it is read
+        return like  # a fault of the file shows where it is read
     if like.critic is not None or not isinstance(features, int):
         return like
     return replace(like, critic=blank(features))
 
 
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
-    """All array leaves of a tree with a JSON header, through a temporary file beside the target."""
+    """All array leaves of a tree with a JSON header, through a temporary file next to the
+    target."""
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
     arrays = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     _save(file, arrays, {"header": header, "described": described(_policies(tree))})
@@ -123,7 +124,7 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:
-    """Arrays under names of several words, with a JSON header."""
+    """Arrays with names of several parts, with a JSON header."""
     names = [list(name) for name in arrays]
     numbered = {f"leaf_{i}": np.asarray(array) for i, array in enumerate(arrays.values())}
     _save(file, numbered, {"names": names, "header": dict(header)})
@@ -142,7 +143,7 @@ def _policies(tree: PyTree) -> PyTree:
 
 
 def _two(file: Path, both: Any, *keys: str) -> list[Any]:
-    """Two entries of what was stored beside the arrays."""
+    """Two entries that were stored with the arrays."""
     try:
         return [both[key] for key in keys]
     except (KeyError, TypeError, IndexError):

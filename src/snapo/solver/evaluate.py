@@ -1,6 +1,6 @@
-"""What a policy is worth: path totals on fresh scenarios, and the value with its standard error.
+"""The value of a policy: path totals on fresh scenarios, and the value with its standard error.
 
-Paths of a policy with their whole course: states, decisions and outputs of every step.
+Paths of a policy as whole trajectories: states, decisions and outputs of every step.
 """
 
 import math
@@ -31,7 +31,7 @@ class Value(NamedTuple):
     """An estimate, its standard error, and how much the control variates explained.
 
     - `control`: the share of the variance that they removed (0 without any).
-    - `dropped`: the paths left out, since they are not finite.
+    - `dropped`: the paths left out, since they are non-finite.
     - `refused`: controls whose mean is not zero, and which therefore were not used.
     """
 
@@ -81,7 +81,7 @@ def path_totals(
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
-    `controls`: with the outputs that are control variates alone.
+    `controls`: with only the outputs that are control variates.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source = source or problem.sources.evaluation
@@ -140,7 +140,7 @@ def estimate(
     """The objective on these totals, with the controls' known mean of zero taken out.
 
     Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
-    are not finite are left out and counted; more than a thousandth of them make the value NaN.
+    are non-finite are left out and counted; more than a thousandth of them make the value NaN.
     """
     _, false, result = _controlled(objective, totals, scenarios, controls)
     plain = statistics.of_shares(shares_of(objective, totals, scenarios))
@@ -175,7 +175,7 @@ def value_of(objective: Objective, totals: Totals) -> float:
 
 
 def ruined(objective: Objective, totals: Totals) -> int:
-    """The number of paths whose totals are finite, and whose worth is minus infinity."""
+    """The number of paths whose totals are finite, and whose value is minus infinity."""
     left = finite_totals(objective, totals)
     if not len(left[objective.outputs[0]]):
         return 0
@@ -253,10 +253,11 @@ def simulate(
     smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
 ) -> Simulation:
-    """The course of the first `paths` paths of the problem's evaluation, on which its value is.
+    """The trajectories of the first `paths` paths of the problem's evaluation, on which its value
+    is.
 
-        course = snapo.simulate(solution.problem, solution.policy, paths=256)
-        course.states["water"].mean(1)
+        paths = snapo.simulate(solution.problem, solution.policy, paths=256)
+        paths.states["water"].mean(1)
 
     **Arguments:**
 

@@ -5,7 +5,7 @@
     solution.plot.fan("water")
     solution.plot.policy("water", "price")
 
-They are drawn from the solution alone, so a loaded one has them too. Each takes `ax` to draw into,
+They are drawn from the solution only, so a loaded one has them too. Each takes `ax` to draw into,
 and returns the figure.
 """
 
@@ -115,8 +115,8 @@ class Figures:
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
         """The change of the value by each input's move, largest first, with 95 % whiskers.
 
-        The move is the input's own `move`, of all its numbers at once; without one, a hundredth of
-        them. To first order, with the derivative that is reported.
+        The move is the input's own `move`, of all its numbers at once; without one, 1 % of them. To
+        first order, with the derivative that is reported.
 
         **Raises:** `ValueError` where the solution has no sensitivities.
         """

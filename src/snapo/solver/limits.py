@@ -1,4 +1,4 @@
-"""Limits on fresh paths: how far each is met, and what a unit more of its level is worth.
+"""Limits on fresh paths: how far each is met, and the shadow price of its level.
 
 At the best policy within its limits the derivative of the objective by the policy is that of the
 limits' measures times their shadow prices. So the prices are the least squares of one on the
@@ -14,9 +14,9 @@ would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
 The unit of an excess is the deviation of a path's measure, or the excess itself where that is
 larger: a rule that decides nearly the same on all paths has a measure that hardly deviates. The
 unit of a price is that at which the limit pulls at the policy as hard as the objective does, the
-length of the one's derivative over that of the other. Totals do not tell it: the noise in an
+length of the one's derivative over that of the other. Totals do not determine it: the noise in an
 objective may be far larger than all that decisions change, and a price that is far too large
-drives decisions to a bound of their set, where no derivative leads out of again.
+drives decisions to a bound of their set, where derivatives vanish.
 """
 
 from collections.abc import Sequence
@@ -101,7 +101,7 @@ def updated_prices(
     if not np.all(np.isfinite(excess)):
         return dual
     local = np.array([_deviation(item.measure, totals) for item in limits])
-    # Where no derivative tells a unit, deviations do.
+    # Where no derivative determines a unit, deviations do.
     units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
     units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
     far = units * excess / np.maximum(local, np.abs(excess))
@@ -131,9 +131,10 @@ class LimitFound(NamedTuple):
     """A limit on fresh paths of the exact simulator.
 
     - `name`, `level`: it; `value`, `standard_error`, `low`, `high`: the measure, 95 % interval.
-    - `price`, `price_error`: what one unit more of the level is worth to the objective (negative
-      for a lower limit); zero where the limit does not bind: where training gave it no multiplier,
-      or the measure keeps a distance from the level. `multiplier`: the one in training.
+    - `price`, `price_error`: the shadow price, by which one unit more of the level changes the
+      objective (negative for a lower limit); zero where the limit does not bind: where training
+      gave it no multiplier, or the measure keeps a distance from the level. `multiplier`: the one
+      in training.
     - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, by
       less than a thousandth of one path's deviation, or by less than round-off.
     """
@@ -156,7 +157,7 @@ class LimitFound(NamedTuple):
 
     @property
     def at_level(self) -> bool:
-        """Whether the measure is at the level, as far as paths and round-off tell."""
+        """Whether the measure is at the level, up to sampling noise and round-off."""
         return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
 
     def __str__(self) -> str:

@@ -34,11 +34,11 @@ def versions() -> dict[str, str]:
     return table
 
 
-COMPILERS = ("/jax/core/compile", "/snapo/compile")  # events that tell of compiling
+COMPILERS = ("/jax/core/compile", "/snapo/compile")  # events of compiling
 
 
 class Clock:
-    """Books the time of a run under the names of its stages, and that of compiling apart.
+    """Books the time of a run by stage, and that of compiling apart.
 
     A context manager: it listens to JAX's compiler and to that of the native engine until it is
     left. Compiling within compiling, as the tracing of a kernel is, counts once; that of other
@@ -59,7 +59,7 @@ class Clock:
         jax.monitoring.unregister_event_duration_listener(self._listener)
 
     def _heard(self, event: str, duration: float, **_: Any) -> None:
-        """An event is told when it ends."""
+        """An event is reported when it ends."""
         if event.startswith(COMPILERS) and threading.get_ident() == self._thread:
             now = time.perf_counter()
             self._compiled.append((now - duration, now))
@@ -89,7 +89,7 @@ LATER = (
 
 
 class FirstNonFinite(NamedTuple):
-    """The first number of a path that is not finite: "state water", "output cash"."""
+    """The first number of a path that is non-finite: "state water", "output cash"."""
 
     step: int
     name: str
@@ -98,7 +98,7 @@ class FirstNonFinite(NamedTuple):
 def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, engine: Engine) -> str:
     """A sentence on a training that diverged; empty for any other.
 
-    The last step's paths are rolled again, a few of the bad ones with their whole course.
+    The last step's paths are simulated again, a few of the non-finite ones as whole trajectories.
     """
     if progress.status != "diverged" or not progress.history:
         return ""
@@ -119,7 +119,7 @@ def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, eng
     if not invalid:
         return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), advice])
     summary = ", ".join(
-        f"{paths.size} of {draws.size} paths are not finite in output {name!r}"
+        f"{paths.size} of {draws.size} paths are non-finite in output {name!r}"
         for name, paths in invalid.items()
     )
     lost = np.flatnonzero(~finite(totals, invalid))[:FEW]
@@ -137,11 +137,11 @@ def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
     many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
     text = f" {errors[0].where}: {errors[0].subject}" if errors else ""
-    return f"{many} not finite, though all totals are.{text}"
+    return f"{many} non-finite, though all totals are.{text}"
 
 
 def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:
-    """Where the course of these paths first leaves the finite numbers."""
+    """The first step at which these paths are non-finite."""
     record = ("state", "outputs")
     trajectory = Xla().bind(problem).values(policy, draws, smooth, record=record).record
     kinds, positions = problem.simulator.totals(), []
@@ -159,7 +159,7 @@ def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:
 
 
 def _not_finite(leaf: np.ndarray, largest: bool) -> Any:
-    """Where an array is not finite; a step may add nothing to a largest number, minus infinity."""
+    """Where an array is non-finite; a step may add nothing to a largest number, minus infinity."""
     if leaf.dtype.kind != "f":
         return np.zeros(leaf.shape, bool)
     return ~np.isfinite(leaf) & ~(largest & (leaf == -np.inf))

@@ -54,7 +54,7 @@ class Solution:
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
-    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are not finite; a
+    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite; a
       note says where); of the others "ruined" where the value is minus infinity, "not finite" where
       it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
@@ -65,11 +65,12 @@ class Solution:
     - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
       `clip` and `keep`: the length of the windows that it went back through at its end, the bound
       on each path's own adjoint (None: none of them), and the share that went on at each step.
-    - `problem`: what was solved, None in one that was loaded: figures over time need it.
+    - `problem`: the problem that was solved, None in one that was loaded: figures over time need
+      it.
     - `constraints`: each of the problem's on fresh paths, with its shadow price.
-    - `maximised`: the objective in words, "mean of cash"; empty in one that was saved without it.
-    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
-      `notes`: sentences on what a reader of the value must know.
+    - `maximised`: the objective as text, "mean of cash"; empty in one that was saved without it.
+    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are non-finite;
+      `notes`: remarks for a reader of the value.
     """
 
     value: float
@@ -167,7 +168,7 @@ class Solution:
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
-            *([f"made as large as possible: {self.maximised}"] if self.maximised else []),
+            *([f"maximised: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
             *map(str, self.constraints),
@@ -289,7 +290,7 @@ KINDS = ("held", "smooth")
 
 
 def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
-    """All that is said about every input, without its numbers."""
+    """All metadata of every input, without its numbers."""
     return {
         name: {
             item.name: getattr(values, item.name) for item in fields(values) if item.name != "value"
@@ -331,7 +332,7 @@ def _about(result: Mapping[str, Reported] | None) -> dict[str, Any] | None:
 
 
 def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
-    """The inverse of `_about` and of the arrays beside it."""
+    """The inverse of `_about` and of the arrays stored with it."""
     if stored is None:
         return None
     table = {}

@@ -89,7 +89,7 @@ DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 
 class Picture(NamedTuple):
-    """A chart beside a table: `y` columns against the column `x`, by their names."""
+    """A chart next to a table: `y` columns against the column `x`, by their names."""
 
     kind: Literal["line", "bar"]
     x: str
@@ -213,7 +213,7 @@ def sensitivities_chart(rows: list[Any]) -> Picture | None:
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value of nested tables, with its way in words."""
+    """Every value of nested tables, with its path as text."""
     for key, value in table.items():
         name = f"{before}{key}"
         if isinstance(value, Mapping):

@@ -52,7 +52,7 @@ from .limits import Dual
 from .limits import updated_prices as moved_prices
 from .verdict.constant import caught, equal_on_all_paths, exploring
 
-DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
+DIVERGED_SHARE = 0.05  # more than this share of a step's paths non-finite: the run has diverged
 
 Callback = Callable[[Progress], object]  # one that returns True stops the training
 
@@ -60,8 +60,8 @@ Callback = Callable[[Progress], object]  # one that returns True stops the train
 class TrainingLoop(NamedTuple):
     """All that one step of training needs; `update` is the compiled step of the optimiser.
 
-    - `problem`, `bound_engine`: what a step climbs on; with a `spread` or `exploration` they
-      practise more than the problem itself, which is `inner`, and `exact` rolls it.
+    - `problem`, `bound_engine`: the objective of a step; with a `spread` or `exploration` they
+      are perturbed; the problem itself is `inner`, which `exact` rolls.
     """
 
     problem: Problem
@@ -83,12 +83,12 @@ def train(
     until: int | None = None,
     fresh: Callable[[int], Policy] | None = None,
 ) -> Progress:
-    """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
+    """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can go on from there. A training that does
-    nothing begins anew, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
-    It stops early where a callback returns True. On Ctrl-C they are told once more, and the
+    It stops early where a callback returns True. On Ctrl-C they are called once more, and the
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
@@ -113,7 +113,7 @@ def train(
                 moved = begin_again(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
-            # Each is told, also after one that stops the training.
+            # Each is called, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
                 progress = stopped(progress)
     except KeyboardInterrupt:
@@ -124,7 +124,8 @@ def train(
 
 
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> TrainingLoop:
-    """That of a training as it stands: one that did nothing draws a part of its decisions."""
+    """That of a training in its present state: one that did nothing draws a part of its
+    decisions."""
     local = remembering(problem, progress.policy)
     perturbed = perturbed_problem(
         problem, exploring(plan, problem.action) if progress.redrawn else plan
@@ -258,7 +259,7 @@ def _options(progress: Progress) -> dict:
 
 
 def most_dropped(training: TrainingPlan) -> float:
-    """How many paths of a whole run may be not finite, and are left out, before it diverges."""
+    """How many paths of a whole run may be non-finite, and are left out, before it diverges."""
     return DROPPED * training.steps * training.paths
 
 
@@ -269,11 +270,11 @@ def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step, since = loop.training, progress.step, progress.since
     auto, paths = training.clip == "auto", training.paths
-    # The price of a limit may lead to a bound of the decisions, where gradients are tiny, any time.
+    # The dual variable of a limit may lead to a bound of the decisions, where gradients are tiny.
     first = training.steps if progress.dual.prices else EARLY
     fell, leapt = has_fallen(norms, since, first), has_leapt(norms, since)
     held_down = is_held_down(norms, since, memory(progress.scale))
-    # A bound that an early leap has brought hides chaos: the steps before it tell.
+    # A bound that an early leap has brought hides chaos: the steps before it count.
     free = [record.gradient_norm for record in progress.history if not record.clip]
     local = since if progress.clip is None else 0
     wild = step == FIRST and is_chaotic(free[local:], paths)
@@ -330,7 +331,7 @@ def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= FIRST:
         # The first steps were led by chaos: back to the average of the first few of them, and
-        # slowly up again. At the full rate a critic that knows little leads to where no action
+        # slowly up again. At the full rate a critic that is not yet fitted leads to where no action
         # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)

@@ -128,7 +128,7 @@ MISTAKES = {
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
         PLACE, '[objective]\n', '[[objective]]\nkind = "crra"\nrisk_aversion = 2\nwealth = 1\nweight = -1\n',
-        "objective.1.weight: got -1; a utility is of what shall be large",
+        "objective.1.weight: got -1; a utility is of a quantity to be maximised",
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; allowed is a"),

@@ -91,7 +91,7 @@ def test_a_checkpoint_and_the_notes_know_where_training_began_anew(tmp_path):
     assert (again.redrawn, again.unchanged) == ((10, 20), 1)
     (said,) = start_notes(progress)
     assert said == (
-        "Training began anew from other first weights at steps 10 and 20, since every path earned "
+        "Training restarted from other initial weights at steps 10 and 20, since every path earned "
         "the same (0)."
     )
 

@@ -1,6 +1,4 @@
-"""Sets of numbers: a box, integers, shares of a whole; and what every set of actions can do.
-
-Whole numbers.
+"""Sets of numbers: a box, integers, shares of a whole; and the base class of all sets of actions.
 
 Shares of a whole.
 """
@@ -35,8 +33,8 @@ class Actions(eqx.Module):
     """Where a decision lies: `size` numbers, and the way in from a network's unbounded ones.
 
     A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one,
-    of the value, holds the decisions that can be taken. `smooth` says which is meant, as it does
-    in a simulator.
+    of the value, holds the decisions that can be taken. `smooth` determines which is meant, as it
+    does in a simulator.
     """
 
     size: eqx.AbstractVar[int]

@@ -20,10 +20,11 @@ from ..smooth import Exact
 
 
 def described(tree: Any) -> dict[str, str]:
-    """{place: words} of the kinds, plain settings and functions in a policy or a tree of policies.
+    """{position: text} of the kinds, plain settings and functions in a policy or a tree of
+    policies.
 
-    Places are like "policy.activation". Nothing depends on the process: functions and classes have
-    their names alone. Arrays are left out.
+    Positions are like "policy.activation". Nothing depends on the process: functions and classes
+    have only their names. Arrays are left out.
     """
     return dict(_lines(tree, ""))
 
@@ -72,7 +73,7 @@ def _function_name(function: Any) -> str:
 
 
 def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> None:
-    """Through a temporary file beside the target; `header` is what JSON can say."""
+    """Through a temporary file next to the target; `header` is data for JSON."""
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
     partial = file.with_name(file.name + ".partial")
     with partial.open("wb") as stream:

@@ -2,7 +2,7 @@
 
 A rounded number does not move with what was rounded, and a comparison has no slope: of
 `floor(size * uniform)` the derivative with respect to `size` is 0 on every path, and that of its
-mean is not. Where another way stays open, as in `x - floor(x)`, nothing is said here.
+mean is not. Where another way stays open, as in `x - floor(x)`, nothing is reported here.
 """
 
 from collections.abc import Sequence
@@ -119,7 +119,7 @@ def _results(
 def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
     """What an equation's results depend on."""
     name, params = eqn.primitive.name, eqn.params
-    by_hand = name.startswith("custom_")  # it says its own derivative, whatever is inside
+    by_hand = name.startswith("custom_")  # it has a derivative of its own, whatever is inside
     inner = None if by_hand else jax_private.called(eqn)
     if inner is not None:
         return _results(getattr(inner, "jaxpr", inner), reaches)

@@ -1,7 +1,7 @@
 """The version of a user's code: a number for all that it reads, such as globals and closures.
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
-of one therefore stands in `following(version)`: JAX then keeps apart what was traced under other
+of one is therefore in `following(version)`: JAX then keeps apart what was traced under other
 versions, in functions that the user compiles too. snapo's own code has no version.
 
 Programs as text: two traces that read the same things are the same text.
@@ -188,9 +188,9 @@ def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
     try:
         with read_context(object()), jax.enable_x64(True):
             made = repr(trace())
-    except Exception as error:  # the call itself will tell of it
+    except Exception as error:  # the call itself will report it
         made = type(error).__name__
-    # The print of a program lacks what derivatives by hand read.
+    # The print of a program is without what hand-written derivatives read.
     read = repr(content) if "custom_" in made else ""
     return blake2b((made + read).encode()).digest()
 
@@ -200,7 +200,7 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _kind(leaf: Any) -> Hashable:
-    """An array's shape and type, as it is an argument; anything else as it is."""
+    """An array's shape and type, as it is an argument; anything else itself."""
     return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
 
 

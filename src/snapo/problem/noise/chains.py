@@ -24,14 +24,15 @@ class Markov(Noise):
         weight = state["weight"] * likelihood
         … {"cash": weight * cash}
 
-    Regimes have no order, so that a path has no derivative by the chances. `likelihood` is the
-    number 1, with the derivative of the log probability; carried along as here, it makes the
-    derivative of the mean right (likelihood ratio). Without: `draw(noise[:1], state["regime"])`.
+    Regimes have no order, so that a path has no derivative with respect to the probabilities.
+    `likelihood` is the number 1, with the derivative of the log probability; carried along as here,
+    it makes the derivative of the mean right (likelihood ratio). Without: `draw(noise[:1],
+    state["regime"])`.
 
     **Arguments:**
 
     - `transition` [k, k]: from the row's regime to the column's. Rows are divided by their sums,
-      and derivatives are those of the chances so made.
+      and derivatives are those of the probabilities so made.
     """
 
     separate = True
@@ -45,7 +46,7 @@ class Markov(Noise):
         if p.ndim < 2 or p.shape[-1] != p.shape[-2]:
             raise ValueError(f"Markov: transition has shape {p.shape}; it is [regimes, regimes].")
         if np.any(p < 0) or np.any(p.sum(-1) <= 0):
-            raise ValueError("Markov: transition has a chance below 0, or a row without any.")
+            raise ValueError("Markov: transition has a probability below 0, or a row without any.")
 
     def probabilities(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
         """Of the next regime."""
@@ -77,7 +78,7 @@ class Empirical(Noise):
     """One row of a history, by chance: `values` [n], or [n, K] whose rows stay together.
 
     Rows are in the order of their first number, so that antithetic paths see high and low ones. The
-    derivative by the history's numbers is pathwise: every draw is one of them.
+    derivative with respect to the history's numbers is pathwise: every draw is one of them.
     """
 
     values: Any = parameter()

@@ -3,9 +3,9 @@
 Gamma and Student noise: quantiles on a grid, worked out once, with implicit derivatives.
 
 The logarithm y of a gamma number is smooth in the normal z that it has the quantile of. Its values
-and slopes stand on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
-the quantile, for any shape. The derivative by the shape is that of the equation P(shape, e^y) = u
-(implicit reparametrisation: Figurnov, Mohamed and Mnih 2018).
+and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
+the quantile, for any shape. The derivative with respect to the shape is that of the equation
+P(shape, e^y) = u (implicit reparametrisation: Figurnov, Mohamed and Mnih 2018).
 """
 
 import math
@@ -21,7 +21,7 @@ from .base import Noise, concrete, only, parameter, refuse, uniform
 
 
 class Uniform(Noise):
-    """Between `low` and `high`. Its derivative by both is pathwise."""
+    """Between `low` and `high`. Its derivative with respect to both is pathwise."""
 
     low: Any = parameter(default=0.0)
     high: Any = parameter(default=1.0)
@@ -139,7 +139,7 @@ INTERVALS = 512
 MINIMUM = 0.05  # of a shape: the smallest numbers then are e^-450
 GRID = np.linspace(-END, END, INTERVALS + 1)
 STEP = 2 * END / INTERVALS
-HALVINGS = 32  # after which two steps of Newton's leave rounding alone
+HALVINGS = 32  # after which two steps of Newton's leave only rounding
 DEEP = -30.0  # the logarithm of a number so small that P(a, x) is x^a / gamma(a + 1)
 
 

@@ -50,7 +50,8 @@ class DerivativePass(NamedTuple):
 
     `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
     `totals` {output: [paths]}: those of the policy in the same way, where they are known already.
-    `inputs`: whether derivatives by the inputs are found, beside those of the policy.
+    `inputs`: whether derivatives with respect to the inputs are found, in addition to those of the
+    policy.
     """
 
     problem: Problem
@@ -107,7 +108,7 @@ class DerivativePass(NamedTuple):
     def _plans(
         self, objectives: Sequence[Objective], blocks: list[np.ndarray]
     ) -> tuple[list[BlockPlan], list[np.ndarray], int]:
-        """The weights, the blocks without paths that are not finite, and the number of those."""
+        """The weights, the blocks without non-finite paths, and the number of those."""
         sizes = [len(block) for block in blocks]
         names = tuple(dict.fromkeys(name for item in objectives for name in item.outputs))
         if all(objective.linear for objective in objectives):
@@ -151,7 +152,7 @@ class DerivativePass(NamedTuple):
     def _together(
         self, blocks: list[np.ndarray], weights: list[list[Weights]]
     ) -> list[list[Pulled]]:
-        """One pass for each block in one call; one by one where a number is not finite."""
+        """One pass for each block in one call; one by one where a number is non-finite."""
         if len(blocks) > 1:
             draws, decider, options = self._asked(np.concatenate(blocks))
             joined = {n: np.concatenate([item[n] for item, *_ in weights]) for n in weights[0][0]}

@@ -1,7 +1,7 @@
 """Standard errors of an objective's derivatives: each block of paths is left out in turn.
 
 The derivative of a functional of all paths is D = sum_i w_i dX_i, and the weights depend on all
-paths too: they are normalised, ranked or measured from a mean. A block's part of that sum alone
+paths too: they are normalised, ranked or measured from a mean. Only a block's part of that sum
 does not scatter as D does: with dX = 1 the derivative of a tail mean is one whatever the paths
 are. Without block b the derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the
 weights of the paths that are left; the scatter of D_b is that of D (Shao and Wu, A general theory
@@ -22,7 +22,7 @@ import numpy as np
 from snapo.problem.objective import Objective, Weights
 
 ENOUGH = 512  # paths on which the common changes of the weights are pulled back
-FURTHER = 3  # changes kept beside that of the weights' sum
+FURTHER = 3  # changes kept in addition to that of the weights' sum
 SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, and of round-off
 
 
@@ -90,7 +90,7 @@ def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarr
 
 
 def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of paths, those that change more the more often, and what each stands for.
+    """Positions of paths, those that change more the more often, and how many each represents.
 
     Systematic sampling with probabilities in proportion to `size` [N], at most one.
     """

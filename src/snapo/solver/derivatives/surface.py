@@ -1,8 +1,8 @@
 """The value around a trained policy, as a quadratic surface in a few coordinates.
 
 The EXACT simulator is valued on fixed paths at a few dozen places around the policy. The surface
-V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is a little
-higher, and H says by how much a wrong policy would cost. Both go into the interval of every
+V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is slightly
+higher, and H measures by how much a wrong policy would cost. Both go into the interval of every
 derivative, and the policy at the top is a candidate for the one that is reported.
 
 A few coordinates of a policy, along which its value is looked at: directions of its numbers.
@@ -50,7 +50,7 @@ class Coordinates(NamedTuple):
         return shifted_policy(self.policy, position @ self.directions)
 
     def leading(self, count: int) -> "Coordinates":
-        """The first few alone."""
+        """Only the first few."""
         return self._replace(directions=self.directions[:count])
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
@@ -70,7 +70,7 @@ def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
         old = np.asarray(leaf)
         step = by[first : first + old.size].reshape(old.shape)
         new = (old.astype(np.float64) + step).astype(old.dtype)
-        # A policy may index its arrays as JAX's: they stay what they are.
+        # A policy may index its arrays as JAX's: they stay unchanged.
         after.append(jnp.asarray(new) if isinstance(leaf, jax.Array) else new)
         first += old.size
     return eqx.combine(jax.tree.unflatten(structure, after), rest)
@@ -207,7 +207,7 @@ class _Value:
 
 
 def fresh(source: Scenarios, number: int) -> Scenarios:
-    """Scenarios that nothing else uses; those of Sobol or of one's own serve as they are."""
+    """Scenarios that nothing else uses; those of Sobol or of one's own serve unchanged."""
     if not isinstance(source, Pseudo):
         return source
     return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))

@@ -10,7 +10,7 @@ the largest on a path: an adjoint that has grown beyond it is that of chaos, or 
 being left behind. No unit enters. Where gradients were far larger than they are now, Adam's memory
 of them would hold its steps down for the rest of the run: it forgets them.
 
-It is the largest of the whole horizon: where a plant comes to rest, its last steps have small
+It is the largest of the whole horizon: where a plant settles, its last steps have small
 adjoints, and a bound from them cuts off what the way there teaches. (A quadrotor at -41.5 climbed
 down to -73 so, and ends at -38.5 now.)
 
@@ -22,10 +22,10 @@ When the whole horizon is chaotic, and windows (`learning.windows`) that are not
 
 On a chaotic horizon adjoints grow a hundredfold and more on their way back, and differently on
 every path, so that a few paths drown all others: the gradient is noise however it is clipped. On a
-plant that is unstable and no more, they grow alike on all paths. It shows in the norms of the first
-gradients, which leap up and down from one step to the next, at no cost; only then the adjoints of
-some paths are measured. A window is half as long again as their largest stays near the usual one.
-No unit enters.
+plant that is unstable and no more, they grow equally on all paths. It shows in the norms of the
+first gradients, which leap up and down from one step to the next, at no cost; only then the
+adjoints of some paths are measured. A window is half as long again as their largest stays near the
+usual one. No unit enters.
 """
 
 import math
@@ -48,7 +48,7 @@ SPREAD = 10.0  # the same at the step up to which paths agree
 LONGER = 1.5  # a window over that: without, 2 of a Pendulum's first 6 seeds failed
 SHORTEST = 5
 USUAL = 5  # of the first norms, and of the last ones, whose median counts
-MANY = 64  # paths whose gradient has little noise
+MANY = 64  # paths whose gradient has low noise
 
 
 def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
@@ -67,7 +67,7 @@ def is_chaotic(norms: Sequence[float], paths: int = MANY) -> bool:
 
 
 def fell_for_good(norms: Sequence[float]) -> bool:
-    """Whether gradients fell for good: training leaves what was wild by itself."""
+    """Whether gradients fell for good: training leaves the chaotic region by itself."""
     result = np.asarray(norms, float)
     return bool(np.median(result[-USUAL:]) * GROWTH < np.median(result[:USUAL]))
 
@@ -119,7 +119,7 @@ def _agreeing(norms: np.ndarray) -> int | None:
 EARLY = 20  # steps after a beginning in which a fall of the norm counts
 APART = 100.0  # times that a norm falls or leaps: more than a trained policy's first steps do
 EVERY = 10  # steps between two measurements at first, later a tenth of all steps
-HELD = 30.0  # times that all gradients exceed the last ones; with 10 noise alone is enough
+HELD = 30.0  # times that all gradients exceed the last ones; with 10 noise is enough
 PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 FEW = 64  # of a bound, which is a median
 

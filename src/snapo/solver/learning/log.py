@@ -1,4 +1,4 @@
-"""What a training tells while it runs: `snapo.log`, callbacks that write files.
+"""What a training reports while it runs: `snapo.log`, callbacks that write files.
 
 What training chose and why, in sentences for the notes of a solution.
 """
@@ -36,7 +36,7 @@ def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Pr
 
 
 def start_notes(progress: Progress) -> tuple[str, ...]:
-    """Which start went on, and where training began anew; by how much adjoints grow, where they do,
+    """Which start went on, and where training restarted; by how much adjoints grow, where they do,
     and how training went back; the steps that broke."""
     raced = (describe(progress.raced),) if progress.raced else ()
     if progress.redrawn:
@@ -53,7 +53,7 @@ def _slowed(steps: tuple[int, ...]) -> str:
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
-        f"Training broke at {summary}, where too many paths were not finite, and went on each time "
+        f"Training broke at {summary}, where too many paths were non-finite, and went on each time "
         "from the best policy so far with a quarter of the learning rate."
     )
 

@@ -1,9 +1,9 @@
 """The settings of a training.
 
-Settings that follow the problem where they are not given: paths, steps, rates and shares.
+Settings that are chosen from the problem where they are not given: paths, steps, rates and shares.
 
-A path of many steps holds many decisions, so fewer paths tell as much; and a step of training over
-a short horizon costs little, so there is time for more of them. Work counts the products that a
+A path of many steps holds many decisions, so fewer paths are as informative; and a step of training
+over a short horizon is cheap, so there is time for more of them. Work counts the products that a
 network takes over a path: horizon times parameters. It is the same on every machine.
 
 More steps bear a higher rate, which falls to zero in the end; wider layers a lower one, since all
@@ -12,11 +12,11 @@ scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
 
 Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
 leads out of: a battery that always discharges at midnight, when it is empty. Two remedies are
-taken. A tenth of every decision is drawn at random at first, which meets what the rule does not.
-And weights decay, since nothing holds against it there: to a quarter over all steps, however many
-they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with the
-decay alone, 95.7 to 97.7 % with both; of the first five with exploration alone one earned 94.4 %.
-Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
+taken. A tenth of every decision is drawn at random at first, which visits states that the rule does
+not. And weights decay, since nothing holds against it there: to a quarter over all steps, however
+many they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with
+the decay alone, 95.7 to 97.7 % with both; of the first five with exploration alone one earned 94.4
+%. Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
 both; .45 and .48 % with a decay of .2, seven times as large.
 
 A `Choice`, `Integers` or a `Stop` decides between few values, so that where the weights begin
@@ -38,7 +38,7 @@ from snapo.problem.problem import Problem
 
 Auto = Literal["auto"]
 RATE = 0.01  # of Adam, where nothing else is chosen
-FOLLOWING = (  # what may be "auto"
+FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
 EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
@@ -46,7 +46,7 @@ EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a tr
 
 @dataclass(frozen=True)
 class Training:
-    """How a policy is trained; what is "auto" is chosen when the problem is known.
+    """How a policy is trained; an "auto" is chosen when the problem is known.
 
     - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": they follow the
       horizon and the size of the policy (below: where they are "auto").
@@ -59,8 +59,8 @@ class Training:
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
       steps ("auto": every 50, in a short training at every quarter); after `patience` validations
       without a new best the run stops (None: never).
-    - `window`: go back through windows of this many steps, after which a critic tells the worth of
-      all that comes (see `windows`); for means only.
+    - `window`: backpropagate through windows of this many steps, after which a critic gives the
+      continuation value (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`learning.conditioning`); None: never.
     - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
@@ -70,10 +70,10 @@ class Training:
     - `exploration`: the share of a decision that is drawn at random in training (see
       `learning.practice`); it falls to 0 with the temperature. 0: none. "auto": as the decay, if
       the decisions have bounds.
-    - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
+    - `starts`: so many initial weights of the policy's networks begin, and after every tenth of the
       steps the better half goes on (`solver.learning.starts`). "auto": four where `solve`
       draws them, the steps are "auto" too and a `Choice`, `Integers` or `Stop` decides; else one.
-    - `seed`: of the network's first weights and of all scenarios.
+    - `seed`: of the network's initial weights and of all scenarios.
     """
 
     steps: int | Auto = "auto"
@@ -132,7 +132,7 @@ class Training:
 
 @dataclass(frozen=True)
 class TrainingPlan(Training):
-    """A training with numbers in place of every "auto"; `automatic`: the settings that were."""
+    """A training with numbers instead of every "auto"; `automatic`: the settings that were."""
 
     steps: int = 0
     paths: int = 2
@@ -157,7 +157,7 @@ class TrainingPlan(Training):
 
     @classmethod
     def of(cls, training: Training, **numbers: Any) -> "TrainingPlan":
-        """The plan of a training, with these numbers in place of what is "auto" in it."""
+        """The plan of a training, with these numbers instead of every "auto"."""
         by_name = {field.name: getattr(training, field.name) for field in fields(training)}
         free = tuple(name for name in FOLLOWING if by_name[name] == "auto")
         available = {name: value for name, value in by_name.items() if name not in free}
@@ -183,7 +183,7 @@ COUNTS = {
 
 
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
-    """Refuses what is no finite number, or not one of those allowed: a test and its words."""
+    """Refuses what is no finite number, or not one of those allowed: a test and its text."""
     plain = isinstance(value, int | float | np.integer | np.floating)
     available = float(value) if plain and not isinstance(value, bool) else np.nan
     if not (np.isfinite(available) and allowed[0](available)):
@@ -209,7 +209,7 @@ WIDTH = 32  # of hidden layers at which it is
 MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
 LEFT = 1 / 4  # of a weight that nothing holds, after all steps
 EXPLORED = 0.1  # share of a decision
-SEVERAL = 4  # first weights, where decisions are of few values
+SEVERAL = 4  # initial weights, where decisions are of few values
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
@@ -217,7 +217,7 @@ RATED = 48_000  # the same, of the steps that the rate follows: chosen before th
 def resolve_auto(
     training: Training, problem: Problem, policy: Policy, fresh: bool = False
 ) -> TrainingPlan:
-    """The training with numbers in place of all that follows the problem.
+    """The training with numbers instead of all that is chosen from the problem.
 
     `fresh`: the policy's networks were drawn for it, so that others may be.
     """
@@ -255,8 +255,8 @@ def resolve_auto(
 
 
 def _explores(action: Actions, training: Training) -> bool:
-    """Whether a share of these decisions can be drawn, and they are many; without bounds nobody
-    knows how far, and the share falls with the temperature."""
+    """Whether a share of these decisions can be drawn, and they are many; without bounds it is not
+    known knows how far, and the share falls with the temperature."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     return action.exploration_size > MANY and bounded and training.cools
 

@@ -1,7 +1,7 @@
-"""Several starts at little cost: all begin, and after every round the better half goes on.
+"""Several starts at low cost: all begin, and after every round the better half goes on.
 
-Successive halving (Jamieson and Talwalkar 2016): starts differ in the first weights of their
-networks alone and see the same scenarios, so they are told apart by the exact value on the
+Successive halving (Jamieson and Talwalkar 2016): starts differ in the initial weights of their
+networks only and see the same scenarios, so they are distinguished by the exact value on the
 validation's paths, which all share. The last one goes on as a run of one start would.
 
 They run one after another: the paths of one start are work for all cores already, so that several
@@ -118,13 +118,13 @@ def _ranges(problem: Problem) -> tuple[float, ...]:
 
 
 ROUND = 0.1  # of the steps of a run, between two halvings: four starts cost .4 of a run more
-APART = 1.0  # percent between two starts at the same step, from which more of them are worth a try
+APART = 1.0  # percent between two starts at the same step, from which more of them should be tried
 
 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
-    """`count` untrained policies: the given one, and others with first weights of their own.
+    """`count` untrained policies: the given one, and others with initial weights of their own.
 
-    Each weight of a `Network`, or of a layer of Equinox, is drawn anew, as large as those of its
+    Each weight of a `Network`, or of a layer of Equinox, is drawn again, as large as those of its
     layer for the same feature are; numbers of one axis, such as biases, stay.
 
     **Raises:** `ValueError` where the policy has no network: its starts would all be one.
@@ -159,7 +159,7 @@ def race(
 
 
 def describe(rounds: tuple[Round, ...]) -> str:
-    """Who won a race, how far apart the starts were at equal steps, and what to try."""
+    """Who won a race, how far apart the starts were at equal steps, and remedies."""
     count, winner = len(rounds[0].values), rounds[-1].values[0][0]
     summary, furthest = [], 0.0
     for step, values in rounds:

@@ -1,19 +1,19 @@
-"""Training on windows of the horizon: short adjoints, and a critic for all that comes after.
+"""Training on windows of the horizon: short adjoints, and a critic for the time after it.
 
 Through hundreds of steps of an unstable system an adjoint grows without limit. A window cuts it,
-and a window alone is short-sighted: nothing tells its last decisions of their consequences. So
+and a window alone is short-sighted: its last decisions ignore their consequences. So
 every window but the last ends with the value of its final state,
 
     E[ outputs of the window + critic(observation at its end, share of the horizon left) ],
 
-where the critic is a network that learns by regression the worth of all later outputs under the
-present policy, from the sweep over the whole horizon that gives the windows their first states.
+where the critic is a network that learns by regression the value of all later outputs under the
+present policy, from the sweep over the whole horizon that gives the windows their initial states.
 Only an objective that is a mean of sums has such a value; others are refused.
 
-The critic: a network that tells the worth of all outputs that come after a state.
+The critic: a network that gives the value of all outputs that come after a state.
 
 It learns by least squares from whole paths of the present policy, so that it is right on average
-whatever the window; its derivative is the worth of a change of the state.
+whatever the window; its derivative is the value of a change of the state.
 """
 
 from typing import NamedTuple
@@ -42,7 +42,7 @@ _ADAM = optax.adam(RATE)
 
 
 class Critic(eqx.Module):
-    """The worth of all outputs from here on, in the units of the objective."""
+    """The value of all outputs from here on, in the units of the objective."""
 
     network: Network
     shift: Float[Array, ""]
@@ -65,7 +65,7 @@ class Learner(NamedTuple):
 
 
 def has_worth_ahead(problem: Problem) -> bool:
-    """Whether the objective is a mean of sums, what lies ahead of a state having a worth."""
+    """Whether the objective is a mean of sums, so that a state has a continuation value."""
     objective, kinds = problem.objective, problem.simulator.totals()
     return objective.linear and all(kinds.get(n, "sum") == "sum" for n in objective.outputs)
 
@@ -73,13 +73,15 @@ def has_worth_ahead(problem: Problem) -> bool:
 def learner(problem: Problem, seed: int) -> Learner:
     """A critic that knows nothing yet.
 
-    **Raises:** `ValueError` where the objective is no mean of sums, which alone has a worth ahead.
+    **Raises:** `ValueError` where the objective is no mean of sums, and only that has a
+    continuation value.
     """
     if not has_worth_ahead(problem):
         objective = problem.objective
         raise ValueError(
             "Training: window needs an objective that is a mean of outputs summed over the path; "
-            f"{type(objective).__name__} of {', '.join(objective.outputs)} has no worth ahead."
+            f"{type(objective).__name__} of {', '.join(objective.outputs)} "
+            "has no continuation value."
         )
     return blank(problem.features, seed)
 
@@ -93,12 +95,12 @@ def blank(features: int, seed: int = 0) -> Learner:
 
 
 def continuation_value(objective: Objective, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
-    """The worth of all outputs from each step on, [T, N], and which paths [N] are finite."""
+    """The value of all outputs from each step on, [T, N], and which paths [N] are finite."""
     totals = float64(rollout.totals)
     paths = next(iter(totals.values())).size
     value = np.zeros((len(jax.tree.leaves(rollout.record["state"])[0]), paths))
     for name, weight in flat_weights(objective, paths).items():
-        # An output of `terminal` alone lies ahead of every step.
+        # An output of `terminal` alone comes after every step.
         earned = float64(rollout.record["outputs"]).get(name, np.zeros(()))
         with np.errstate(invalid="ignore"):  # a path that exploded is left out below
             before = np.cumsum(earned, axis=0) - earned if earned.ndim else earned
@@ -189,7 +191,7 @@ class Windowed(Around):
 
     def terminal(self, constants, state, smooth):
         observed = self.inner.observe(constants["own"], constants["end"], state)
-        # What the horizon's end alone gives lies ahead: it is part of the critic's worth.
+        # What the horizon's end alone gives comes later: it is part of the critic's value.
         later = dict.fromkeys(self.inner.terminal(constants["own"], state, smooth), jnp.zeros(()))
         return later | {AHEAD: constants["critic"](observed, constants["left"])}
 
@@ -225,7 +227,7 @@ def sweep(
     length: int,
     step: int,
 ) -> Sweep:
-    """The first states of all windows, [T, N] a leaf, and the critic fitted anew."""
+    """The initial states of all windows, [T, N] a leaf, and the critic fitted again."""
     rollout = bound_engine.values(policy, draws, smooth, record=("state", "outputs"))
     value, valid = continuation_value(problem.objective, rollout)
     states, firsts = rollout.record["state"], starts(problem.simulator.horizon, length)
@@ -248,7 +250,7 @@ def window_adjoint(
 ) -> tuple[float, Adjoint, int]:
     """One window's objective and adjoint, and the number of bad paths.
 
-    The windows take turns, so that each call goes back through `length` steps only.
+    The windows take turns, so that each call covers `length` steps only.
     """
     horizon = problem.simulator.horizon
     firsts = starts(horizon, length)

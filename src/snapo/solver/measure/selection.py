@@ -3,7 +3,7 @@
 The values of a training's history are compared on the same few paths again and again, so that the
 highest is high by chance. The final choice is made once, on fresh paths that nothing else uses,
 with differences paired and the control variates regressed out of them. The starting rule stays
-unless another is surely better: training must not take away what a good rule was worth. The paths
+unless another is significantly better: training must not make a good rule worse. The paths
 of the reported value choose nothing.
 
 How a policy is measured: how many paths each of its numbers has.
@@ -63,7 +63,7 @@ class Evaluation:
             count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 
     def sources(self, seed: int) -> Sources:
-        """Fresh scenarios for every role, those of the evaluation as they are asked for here."""
+        """Fresh scenarios for every role, those of the evaluation as requested here."""
         fresh = Sources.of(None, seed)
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
@@ -75,12 +75,12 @@ MINIMUM = {
 
 
 class Effort(NamedTuple):
-    """How many paths the derivatives of a policy may take beside its training.
+    """How many paths the derivatives of a policy may take in addition to its training.
 
     The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
-    and more where a path is short. The numbers follow the problem and the settings alone, never a
-    clock: a run that is repeated has the same bits.
+    and more where a path is short. The numbers are chosen from the problem and the settings only,
+    never a clock: a run that is repeated has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
     """
@@ -173,7 +173,7 @@ def _selected(
     paths: int,
     engine: Engine,
 ) -> tuple[Selection, float]:
-    """The choice on so many paths, and what the starting rule is worth on them."""
+    """The choice on so many paths, and the value of the starting rule on them."""
     controls = problem.simulator.control_variates()
     names = list(candidates)
 

@@ -1,8 +1,8 @@
-"""The bound from above of any stopping problem, with nothing asked of its user.
+"""The bound from above of any stopping problem, without input from its user.
 
-The inner problem is to stop best in hindsight, with any number of rights (Rogers 2002; Haugh and
-Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each decision is
-charged the surprise in its earnings and in a fitted value of what is left afterwards. Their
+The inner problem is to stop best with perfect foresight, with any number of rights (Rogers 2002;
+Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each
+decision is charged the innovation in its earnings and in a fitted continuation value. Their
 expectations come from nested draws of one step: points of low discrepancy, shifted at random
 for every path and step, so that they are unbiased and their noise is small (Andersen and Broadie
 2004 draw at random, and many steps).
@@ -39,11 +39,11 @@ class StopRelaxation:
     """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
     nested draws of every path and step.
 
-    **Raises:** `NotStopping` where the problem has no such bound; it says why.
+    **Raises:** `NotStopping` where the problem has no such bound, with the reason.
     """
 
     terms = 1
-    description = "the surprises of a fitted value of the rights"
+    description = "the innovations of a fitted value of the rights"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
@@ -64,7 +64,7 @@ class StopRelaxation:
         with jax.enable_x64(True):
             ahead = self._end(rollout.state)
             for earned, innovation in zip(earnings[::-1], innovations[::-1]):
-                # `better` adds the worth of what is left to what a decision earns less its penalty.
+                # `better` adds the continuation value to what a decision earns less its penalty.
                 ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]
 
@@ -77,8 +77,8 @@ class StopRelaxation:
         return scale[0] * result
 
     def _table(self, rollout: Rollout, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
-        """[T, N, rights + 1, 2] twice: every decision's earnings, and the surprise in them and in
-        the value of what is left."""
+        """[T, N, rights + 1, 2] twice: every decision's earnings, and the innovation in them and in
+        the continuation value."""
         for available, earnings, innovations in self._kept:
             if available is rollout:
                 return earnings, innovations
@@ -93,7 +93,7 @@ class StopRelaxation:
         return earnings, innovations
 
     def _compiled(self) -> tuple[Callable, Callable]:
-        """What every step computes on all paths, and what the last states earn."""
+        """The computations of every step on all paths, and the earnings of the terminal states."""
         problem, schedule, resolved, last = (
             self.decisions,
             self.schedule,
@@ -102,7 +102,7 @@ class StopRelaxation:
         )
 
         def value_at(t, state):
-            """The value at step t, or of the last state."""
+            """The value at step t, or of the terminal state."""
             return jax.lax.cond(
                 t == last,
                 lambda: problem.end(schedule, state),
@@ -110,7 +110,7 @@ class StopRelaxation:
             )
 
         def decided(t, state, noise):
-            """[rights + 1, 2] of every decision: its earnings, and with what is left after it."""
+            """[rights + 1, 2] of every decision: its earnings, and with the continuation value."""
             after, earnings = problem.step(schedule, t, state, noise)
             ahead = value_at(t + 1, after)
             left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)
@@ -142,7 +142,8 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
 
 
 class Relaxation(Protocol):
-    """The inner problem of a simulator: best decisions of one path in hindsight, penalised.
+    """The inner problem of a simulator: best decisions of one path with perfect foresight,
+    penalised.
 
     - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
     - `description`: the penalty in a phrase, for a report.
@@ -155,7 +156,7 @@ class Relaxation(Protocol):
     def description(self) -> str: ...
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
+        """[N] the most that each path can add to the objective, or more; penalties subtracted.
 
         `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
         paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
@@ -179,14 +180,14 @@ UNKNOWN = "its simulator has no method `relaxation` and is no stopping problem; 
 
 
 def bounded(problem: Problem) -> bool:
-    """Whether `relaxation_of` knows one, as far as can be told without work."""
+    """Whether `relaxation_of` knows one, as far as that is known without work."""
     return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
 
 
 def relaxation_of(problem: Problem) -> Relaxation:
     """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
 
-    **Raises:** `ValueError` where there is none; it says why.
+    **Raises:** `ValueError` where there is none, with the reason.
     """
     if isinstance(problem.simulator, Relaxable):
         return problem.simulator.relaxation(problem)

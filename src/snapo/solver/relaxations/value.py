@@ -1,8 +1,8 @@
 """An approximate value of a stopping problem, by regression on simulated paths.
 
-Backwards in time, the worth of waiting is fitted to the value a step later (Longstaff and
+Backwards in time, the value of waiting is fitted to the value a step later (Longstaff and
 Schwartz 2001; Tsitsiklis and Van Roy 2001), and the value is the better one of stopping and
-waiting. It is used for penalties alone: its error widens a bound, and never makes it wrong.
+waiting. It is used only for penalties: its error widens a bound, and never makes it wrong.
 
 The earnings of every decision of a stopping problem, on states that the decisions do not move.
 
@@ -27,11 +27,11 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-PATHS = 16  # on which decisions are tried, to see what they move
+PATHS = 16  # on which decisions are tried, to see which states they move
 
 
 class NotStopping(ValueError):
-    """A problem that has no bound of its own as a stopping problem; the message says why."""
+    """A problem that has no bound of its own as a stopping problem; the message has the reason."""
 
 
 class Decisions(NamedTuple):
@@ -64,7 +64,7 @@ class Decisions(NamedTuple):
         return decided(self.rights, 0.0)[0], earnings
 
     def end(self, schedule, state: PyTree) -> Array:
-        """One path: the earnings of its last state [rights + 1], by the rights left."""
+        """One path: the earnings of its terminal state [rights + 1], by the rights left."""
         terminal, constants = self.problem.simulator.terminal, schedule.constants
 
         def earned(left):
@@ -85,7 +85,7 @@ class Decisions(NamedTuple):
         return jax.tree.unflatten(tree, leaves)
 
     def earned(self, outputs: dict[str, Array]) -> Array:
-        """What outputs are worth to the objective."""
+        """The value of outputs to the objective."""
         weights = [
             weight * outputs[name] for name, weight in self.values.items() if name in outputs
         ]
@@ -217,7 +217,7 @@ def value(
 
 
 def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Float[Array, " left"]:
-    """The value of the better decision, from the worth of what is left afterwards."""
+    """The value of the better decision, from the continuation value."""
     waiting, using = earnings[:, 0] + after, earnings[1:, 1] + after[:-1]
     return jnp.concatenate([waiting[:1], jnp.maximum(waiting[1:], using)])
 

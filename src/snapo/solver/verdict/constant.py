@@ -4,7 +4,7 @@ Trainings that end at doing nothing: every path earns the same, whatever is rand
 
 A store that never buys has nothing to sell, and one that never sells has no use for what it buys:
 no gradient leads out of there, from whichever side a training got in. It is seen by validations
-that are worth the same number on every path. Training then begins anew from other first weights,
+that have the same value on every path. Training then restarts from other initial weights,
 with a part of every decision drawn at random, so that it meets what a rule that does nothing never
 sees.
 """
@@ -27,8 +27,8 @@ from snapo.problem.smooth import Exact
 from ..learning.progress import Progress, Record
 from ..learning.settings import TrainingPlan
 
-MAXIMUM = 3  # times that a training begins anew
-DRAWN = 0.3  # of every decision, at random, in one that began anew
+MAXIMUM = 3  # times that a training restarts
+DRAWN = 0.3  # of every decision, at random, in one that restarted
 LAST = 0.5  # of the steps: later on too few are left
 NONE = 1e-9  # of a total: a difference that is round-off
 
@@ -46,7 +46,7 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 
 
 def caught(progress: Progress, training: TrainingPlan) -> bool:
-    """Whether training should begin anew: the last two validations say that it does nothing."""
+    """Whether training should restart: the last two validations say that it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
 
@@ -60,12 +60,12 @@ def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
 
 
 def describe_idle(steps: Sequence[int], history: Sequence[Record]) -> str:
-    """One sentence on the steps at which training began anew."""
+    """One sentence on the steps at which training restarted."""
     *first, last = map(str, steps)
     where = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     value = history[steps[0] - 1].exact
     return (
-        f"Training began anew from other first weights at {where}, since every path earned the "
+        f"Training restarted from other initial weights at {where}, since every path earned the "
         f"same ({value:,.6g})."
     )
 
@@ -82,7 +82,7 @@ def idle_advice(value: float) -> str:
 SAME = 1e-3  # of the width of its set, or of its size: a decision that varies less never changes
 CORNERS = 4  # constant decisions at the limits that are tried at most
 TOLD = 3  # decisions that are named at most
-LONG = 6  # numbers that are told at most
+LONG = 6  # numbers that are listed at most
 
 
 class ConstantDecision(NamedTuple):
@@ -187,7 +187,7 @@ def constant_baselines(action: Actions, actions: np.ndarray) -> list[np.ndarray]
 
 
 def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarray]:
-    """The extreme values of one decision; its mean where they are not finite or not known."""
+    """The extreme values of one decision; its mean where they are non-finite or not known."""
     low, high = (bound[group] for bound in action.bounds())
     if len(group) == 1:
         return [low, high] if np.isfinite(high - low).all() else [mean[group]]
@@ -197,7 +197,7 @@ def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarra
 
 
 def numbers_text(numbers: np.ndarray) -> str:
-    """The numbers of a decision in words."""
+    """The numbers of a decision as text."""
     if numbers.size > LONG:
         return f"{numbers.size} numbers"
     return ", ".join(f"{number:.4g}" for number in numbers)

@@ -1,8 +1,8 @@
-"""How a training ended, in one word, and what speaks against its result.
+"""How a training ended, in a word, and reasons to distrust its result.
 
-"trained" only says that all steps were taken. Here the policy is compared with the untrained one,
+"trained" only means that all steps were taken. Here the policy is compared with the untrained one,
 with that of halfway and with constant decisions on the same paths, in kernels that are there
-already. "converged" has to be earned: where nothing tells, the word is "too short to tell".
+already. "converged" has to be earned: without evidence, the word is "too short to tell".
 """
 
 from collections.abc import Iterable
@@ -40,7 +40,7 @@ from .further import Further, compared_step, ends_for_good, restless, times_of, 
 CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
 SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
-UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # words that a bound may make CONVERGED
+UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # verdicts that a bound may make CONVERGED
 DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
 SIGNIFICANT = 2.0  # standard errors of a gain
 OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
@@ -55,7 +55,7 @@ STILL, TELLS_NOT, NOTHING = "Still improving: ", "Too short to tell ", "Training
 
 
 class Ending(NamedTuple):
-    """The word, and sentences that say what a reader of the value must know, and what to try."""
+    """The word, and sentences on the limits of the value and on remedies."""
 
     word: str
     notes: tuple[str, ...] = ()
@@ -98,10 +98,10 @@ def ending(
     """How training ended, by the exact simulator on paths of the evaluation; a training that
     broke off has notes and no word.
 
-    A rule that breaks a limit of the problem, and more than the trained one does, is no rival.
+    A rule that breaks a limit of the problem, and more than the trained one does, is no baseline.
 
     - `progress`: its `best` is the policy that is reported; `training`: with numbers for all that
-      follows the problem.
+      is chosen from the problem.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
     - `held_paths`: of the held derivatives; 0 leaves out what needs decisions.
     - `decisions` [T, held_paths, A] of that policy there, where they were recorded before.
@@ -163,7 +163,7 @@ def without_advice(notes: Iterable[str]) -> list[str]:
 
 UNMOVED_ADVICE = (
     f"{NOTHING}over the network that was drawn at random: try more steps, another "
-    "learning_rate, wider starting states or features that tell states apart."
+    "learning_rate, wider starting states or features that distinguish states."
 )
 
 
@@ -175,7 +175,8 @@ def _further(
     over_start: "Gain",
     engine: Engine,
 ) -> Further:
-    """The gain over the policy of halfway, on more paths until they tell, and what it means.
+    """The gain over the policy of halfway, on more paths until they are significant, and its
+    meaning.
 
     Within limits it counts at their prices: a policy that breaks one is no worse a measure.
     """
@@ -207,7 +208,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why nobody can tell whether a training has ended; empty where it has."""
+    """Why it is not known whether a training has ended; empty where it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:
@@ -323,7 +324,8 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
 
 
 def _unpriced(problem: Problem) -> Problem:
-    """With the outputs of its limits beside those of its objective, as kernels have them."""
+    """With the outputs of its limits in addition to those of its objective, as kernels have
+    them."""
     return problem.priced([0.0] * len(problem.constraints))
 
 

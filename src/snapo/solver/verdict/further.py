@@ -2,11 +2,11 @@
 
 What more steps would bring: the gain of the second half of a training, extrapolated.
 
-A training's rate rises in the warm-up and falls to zero, so that late steps change little whether
+A training's rate rises in the warm-up and falls to zero, so that late steps hardly change whether
 or not there is something left to gain. Gains are therefore seen over the sum of the rates, the way
 that a training can go, and not over its steps. Along it the shortfall falls like one over the way:
 a training of a cosine whose second half gained 1 would gain 2.25 with as many steps again. Eight
-problems of known course were between 1 and 4.
+problems with a known optimum were between 1 and 4.
 
 Whether a decision acts as one of when to stop, although it is not written with `Stop`.
 """
@@ -30,8 +30,8 @@ from ..learning.settings import TrainingPlan
 
 def ends_for_good(problem: Problem) -> bool:
     """Whether one extreme of the only decision takes a flag of the state from 1 to 0, or from 0 to
-    1, for good, and the other one leaves it alone: an option that is exercised, a plant that is
-    closed. From the first state, with all noise zero.
+    1, for good, and the other one leaves it unchanged: an option that is exercised, a plant that is
+    closed. From the initial state, with all noise zero.
     """
     extremes = _extremes(problem.action)
     if extremes is None:
@@ -70,7 +70,7 @@ def _numbers(state) -> list[np.ndarray]:
 
 
 def _is_flag(first, gone_on, stopped, *later) -> bool:
-    """Whether a number of the state is 0 or 1, changes by a stop alone, and never again."""
+    """Whether a number of the state is 0 or 1, changes only by a stop, and never again."""
     if first.size != 1 or first.item() not in (0.0, 1.0):
         return False
     selected = gone_on == first and all(item == stopped for item in later)
@@ -79,10 +79,10 @@ def _is_flag(first, gone_on, stopped, *later) -> bool:
 
 SIGNIFICANT = 2.0  # standard errors
 SHARE = 0.01  # of the size: as many steps again would bring more
-UNSURE = 0.03  # of the size: two errors above this tell nothing
-WARMUPS = 5  # a training of fewer warm-ups than this tells nothing
+UNSURE = 0.03  # of the size: two errors above this are inconclusive
+WARMUPS = 5  # a training of fewer warm-ups than this is inconclusive
 SETTLED = 2.0  # times its noise: a gradient norm below it may be that of an optimum
-MATTERS = 0.001  # of the size: what a gradient could bring over the way of the second half
+MATTERS = 0.001  # of the size: the gain of a gradient step of the length of the second half
 
 
 class Further(NamedTuple):
@@ -104,7 +104,7 @@ class Further(NamedTuple):
 
     @property
     def improving(self) -> bool:
-        """Whether that is much, and sure."""
+        """Whether that is much, and significant."""
         return self.late > SIGNIFICANT * self.late_error and self.more > SHARE * self.size
 
     @property
@@ -115,7 +115,7 @@ class Further(NamedTuple):
 
 
 def compared_step(progress: Progress, training: TrainingPlan) -> int:
-    """The step of `Progress.halfway`, or that at which training began anew since."""
+    """The step of `Progress.halfway`, or that at which training restarted since."""
     marks = [training.steps >> k for k in range(training.steps.bit_length())]
     reached = [mark for mark in marks if mark <= progress.step]
     began = progress.redrawn[-1] if progress.redrawn else 0
@@ -133,14 +133,14 @@ def times_of(progress: Progress, training: TrainingPlan) -> float:
 
 
 def too_short(training: TrainingPlan, step: int) -> bool:
-    """Whether so many steps tell nothing: the warm-up is a large part of them."""
+    """Whether so many steps are inconclusive: the warm-up is a large part of them."""
     return step < WARMUPS * training.warmup
 
 
 def restless(norm: float, noise: float, path: float, size: float) -> bool:
     """Whether the policy's gradient is surely not zero, and could still bring something.
 
-    Without noise nothing says so: at a bend of the smooth value it is not zero either.
+    Without noise nothing shows it: at a bend of the smooth value it is not zero either.
     """
     available = np.isfinite([norm, noise]).all() and noise > 0
     return bool(available and norm > SETTLED * noise and norm * path > MATTERS * size)
@@ -153,7 +153,7 @@ def _way(training: TrainingPlan, step: int) -> float:
 
 
 NEAR = 0.005  # of the bound: nothing is left that a longer training should look for
-USEFUL = 0.05  # of the bound: one that leaves more room tells nothing of a training
+USEFUL = 0.05  # of the bound: one that leaves more room is no evidence on a training
 
 
 class Room(NamedTuple):
