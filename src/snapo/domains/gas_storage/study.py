@@ -73,7 +73,7 @@ def lines(case: StorageCase) -> list[str]:
 
 
 def study(case: StorageCase, options: Options) -> Study:
-    """All parts of a run; of a contract without a decision left, its value alone."""
+    """All parts of a run; of a contract without a decision left, only its value."""
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
@@ -122,7 +122,7 @@ class _Prepared:
 
 
 def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
-    """Known before any work: title, units, dates, notes, curve, and the words of the inputs."""
+    """Known before any work: title, units, dates, notes, curve, and the metadata of the inputs."""
     notes = ["No decision day is left."] if problem is None else []
     about = {
         "title": case.title,

@@ -13,7 +13,7 @@ SPAN = 10
 
 @dataclass(frozen=True)
 class ReportedInput:
-    """All that an input says about itself; see `snapo.problem.inputs.Input`.
+    """The metadata of an input; see `snapo.problem.inputs.Input`.
 
     `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
     """
@@ -36,7 +36,7 @@ class StorageRun(RunFiles):
     """A run folder with the units of the contract."""
 
     def input_number(self, name: str, unit: str = "") -> ReportedInput:
-        """All that the input `name` says about itself; a move of one unit where it says nothing."""
+        """The metadata of the input `name`; a move of one unit where it has none."""
         result = self.get("inputs", {}).get(name, {})
         move, factor = result.get("move") or 1.0, result.get("trade_factor") or 1.0
         plain = unit if unit not in ("", "1") else "unit"
