@@ -1,5 +1,6 @@
 """The study of a storage case: the parts of a run, and the headline of its result."""
 
+from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +18,7 @@ from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
 from .chapters.position import POSITION
 from .chapters.risk import SHADOW_PRICES
+from .chapters.run import InputEntry
 from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .contract.records import GasMarket, StorageCase
@@ -143,14 +145,16 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
     if problem is None:
         return about
     inputs = {
-        name: {
-            "words": item.meaning,
-            "group": item.group,
-            "unit": item.unit,
-            "move": item.move,
-            "trade_unit": item.display_unit,
-            "trade_factor": item.display_factor,
-        }
+        name: asdict(
+            InputEntry(
+                words=item.meaning,
+                group=item.group,
+                unit=item.unit,
+                move=item.move,
+                trade_unit=item.display_unit,
+                trade_factor=item.display_factor,
+            )
+        )
         for name, item in problem.inputs_by_name.items()
     }
     forward = case.market.forward_curve.used()[: len(case.days)]
