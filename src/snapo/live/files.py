@@ -1,4 +1,4 @@
-"""A case as it stands in files: its tables and the text of every file beside it, in memory."""
+"""A case in files: its tables and the text of every file next to it, in memory."""
 
 import csv
 import datetime
@@ -131,7 +131,8 @@ def _with_cell(files: Files, cell: SheetCell, numbers: Mapping[str, float]) -> S
     """A sheet with another number in a cell, or a row for each label where they differ."""
     sheet = files.sheets.get(cell.file)
     if sheet is None or cell.line not in sheet.lines:
-        raise CaseError(cell.file, "", None, "numbers can be changed in a CSV beside the case only")
+        message = "only numbers in a CSV next to the case can be changed"
+        raise CaseError(cell.file, "", None, message)
     at, column = sheet.lines.index(cell.line), sheet.header.index(cell.column)
     row = sheet.rows[at]
     if len(set(numbers.values())) == 1:

@@ -163,7 +163,7 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: of the run; `anew`: makes that of another case.
+    - `study`: of the run; `rebuild`: makes that of another case.
     - `slopes`: {input: d value / d number, flat}; empty where none are known.
     """
 
@@ -182,13 +182,13 @@ class WhatIf:
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another, of what is shown at these numbers and choices.
+        """(name, table) one after another, of the page's tables at these numbers and choices.
 
         **Raises:** `CaseError` where the case's own reader refuses them.
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """(name, table) of what can wait until the hand rests, after all of `stages`."""
+        """(name, table) of the tables that can wait until the hand rests, after all of `stages`."""
         yield from ()
 
     @cached_property
@@ -203,11 +203,11 @@ class WhatIf:
 
     @abstractmethod
     def counted(self) -> dict[str, int]:
-        """Numbers of paths: of the "value", and what else there is."""
+        """Numbers of paths: of the "value", and of other tables."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Keys of `[evaluation]` with which `snapo solve` finds what is shown."""
+        """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
     def source(self, name: str) -> str:
         """Where the run's reported derivative comes from; "" where it does not say."""
@@ -246,7 +246,7 @@ class WhatIf:
         return news
 
     def files(self, values: InputValues, selected: SelectedChoices = NONE) -> Files:
-        """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
+        """The files of the case with these numbers, so that `snapo solve` reproduces the page."""
         files = self.case_at(values, selected).files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {})) | self.settings()
         return files.with_value(("evaluation",), table)
@@ -310,7 +310,7 @@ class Recalculation(WhatIf):
         }
 
     def _by_handle(self, row: dict[str, Any]) -> dict[str, Any]:
-        """Derivatives by what is moved together."""
+        """Derivatives with respect to numbers that move together."""
         numbers = [item["value"] for item in row["rows"]]
         rows = [
             {"label": label, "value": sum(numbers[i] for i in at), **EXACT}

@@ -76,7 +76,7 @@ def open_page(
             subject = f"this machine cannot be listened to there ({error.strerror})"
             raise CaseError("--port", "", port, subject) from None
         progress(f"the page is at {server.address}")
-        progress("it is for this machine alone; Ctrl-C ends it")
+        progress("it is for this machine only; Ctrl-C ends it")
         if browser:
             webbrowser.open(server.address)
         try:

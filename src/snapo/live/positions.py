@@ -24,12 +24,12 @@ from snapo.problem.inputs import Input
 from .files import Files, Key, Sheet, numbers_in, with_numbers
 
 Put = Callable[[Files, np.ndarray], Files]
-Guess = tuple[tuple[int, int], Put]  # the smaller, the likelier
-SAME, NEW, LIKE = 0, 1, 2  # the numbers stand there; a new key; as many numbers stand there
+Guess = tuple[tuple[int, int], Put]  # the smaller, the more likely
+SAME, NEW, LIKE = 0, 1, 2  # the numbers are there; a new key; as many numbers are there
 
 
 def guesses(files: Files, name: str, values: Input) -> list[Put]:
-    """Every guess, the likelier first."""
+    """Every guess, the most likely first."""
     results = [
         *_keys(files, name, values),
         *_rows(files, name, values),
@@ -45,7 +45,7 @@ def _words(name: str) -> set[str]:
 
 
 def _alike(name: str, key: Key) -> int:
-    """Minus the number of words that a way shares with a name."""
+    """Minus the number of terms that a path of keys shares with a name."""
     return -len(_words(name) & {word for part in key for word in str(part).split("_")})
 
 
@@ -83,7 +83,7 @@ def _keys(files: Files, name: str, values: Input) -> Iterator[Guess]:
             continue
         texts, shape = _texts(value), np.shape(value)
         if numbers.ndim == 1 and values.value.shape == (numbers.size, numbers.size):
-            numbers, shape = np.diag(numbers), values.value.shape  # a list that stands for a matrix
+            numbers, shape = np.diag(numbers), values.value.shape  # a list in place of a matrix
         if numbers.size != values.value.size:
             continue
         rank = SAME if _fits(numbers, texts, values) else LIKE
@@ -270,7 +270,7 @@ class ChangedCase(NamedTuple):
 class InputPositions:
     """The places of a case's inputs; one that its reader did not record is looked for when needed.
 
-    - `of`: gives the inputs of a case by name, where the domain says them; else they are found
+    - `of`: gives the inputs of a case by name, where the domain gives them; else they are found
       among its records.
     - `case`: the records, where they are read already.
     """
@@ -331,7 +331,7 @@ class InputPositions:
         numbers = self._numbers(case)
         for name, requested in values.items():
             if name not in numbers or not np.array_equal(numbers[name].ravel(), requested.ravel()):
-                raise CaseError(name, "", None, "the case does not hold this number as it is")
+                raise CaseError(name, "", None, "the case does not contain this number unchanged")
         return ChangedCase(files, case)
 
     def writer(self, name: str) -> Put | None:
@@ -372,7 +372,7 @@ class InputPositions:
 
 
 def _little_moved(values: Input, step: float) -> np.ndarray:
-    """The numbers of an input, a little larger or smaller; the same within a month of days."""
+    """The numbers of an input, slightly larger or smaller; the same within a month of days."""
     value = values.value
     if np.any(value):
         return value * (1 + step)

@@ -13,7 +13,7 @@ Hear = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class WorkerProcess:
-    """One worker process. Its last state is kept for pages that come later."""
+    """One worker process. Its latest state is kept for pages that come later."""
 
     def __init__(self, command: Sequence[str], hear: Hear):
         self.command, self.hear = command, hear
@@ -79,7 +79,7 @@ class WorkerProcess:
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LONGEST_LINE,
             start_new_session=True,  # Ctrl-C is for the server, which ends this one
         )  # fmt: skip
-        if self._closed:  # while the process began, so that nobody could kill it
+        if self._closed:  # while the process began, so that it could not be killed
             self._kill()
         assert self.process.stdout is not None
         async for line in self.process.stdout:

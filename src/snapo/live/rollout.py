@@ -19,7 +19,7 @@ from snapo.study.chapters.profile import KINDS
 from snapo.study.study import Setup
 
 FEWEST, MAXIMUM = 1024, 12288  # paths of the value: as many as its error needs
-ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
+ENOUGH = 0.0012  # standard error over value; at moved inputs it may be slightly larger
 DELTA_PATHS, FAN_PATHS = 1024, 1024
 MAX_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
 
@@ -38,10 +38,10 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
-        """As many paths as a run's own error says that the value needs, and no more than it had.
+        """As many paths as the value needs by the run's own error, and no more than it had.
 
-        `numbers`: of the course of one path; a wide one has fewer paths, so that an answer comes
-        in time.
+        `numbers`: of the trajectory of one path; a wide one has fewer paths, so that an answer
+        comes in time.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
@@ -50,7 +50,7 @@ class PathCounts(NamedTuple):
         return cls.of(paths, evaluation.sensitivity_paths)
 
 
-MAX_RECORDED = 2048  # paths of one call of the engine: their course is held at once
+MAX_RECORDED = 2048  # paths of one call of the engine: their trajectories are in memory at once
 
 
 class Simulated(NamedTuple):
@@ -69,7 +69,7 @@ class Simulated(NamedTuple):
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
     """Every path once, where its totals have the same bits whatever is recorded; else apart.
 
-    All of a path's course is recorded whoever asks: another record would be compiled anew.
+    The complete trajectory is always recorded: another record would be compiled again.
     """
     problem, engine = setup.problem, setup.engines.evaluate
     source, bound = problem.sources.evaluation, engine.bind(problem)
@@ -98,7 +98,7 @@ def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
 
 
 def numbers_of_a_path(problem: Problem) -> int:
-    """How many numbers the course of one path has: states, actions and outputs of all steps."""
+    """How many numbers the trajectory of one path has: states, actions and outputs of all steps."""
     simulator, available = problem.simulator, problem.schedule  # made here, outside of the trace
 
     def step(noise, first, action):

@@ -40,7 +40,7 @@ def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     """Everything that the page shows, one number in each row, under `HEADER`.
 
     `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen". A derivative
-    has the limits of its interval in place of a standard error.
+    has the limits of its interval instead of a standard error.
     """
     yield HEADER
     for row in _numbers(tables):
@@ -99,7 +99,7 @@ KEPT = ("chosen", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
-    """Something that the page asked for and does not get; the message says why."""
+    """Something that the page asked for and does not get; the message has the reason."""
 
 
 class SavedScenarios:
@@ -114,7 +114,7 @@ class SavedScenarios:
         return sorted((item for item in results if item), key=lambda entry: entry["made"])
 
     def keep(self, name: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
-        """Keeps a scenario under a name, in place of one of the same name; returns its id.
+        """Keeps a scenario under a name, instead of one of the same name; returns its id.
 
         **Raises:** `Refused` for a name that is none.
         """
@@ -138,7 +138,7 @@ class SavedScenarios:
     def folder_of(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
-        **Raises:** `Refused` for an id that is none: no path leads out of the run.
+        **Raises:** `Refused` for an id that is none: no path is outside the run.
         """
         if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")
@@ -159,7 +159,7 @@ class SavedScenarios:
         return csv_of(page_rows(record))
 
     def table(self) -> str:
-        """All scenarios side by side as CSV: values, changes, and what was moved."""
+        """All scenarios side by side as CSV: values, changes, and the moved inputs."""
         return csv_of(_compared(self.all()))
 
 

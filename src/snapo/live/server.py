@@ -102,7 +102,7 @@ class Downloads:
             return _download(zipped(Path(made), "case"), "application/zip", "case.zip")
 
     def _asked(self, request: web.Request) -> tuple[str, Mapping[str, Any]]:
-        """The place in an address, and what is shown there."""
+        """The place in an address, and its document."""
         at = request.match_info["at"]
         if at == "run":
             return at, self.workers.state.get("base") or {}
@@ -129,18 +129,18 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def new_token() -> str:
-    """256 random bits, as they stand in an address."""
+    """256 random bits, as text for an address."""
     return secrets.token_urlsafe(32)
 
 
 def guard(token: str, port: Callable[[], int]):
-    """The middleware that refuses everybody else, and tells the browser what the page may do."""
+    """The middleware that refuses everybody else, and sends the browser the page's permissions."""
 
     @web.middleware
     async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
         names = [f"{name}:{port()}" for name in NAMES]
         if request.headers.get("Host") not in names:
-            raise web.HTTPForbidden(text="This server is for this machine alone.")
+            raise web.HTTPForbidden(text="This server is for this machine only.")
         first = request.path.lstrip("/").partition("/")[0]
         if not hmac.compare_digest(first.encode(), token.encode()):
             raise web.HTTPForbidden(text="The address has no token, or a wrong one.")
@@ -174,7 +174,7 @@ ASKED = ("values", "chosen")
 class Server:
     """One run, one worker, any number of pages.
 
-    - `about`: the run as its files tell it; `worker`: the command that starts the calculation.
+    - `about`: the run, from its files; `worker`: the command that starts the calculation.
     """
 
     def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
@@ -193,7 +193,7 @@ class Server:
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Listens on this machine alone. **Raises:** `OSError` where the port is taken."""
+        """Listens on this machine only. **Raises:** `OSError` where the port is taken."""
         checked, harden = guard(self.token, lambda: self.port)
         app = web.Application(middlewares=[checked], client_max_size=LONGEST)
         app.on_response_prepare.append(harden)
@@ -231,7 +231,7 @@ class Server:
     # Pages.
 
     async def socket(self, request: web.Request) -> web.WebSocketResponse:
-        """One page, as long as it is open."""
+        """One page, while it is open."""
         socket = web.WebSocketResponse(max_msg_size=LONGEST, heartbeat=30)
         await socket.prepare(request)
         name = f"p{next(self._numbers)}"
@@ -252,7 +252,7 @@ class Server:
         return socket
 
     async def _order(self, page: str, text: str) -> None:
-        """One wish of a page; one that is none is answered, and harms nobody."""
+        """One wish of a page; one that is none is answered, and has no effect."""
         n = -1
         try:
             order = json.loads(text)
@@ -336,7 +336,7 @@ class Server:
 
 
 def _values(inputs: Any) -> dict[str, list[float]]:
-    """{input: numbers} of a message; whether they suit the case, the case's reader says."""
+    """{input: numbers} of a message; the case's reader decides whether they suit the case."""
     if not isinstance(inputs, dict):
         raise Refused("a move is a table of inputs")
     values, size = {}, 0
@@ -356,9 +356,9 @@ def _values(inputs: Any) -> dict[str, list[float]]:
 
 
 def _chosen(values: Any) -> dict[str, str | bool]:
-    """{key: another value} of a message; whether the case can have it, its reader says."""
+    """{key: another value} of a message; its reader decides whether the case can have it."""
     if not isinstance(values, dict) or len(values) > MAX_CHOICES:
-        raise Refused("choices are a table of words and switches")
+        raise Refused("choices are a table of texts and switches")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
             raise Refused(f"{name[:60]}: a choice is a word or a switch")

@@ -47,7 +47,7 @@ def _days(labels: tuple[str, ...]) -> bool:
 
 
 def described(name: str, entry: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
-    """An input for the page: all that is said about it, its numbers, and d value / d number, where
+    """An input for the page: its metadata, its numbers, and d value / d number, where
     that is known."""
     factor, trade_unit = own_unit(entry)
     return {
@@ -67,9 +67,9 @@ def described(name: str, entry: Input, slope: np.ndarray | None, source: str) ->
 
 
 def own_unit(entry: Input) -> tuple[float, str]:
-    """How many units in which its owner thinks make one unit of the input, and their name; 1 and ""
+    """How many units that its user prefers make one unit of the input, and their name; 1 and ""
     where the field on the page has the input's own."""
-    # A temperature's other units have another zero, which a factor does not tell.
+    # A temperature's other units have another zero, which a factor does not express.
     if not entry.display_unit or entry.unit == "K":
         return 1.0, ""
     return entry.display_factor, entry.display_unit
@@ -111,7 +111,7 @@ class Deltas(NamedTuple):
         """The derivative along a direction of an input, with its 95 % interval; `by`: a bump.
 
         What the run knows of its policy's error, and of a reaction that held derivatives miss,
-        stands as it is at the run's inputs.
+        is that at the run's inputs.
         """
         now, before = self.now[name], self.before.get(name)
         available = self.table is not None and name in self.table.inputs
@@ -169,9 +169,9 @@ MAXIMUM = 6  # moved inputs that are tried one by one
 def no_value(
     moved: Mapping[str, np.ndarray], inputs: Mapping[str, Input], invalid: int, paths: int
 ) -> CaseError:
-    """The refusal of `moved` inputs with which `invalid` of so many `paths` are not finite."""
+    """The refusal of `moved` inputs with which `invalid` of so many `paths` are non-finite."""
     if not moved:
-        message = f"{_share(invalid, paths)} come to no finite total, so there is no value"
+        message = f"{_share(invalid, paths)} have no finite total, so there is no value"
         return CaseError("this choice", "", None, message)
     errors = [_no_value(name, inputs[name], new, invalid, paths) for name, new in moved.items()]
     first, *others = errors
@@ -183,7 +183,7 @@ def _no_value(name: str, values: Input, new: np.ndarray, invalid: int, paths: in
     i = int(where[np.argmax(np.abs(new.ravel() - values.value.ravel())[where])])
     message = (
         "allowed is a number with which the simulator can calculate, such as the run's "
-        f"{_said(values, values.value, i)}: here {_share(invalid, paths)} come to no finite "
+        f"{_said(values, values.value, i)}: here {_share(invalid, paths)} have no finite "
         "total, so there is no value"
     )
     position = values.names()[i] if new.size > 1 else ""
@@ -203,7 +203,7 @@ def _said(inputs: Input, values: np.ndarray, i: int) -> str:
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
-    """What ended a calculation: the user's own `module`, named as theirs with its words; or ours.
+    """What ended a calculation: the user's own `module`, named as theirs with its message; or ours.
 
     `moved`: names of the inputs and choices that differ from the run's.
     """
@@ -218,7 +218,7 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
         return f"snapo could not calculate this{at}, by a mistake of its own: {text}."
     code, line = frames[-1]
     position = f"{Path(code.co_filename).name}, line {line}, {code.co_name}"
-    return f"Your simulator stopped{at}; it says ({position}): {text}."
+    return f"Your simulator stopped{at} ({position}): {text}."
 
 
 def _of(name: str, module: str) -> bool:

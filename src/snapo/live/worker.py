@@ -1,7 +1,7 @@
 """The process that computes: moves come in as lines of JSON, tables go out as lines of JSON.
 
 It is apart from the server, so that a page answers while it works, and outlives it. Of the moves of
-one page only the newest is worth an answer: a newer one ends the work on the one before.
+one page only the newest is answered: a newer one ends the work on the one before.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def open_run(
     return Valuation(study, solution, positions, counts, rebuild)
 
 
-REST = 0.4  # seconds without an order, after which what can wait is computed
+REST = 0.4  # seconds without an order, after which the delayed tables are computed
 
 
 class Post:
@@ -196,7 +196,7 @@ def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any
 
 
 def in_words(error: CaseError) -> str:
-    """A refusal for the page: the case was written to a folder that its owner has not seen."""
+    """A refusal for the page: the case was written to a folder that its user does not know."""
     return " ".join(_short(item) for item in (error, *error.others))
 
 
@@ -213,7 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--paths", type=int)
     options = parser.parse_args(arguments)
-    # What a user's code prints must not stand between the lines of the answers.
+    # Output of a user's code must not appear between the lines of the answers.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     post = Post(out)

@@ -1,4 +1,4 @@
-"""Whether the files of a run are still what was written: checksums, kept in run.json."""
+"""Whether the files of a run are unchanged: checksums, saved in run.json."""
 
 import hashlib
 import json
@@ -11,7 +11,8 @@ Stamps = dict[str, tuple[int, int, int]]
 
 
 def stamps(folder: Path) -> Stamps:
-    """What tells, without reading it, that a file of the folder or of its parts is another one."""
+    """The inode, time and size of every file of the folder and of its parts, none of which is
+    read."""
     table: Stamps = {}
     for item in (*folder.glob("*"), *folder.glob("parts/*")):
         if item.is_file() and item.suffix != ".partial":
@@ -22,14 +23,15 @@ def stamps(folder: Path) -> Stamps:
 
 
 def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[str, str]:
-    """{name: checksum} of the files that are new or another since `before`, but for some."""
+    """{name: checksum} of the files that are new or changed since `before`, except those
+    `apart`."""
     now = stamps(folder)
     names = [name for name in now if now[name] != before.get(name) and name not in apart]
     return {name: checksum((folder / name).read_bytes()) for name in sorted(names)}
 
 
 def changed_files(folder: Path, files: Any) -> list[str]:
-    """Those of {name: checksum} that are gone, or not what was written."""
+    """Those of {name: checksum} that are missing or were changed."""
     available = files if isinstance(files, Mapping) else {}
     return [
         name for name, requested in available.items() if not _same(folder / str(name), requested)
@@ -49,13 +51,14 @@ def checksum(content: bytes) -> str:
 
 
 def sealed(record: Mapping[str, Any]) -> str:
-    """A record as the text of its file, which tells whether it was changed."""
+    """A record as the text of its file, with a checksum that shows a change."""
     bare = {key: value for key, value in record.items() if key != SELF}
     return json.dumps({**bare, SELF: _seal(bare)}, indent=1)
 
 
 def is_sealed(record: Mapping[str, Any]) -> bool:
-    """Whether a record, read from its file, is what was written; one without a seal is."""
+    """Whether a record, read from its file, is unchanged; one without a checksum counts as
+    unchanged."""
     bare = {key: value for key, value in record.items() if key != SELF}
     return record.get(SELF, _seal(bare)) == _seal(bare)
 

@@ -198,7 +198,7 @@ def draw(
     **Arguments:**
 
     - `name`: unique on the page.
-    - `alt`: the chart in words, for a reader who does not see it.
+    - `alt`: a description of the chart, for a reader who does not see it.
     - `paint`: called with one `Axes` per row.
     - `height`: points; the width is always 720.
     - `rows`: relative heights of panels that share the horizontal axis.
@@ -210,7 +210,7 @@ def draw(
 def draw_alone(
     title: str, paint: Callable[..., None], size: tuple[float, float], columns: Sequence[float]
 ) -> str:
-    """A picture that stands alone, on white: one `Axes` per column; `size` in points."""
+    """A separate picture, on white: one `Axes` per column; `size` in points."""
     svg = _svg(paint, size, {"ncols": len(columns), "width_ratios": columns}, LIGHT["paper"])
     svg = _inline(svg, "picture", title).replace("var(--sans)", SANS)
     return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)

@@ -57,13 +57,13 @@ def training_history(run: RunFiles, unit: str) -> Section:
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
         "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths left out because a number was not finite: {number(count, 0)}."
+        f" last. Paths left out because of a non-finite number: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
 
 def notes(run: RunFiles) -> list[Text]:
-    """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
+    """Sentences that a reader of the value must know: paths left out, ruin, unused controls."""
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
         for item in run.result.get("notes") or ()
@@ -81,7 +81,7 @@ def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
 
 
 def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried") -> Mark | str:
-    """A mark with its word; a check that was not made says so."""
+    """A mark with its text; `undecided` for a check that was not made."""
     return undecided if passed is None else Mark(bool(passed), valid if passed else invalid)
 
 
@@ -212,11 +212,11 @@ def _parts(run: RunFiles) -> Table:
     return Table(head, rows, "Parts of this run", 3)
 
 
-MAX_SEEDS = 40  # seeds in the picture; all stand in the table
+MAX_SEEDS = 40  # seeds in the picture; the table has all
 
 
 def seeds(run: RunFiles) -> Section:
-    """The value of every seed with its interval, and the spread beside the Monte Carlo error."""
+    """The value of every seed with its interval, and the spread next to the Monte Carlo error."""
     result = run.get("by_seed")
     errors = [finite(result.get(name)) for name in ("standard_error", "deviation")]
     values = [row["value"] for row in result["rows"]]
@@ -235,7 +235,7 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     paths = number(result["paths"], 0)
     text = (
         f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
-        f"share they are worth {mean} {unit} on average, {worst} at worst and {best} at best"
+        f"share they earn {mean} {unit} on average, {worst} at worst and {best} at best"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (
@@ -266,7 +266,7 @@ def _picture(
 
     summary = "; ".join(f"seed {name} {number(item, digits)}" for name, item in zip(names, below))
     caption = (
-        "What the policy of each seed is worth less than the best one, path by path on common "
+        "Differences between the policy of each seed and the best, path by path on common "
         "paths, with 95 % intervals."
     )
     return Chart(draw("seeds-picture", f"Difference to the best: {summary}.", paint, 220), caption)

@@ -1,4 +1,4 @@
-"""The sentence that stands in a report for numbers that are not there."""
+"""The sentence of a report about missing numbers."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -27,7 +27,7 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
 
 
 def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
-    """The section; nothing where none of the parts that it tells was asked for."""
+    """The section; nothing where none of its parts was requested."""
 
     @wraps(section)
     def with_reason(run) -> Section:

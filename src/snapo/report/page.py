@@ -37,7 +37,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing with the caption that says how to read it."""
+    """A drawing with a caption on how to read it."""
 
     kind: ClassVar[str] = "chart"
     svg: Markup
@@ -46,7 +46,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text; the columns after the first `texts` are numbers and stand to the right.
+    """Rows of text; the columns after the first `texts` are numbers and are aligned to the right.
 
     Where texts and numbers alternate, `texts` is the set of the columns of texts.
 
@@ -56,7 +56,7 @@ class Table:
     - `head`: (name, unit) of every column; empty for a table without a header.
     - `rows`: cells, written out; a cell may be a `Mark`.
     - `strong`: rows to set apart.
-    - `folded`: the words to click before the table shows; it is open in print.
+    - `folded`: the text to click before the table shows; it is open in print.
     """
 
     kind: ClassVar[str] = "table"
@@ -76,7 +76,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict: never by colour alone."""
+    """A verdict, never by colour only."""
 
     good: bool
     text: str
@@ -99,7 +99,7 @@ class Headline:
     value: str
     error: str
     note: str
-    action: str = ""  # inject, withdraw or hold, in the domain's words
+    action: str = ""  # inject, withdraw or hold, as the domain calls it
     sentence: str = ""
     when: str = "What to do today"
     tone: str = "main"  # a colour of the theme
@@ -135,7 +135,8 @@ Block = Text | Missing | Chart | Table | Facts | Headline | Sliders
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page; `name` is its anchor, `title` its heading, `short` stands in the menu."""
+    """A part of the page; `name` is its anchor, `title` its heading, `short` is its entry in the
+    menu."""
 
     name: str
     title: str
@@ -182,7 +183,7 @@ def render(page: Page) -> str:
 
 
 def coded(text: str) -> Markup:
-    """A text, escaped: what stands between backticks is set as code, and no line ends in ±."""
+    """A text, escaped: text between backticks is set as code, and no line ends in ±."""
     selected = str(escape(text)).replace("± ", f"±{SPACE}")
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", selected))
 

@@ -27,7 +27,7 @@ from .training import TRAINING, no_policy
 def write_report(domain: Domain, folder: Path) -> Path:
     """Writes `report.html` into a run folder and returns its path.
 
-    Where a file or a key is missing, the section says so in a sentence. The same files give the
+    Where a file or a key is missing, the section has a sentence on it. The same files give the
     same page, byte for byte.
     """
     summary = domain.report()
@@ -46,7 +46,7 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 
 def _footer(version: str | None) -> str:
-    available = version and version[:1].isdigit()  # else it says that it is not installed
+    available = version and version[:1].isdigit()  # else a text: it is not installed
     made = f"Made by snapo {version}" if available else "Made by snapo"
     return f"{made} from the files of one run folder; the page needs and sends nothing."
 
@@ -69,7 +69,7 @@ def carry_out(
     preparing: float = 0.0,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Does the parts of a study one after another, and returns what result.json says.
+    """Does the parts of a study one after another; returns the content of result.json.
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name. A part that fails leaves a note and a status; parts that need
@@ -101,7 +101,8 @@ def certify(
     paths: int,
     penalty: Penalty,
 ) -> dict[str, Any]:
-    """The bounds of a run that was carried out, kept with it: what its result.json says now.
+    """The bounds of a run that was carried out, saved with it; returns the new content of its
+    result.json.
 
     **Raises:** `CaseError` where the study has no bound, or the run no policy.
     """
@@ -208,7 +209,7 @@ class _Writer:
 
 
 def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
-    """Adds to the time that a run took beside its parts, in this session and in earlier ones."""
+    """Adds to the time that a run took outside its parts, in this session and in earlier ones."""
     adjacent = record.setdefault("beside", {})
     adjacent[name] = adjacent.get(name, 0.0) + seconds
 
@@ -224,7 +225,7 @@ def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What result.json says: the study's own words, and the state of its parts.
+    """The content of result.json: the study's result, and the state of its parts.
 
     "notes" ends with those on the case, which were known before any work.
 
@@ -245,7 +246,7 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     todo = [part.name for part in run.study.parts if part.name not in states]
     status = result.get("status", "ok")
     if failed:
-        # What was skipped follows from what failed, of which the study may know more.
+        # Parts are skipped because of a failed one, of which the study may know more.
         why = "" if status in GOOD else f": {status}"
         status = f"{', '.join(broken or failed)} failed{why}"
     elif todo:

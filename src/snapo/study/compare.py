@@ -164,7 +164,7 @@ def _result(run: Path) -> dict[str, Any]:
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
-    """Differences of what each group of paths is worth, where the scenarios are the same."""
+    """Differences between the values of each group of paths, where the scenarios are the same."""
     try:
         results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
     except checkpoint.CheckpointError:

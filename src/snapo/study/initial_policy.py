@@ -4,7 +4,7 @@ It is the policy.npz of a run folder, or a file that `policy.save` wrote: arrays
 describe them. It is read without running any code. The trained numbers come from the file;
 everything else, such as limits of an action or present holdings, comes from the case. The study
 gets two more parts: a copy of the policy, so that the run can be resumed without the other one,
-and what training gained over it on the paths of the value.
+and the gain of training over it on the paths of the value.
 """
 
 import hashlib
@@ -131,7 +131,7 @@ def _of_run(run: Path, kind: str) -> float | None:
 
 
 def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
-    """Words and arrays of the policy alone, of either kind of file."""
+    """Texts and arrays of the policy only, from either kind of file."""
     if isinstance(header, dict) and "snapo policy" in header:
         try:
             policy = load_policy(file)
@@ -147,7 +147,7 @@ def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str],
     if isinstance(header.get("header"), dict) and "mark" in header["header"]:
         message = "this is the state of a training: name the folder of its run, or its policy.npz"
         raise CaseError(str(file), "", None, message)
-    # Beside the policy stands that from the middle of training; they are in the order of names.
+    # The policy from the middle of training is there too; they are in the order of names.
     count = 2 if "halfway kind" in text else 1
     table = {
         position: str(word) for position, word in text.items() if position.startswith("policy")
@@ -171,7 +171,7 @@ def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Po
 
 
 def _name(position: str) -> str:
-    """A place of a policy in words: "the activation" of "policy.network.activation"."""
+    """A part of a policy as text: "the activation" of "policy.network.activation"."""
     if position == "policy kind":
         return "the kind"
     return position.removeprefix("policy.").replace(" kind", "")
@@ -186,7 +186,8 @@ def _sizes(shapes: list[tuple[int, ...]]) -> str:
 
 
 def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
-    """The numbers that the first matrices take, where they tell what the policies observe."""
+    """The numbers that the first matrices take, where they differ: the numbers that a policy
+    observes."""
     first = [
         next((shape[1] for shape in shapes if len(shape) == 2), None) for shapes in (has, needs)
     ]
@@ -207,7 +208,7 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
         message = f"{file} trains no policy, so that there is nothing to begin with"
         raise CaseError("--policy", "", str(values.source), message)
     setup = _fitted(study.setup, values)
-    setup()  # what does not fit is refused before anything is written
+    setup()  # a misfit is refused before anything is written
     after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
     parts = [
         Part(KEPT, _kept(values)),
@@ -244,7 +245,7 @@ def _kept(values: SuppliedPolicy) -> Callable[[StudyRun], Mapping[str, Any]]:
 
 
 def _gain(run: StudyRun) -> Mapping[str, Any]:
-    """The value of the given policy here, and what the trained one is above it."""
+    """The value of the supplied policy here, and the gain of the trained one over it."""
     setup, solution = run.setup, run.solution
     problem, engine = setup.problem, setup.engines.evaluate
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
@@ -290,7 +291,7 @@ def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
         return f"{text}."
     before = _with_error(gain["before"], gain["before_error"])
     more = _with_error(gain["value"], gain["standard_error"])
-    return f"{text}. Here it is worth {before}; training gained {more} over it on the same paths."
+    return f"{text}. Its value here is {before}; training gained {more} over it on the same paths."
 
 
 def _with_error(value: float, error: float | None) -> str:

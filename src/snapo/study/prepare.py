@@ -78,7 +78,7 @@ def use_every_core() -> None:
 
 
 class Wanted(NamedTuple):
-    """What `snapo solve` asks for beside the case.
+    """The options of `snapo solve` other than the case.
 
     - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
     - `policy`: a run folder, or the file of a policy, with which training begins.
@@ -94,7 +94,8 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A run that can be carried out: its case, its folder, what decides it, and its study."""
+    """A run that can be carried out: its case, its folder, the settings that decide it, and its
+    study."""
 
     loaded: Loaded
     out: Path
@@ -161,7 +162,7 @@ def carried_out(
     began: float,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Does the parts of the study; returns what result.json says.
+    """Does the parts of the study; returns the content of result.json.
 
     `began`: when the command did, by `time.perf_counter()`; `adjacent`: seconds of other work for
     it.

@@ -25,7 +25,7 @@ PROGRAM = "_program"  # under which a problem keeps its own
 
 
 def same_program(problem: Problem, other: Simulator) -> bool:
-    """Whether `other`, in place of the problem's simulator, computes the same functions.
+    """Whether `other`, instead of the problem's simulator, computes the same functions.
 
     Both are traced at the problem's inputs; nothing is compiled. The problem keeps its own program:
     a page asks again at every move.
@@ -61,7 +61,7 @@ def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
 def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
-    **Raises:** `CaseError` where the wanted one cannot take the problem; it says why.
+    **Raises:** `CaseError` where the requested one cannot take the problem, with the reason.
     """
     try:
         return choose(requested, problem, policy)
@@ -73,8 +73,8 @@ def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engi
 def with_auto(
     engine: EngineName, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
 ) -> Setup:
-    """The setup of a general policy, in which all that is not given follows the problem, as it
-    does in `snapo.solve`.
+    """The setup of a general policy, in which all defaults are chosen from the problem, as
+    in `snapo.solve`.
 
     **Raises:** `CaseError` where the engine cannot take the problem.
     """

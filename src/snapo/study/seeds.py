@@ -33,7 +33,7 @@ STREAM = 0x5EED  # of the evaluation's scenarios: those on which seeds are compa
 
 
 class Trained(NamedTuple):
-    """One seed: its study, and what result.json says of its training."""
+    """One seed: its study, and the result of its training."""
 
     seed: int
     study: Study
@@ -134,7 +134,7 @@ def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
 
 
 def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
-    """What independent groups of paths are worth to a seed's policy; None where it has none."""
+    """The values of independent groups of paths under a seed's policy; None where it has none."""
     try:
         policy = Solution.load(item.folder, like=_setup(item.study).policy).policy
     except CheckpointError:
@@ -152,7 +152,7 @@ def _within(result: Mapping[str, Any]) -> bool:
 
 
 def _best(values: np.ndarray, within: Sequence[bool]) -> int:
-    """The number of the best: a policy that breaks a limit is worth more than one that may not."""
+    """The number of the best: a policy that meets the limits comes before all that break one."""
     allowed = np.array(within) if any(within) else np.full(len(values), True)
     ranked = np.where(allowed & np.isfinite(values), values, -np.inf)
     return int(np.argmax(ranked))
@@ -192,7 +192,7 @@ def describe(result: Mapping[str, Any]) -> str:
     )
     if sizes[0] is not None and sizes[1] is not None:
         text += (
-            f" and the standard deviation {number(sizes[0], digits)} between seeds, beside a "
+            f" and the standard deviation {number(sizes[0], digits)} between seeds, next to a "
             f"Monte Carlo error of {number(sizes[1], digits)} that all share"
         )
     if result["standard_error"] == 0:  # nothing is random
@@ -201,7 +201,7 @@ def describe(result: Mapping[str, Any]) -> str:
         return f"{text}. The value of this run is on other paths, which that choice has not seen."
     return (
         f"{text}. There are no other paths than those of the value, so that it is that of the best "
-        "of several on the same paths, and a little high."
+        "of several on the same paths, and slightly high."
     )
 
 
@@ -215,7 +215,7 @@ def solve_seeds(
     requested: Wanted,
     seeds: int | Sequence[int],
 ) -> dict[str, Any]:
-    """Trains every seed, and carries out the run of the best; returns what result.json says.
+    """Trains every seed, and carries out the run of the best; returns the content of result.json.
 
     `seeds`: how many, from the seed of the case on, or the seeds themselves.
 

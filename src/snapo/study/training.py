@@ -38,7 +38,7 @@ def train(run: StudyRun) -> dict[str, Any]:
     run.trained = solution
     solution.save(run.folder)
     _keep_groups(run, solution)
-    # Whether to train on is said with the bound, where one follows.
+    # Advice to train on comes with the bound, where one follows.
     automatic = any(part.name == "bound" for part in run.study.parts)
     run.progress("\n".join(without_advice(solution.lines()) if automatic else solution.lines()))
     return {
@@ -55,7 +55,7 @@ TRAINING = Part("training", train)
 
 Advantage = tuple[
     str, float | None, float | None
-]  # a rule, what the trained policy is above it, error
+]  # a rule, the trained policy's gain over it, error
 
 
 def trained(
@@ -64,11 +64,11 @@ def trained(
     advantages: Iterable[Advantage] = (),
     exact: float | None = None,
 ) -> dict[str, Any]:
-    """What result.json says of a study that trains; empty while it has not yet.
+    """The result of a study that trains; empty before it has.
 
     How much can still be gained is the "verdict" on the terminal and the first note, where the run
     has a bound from above or an `exact` value. `advantages` over classical rules, on the same
-    paths: of one that does better the notes tell, and the verdict in the place of the other.
+    paths: one that does better is in the notes, and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:
@@ -107,7 +107,7 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
 
 
 def _keep_groups(run: StudyRun, solution: Solution) -> None:
-    """What independent groups of paths are worth, and of which scenarios: for comparisons."""
+    """Values of independent groups of paths, and their scenarios, for comparisons."""
     problem = run.setup.problem
     source, simulator = problem.sources.evaluation, problem.simulator
     controls = simulator.control_variates()
@@ -190,7 +190,7 @@ def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
 
 
 def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
-    """What a study's `about` says of them, for a report: names of parts, `selected` and left
+    """Entries of a study's `about` for a report: names of parts, `selected` and left
     out."""
     return {
         PLANNED: [part.name for part in selected],

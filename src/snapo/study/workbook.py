@@ -69,7 +69,7 @@ def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
 
 
 def _floats(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Whole numbers as those of a CSV."""
+    """Integers as in a CSV."""
     return [[float(x) if type(x) is int else x for x in row] for row in rows]
 
 
@@ -135,7 +135,7 @@ def _flat(values: list) -> bool:
 
 
 def _record(item: Mapping[str, Any]) -> bool:
-    """Whether a table has single values alone."""
+    """Whether a table has single values only."""
     return bool(item) and not any(isinstance(value, Mapping | list) for value in item.values())
 
 
@@ -170,7 +170,7 @@ def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[S
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a record that a row can hold: a list of words is joined."""
+    """The values of a record that a row can hold: a list of texts is joined."""
     return {
         key: "; ".join(item) if _in_words(item) else item
         for key, item in row.items()

@@ -1,4 +1,4 @@
-"""`snapo bench`: the speed of this machine on the flagship, value alone and with gradients."""
+"""`snapo bench`: the speed of this machine on the flagship, value only and with gradients."""
 
 import time
 from importlib.resources import files

@@ -169,9 +169,9 @@ REPORT = Report("Gas storage", StorageRun, _about, SECTIONS)
 
 
 def readme_picture(folder: Path) -> str:
-    """A picture of a result as SVG text that stands alone: value ladder and monthly deltas.
+    """A separate picture of a result as SVG text: value ladder and monthly deltas.
 
-    Raises `ValueError` where the run lacks either.
+    Raises `ValueError` where the run has only one or none of them.
     """
     run = StorageRun.read(Path(folder))
     values, deltas = VALUES.of(run), DELTAS.of(run)

@@ -29,8 +29,8 @@ from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
-MAX_FACTORS = 3  # of a fitted guide, beside those that move all prices alike
-BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the value, of the hedge
+MAX_FACTORS = 3  # of a fitted guide, next to those that move all prices in proportion
+BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures next to the value, of the hedge
 
 
 def bare_problem(case: StorageCase) -> Problem:
@@ -85,7 +85,7 @@ def _bare(problem: Problem) -> Problem:
 def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
-    # No hedge yet, but its place: what is compiled serves before and after.
+    # No hedge yet, but room for it: the compiled code serves before and after.
     adjacent = {"innovations": _innovations(problem, fit), "hedge": np.zeros(simulator.horizon)}
     return replace(
         problem, simulator=replace(simulator, value_table=value_table(problem, fit), **adjacent)
@@ -161,7 +161,7 @@ def _hedge(setup: Setup) -> np.ndarray:
     plain = replace(problem, objective=Mean(OUTPUT))
     on = _measured_on(plain, Pseudo(setup.training.seed, stream=stream(EVALUATE, HEDGE)))
     path = DerivativePass(on, engine.bind(on), policy.value_rule, Exact(), held=True)
-    derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
+    derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is not used
     simulator = simulator_of(problem)
     deltas = derivatives.inputs[simulator.curve.name].value[: simulator.horizon]
     return deltas / problem.schedule.steps.gas_discount

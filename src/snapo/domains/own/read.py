@@ -58,7 +58,7 @@ class InputTable(CaseTable):
     """One entry of `[inputs]`: numbers in the file or a column of a CSV, and their meaning."""
 
     value: NumberArray | None = Field(None, description="a number, or an array of numbers")
-    file: str | None = Field(None, description="the name of a .csv file beside the case")
+    file: str | None = Field(None, description="the name of a .csv file next to the case")
     column: str | None = Field(None, description="the name of a column of the file")
     label: str | None = Field(None, description="the name of the column that labels the numbers")
     labels: list[str] | None = Field(None, description="one text per number")
@@ -67,7 +67,7 @@ class InputTable(CaseTable):
     group: str = Field("", description="text: the family of risk")
     bump: Positive | None = Field(None, description="a number above 0, in the unit")
     move: float | None = Field(None, description="a number other than 0, in the unit")
-    trade_unit: str = Field("", description="text: the unit in which its owner thinks")
+    trade_unit: str = Field("", description="text: the unit that its user prefers")
     trade_factor: Annotated[float, Field(gt=0)] = Field(
         1.0, description="a number above 0: how many trade units make one unit"
     )
@@ -164,7 +164,7 @@ def _from_csv(section: TableContext, table: InputTable) -> InputParts:
 
 
 class Aim(NamedTuple):
-    """`weight` times one objective of one output; `key`: where it stands in the case."""
+    """`weight` times one objective of one output; `key`: its key in the case."""
 
     key: str
     weight: float
@@ -218,7 +218,7 @@ def _aim(data: Any, name: str, file: str) -> Aim:
         raise CaseError(file, name, data, "this must be a table, [objective]")
     output = data.get("output")
     if not isinstance(output, str) or not output:
-        message = "it is the name of the simulator's output that is made as large as possible"
+        message = "it is the name of the simulator's output that is maximised"
         message = f"this key is missing; {message}" if output is None else message
         raise CaseError(file, f"{name}.output", output, message)
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}

@@ -1,4 +1,4 @@
-"""What a run of a user's own simulator does: it is checked, trained, measured and told."""
+"""What a run of a user's own simulator does: it is checked, trained, measured and reported."""
 
 from typing import Any
 
@@ -65,7 +65,7 @@ def checked(case: OwnCase) -> Findings:
 
 
 def names(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """The names of states, actions and outputs; shapes alone are computed."""
+    """The names of states, actions and outputs; only shapes are computed."""
     simulator, schedule = problem.simulator, problem.schedule
 
     def once(schedule, noise, action) -> Any:
@@ -92,7 +92,7 @@ def lines(case: OwnCase) -> list[str]:
     return [
         f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
         f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
-        f"the {case.objective_words} is made as large as possible",
+        f"the {case.objective_words} is maximised",
     ]
 
 

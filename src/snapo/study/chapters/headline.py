@@ -1,4 +1,4 @@
-"""The value of a run with its standard error, and the numbers that stand beside it."""
+"""The value of a run with its standard error, and the numbers next to it."""
 
 from snapo.report.evidence import gradient, notes
 from snapo.report.folder import RunFiles

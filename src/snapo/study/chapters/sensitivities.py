@@ -72,7 +72,7 @@ class InputMove(ReportedInterval):
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
       reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to the size of
       this move, where it is along the same direction; `more`, `less`: of the move and of its
-      opposite alone, where they differ.
+      opposite separately, where they differ.
     """
 
     input: str
@@ -99,7 +99,7 @@ class InputMove(ReportedInterval):
 
     @property
     def size(self) -> str:
-        """By how much the input moves, in words."""
+        """By how much the input moves, as text."""
         if self.amount is None:
             return f"+{percent(0.01 if self.share is None else self.share, 0)}"
         single = self.amount == 1 and self.unit == "points"

@@ -35,7 +35,7 @@ GridRows = slice | np.ndarray  # numbers of rows: a slice where they follow one 
 
 
 class ReachableLevels(NamedTuple):
-    """The ends of the day that one direction of flow leads to, by start-of-day node.
+    """The ends of the day that one direction of flow reaches, by start-of-day node.
 
     - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
       cover all nodes within reach.
@@ -66,8 +66,8 @@ class Bends(NamedTuple):
 class DayGrid(NamedTuple):
     """A decision day between two grids.
 
-    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: what is left
-      without a flow, and the present value of keeping it.
+    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the gas without
+      a flow, and the present value of keeping it.
     - `buy`, `sell`, and the bends of each.
     """
 
@@ -84,7 +84,7 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; `inventories` points from 0 to the largest inventory, and others beside them.
+    """All T days; `inventories` points from 0 to the largest inventory, and others next to them.
 
     Without `bends` the grids are for values of the best flow, not for values above them.
 
@@ -259,7 +259,7 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
         excess = np.zeros((len(keep) - 1, after.shape[1]))
         _exceed(excess, value, buying, prices.pay, day.buy_bends)
         _exceed(excess, value, selling, prices.earn, day.sell_bends)
-        # A node serves two cells, and is raised by what the needier one lacks.
+        # A node serves two cells, and is raised by the larger gap of the two.
         if len(excess):
             value[0] += excess[0]
             value[-1] += excess[-1]
@@ -270,7 +270,7 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
 
 def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray:
-    """The value after the day less the worth of the gas at a price: [m, columns]."""
+    """The value after the day less that of the gas at a price: [m, columns]."""
     value = np.multiply.outer(nodes, price)
     return np.subtract(after, value, out=value)
 

@@ -73,7 +73,7 @@ class RegressionDay(NamedTuple):
     """One day, or the end date. K functions, of which n are no hinges, on Q nodes.
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
-    - `ahead` [K, Q]: the functions of the next date as they are expected (none on the end date).
+    - `ahead` [K, Q]: the expected functions of the next date (none on the end date).
     - `plain` [K, n]: coefficients of the functions as the best ones without hinges.
     - `drift` [K, n]: those of `ahead`.
     """

@@ -131,7 +131,7 @@ class StoreRelaxation:
 
     @property
     def description(self) -> str:
-        return "the surprises of a fitted value of the store"
+        return "the innovations of a fitted value of the store"
 
     def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
         states = self._path(rollout, "price")

@@ -6,7 +6,7 @@ few numbers to compute.
 
 Its daily innovations are a control variate. Against the value of the store before its price is
 known, they have a mean of zero for every policy (Rogers, Mathematical Finance 12 (2002); Andersen
-and Broadie, Management Science 50 (2004)), and little variance is left where the fit is good.
+and Broadie, Management Science 50 (2004)), and remove most of the variance where the fit is good.
 """
 
 from dataclasses import dataclass

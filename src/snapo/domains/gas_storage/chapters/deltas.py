@@ -171,7 +171,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
+    """Paints the monthly deltas into one `Axes`; also used by the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.moved, x.intrinsic) for x in months]
     values, halves, moved, intrinsic = np.array(columns, np.float64).T
     options = {

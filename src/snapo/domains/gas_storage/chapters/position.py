@@ -53,7 +53,7 @@ class LowHigh:
 
 @dataclass(frozen=True)
 class Cycles:
-    """How often the working volume is turned over."""
+    """Turnovers of the working volume."""
 
     mean: Number = np.nan
     unit: str = "injected volume / working volume"

@@ -5,7 +5,7 @@ linear (or constant) between ratchet rows, so the set of the next day follows ex
 empty, that day has the first constraint that no decision can meet.
 
 For policies, and differentiable: backwards from the end, an inventory is feasible when some flow
-leads to a feasible one. Between ratchet rows every condition is linear in the inventory, so the
+reaches a feasible one. Between ratchet rows every condition is linear in the inventory, so the
 feasible ones are an interval there; neighbouring intervals are joined and the longest is selected.
 That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not decrease;
 where step ratchets break that, it is the largest interval in which every point is feasible.

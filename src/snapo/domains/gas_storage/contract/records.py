@@ -1,7 +1,7 @@
 """A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
-without ratchets). Index T stands for the end date. Days are
+without ratchets). Index T is the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
 `CaseInput` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
 A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
@@ -56,7 +56,7 @@ class EndRule(eqx.Module):
 
     @property
     def needs_price(self) -> bool:
-        """Whether the worth depends on the spot price of the end date."""
+        """Whether the value depends on the spot price of the end date."""
         return False
 
     def interval(self, inputs: dict[str, Any], low: Array, high: Array) -> tuple[Array, Array]:
@@ -65,7 +65,7 @@ class EndRule(eqx.Module):
 
     @abc.abstractmethod
     def terms(self, inputs: dict[str, Any]) -> EndTerms:
-        """The numbers of the worth, for the schedule."""
+        """The numbers of the value, for the schedule."""
 
     @abc.abstractmethod
     def end_value(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
@@ -100,7 +100,8 @@ class LevelAtEnd(EndRule):
 
 
 class PriceAtEnd(EndRule):
-    """Gas left on the end date is worth `fraction` of that day's spot price: one number, index [].
+    """Gas left on the end date has a value of `fraction` of that day's spot price: one number,
+    index [].
 
     It is paid on the end date. With a fraction of 0 the gas left is worthless, and the end date
     needs no price.
@@ -217,14 +218,14 @@ class GasMarket(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class StorageCase:
-    """Everything that a gas-storage case says.
+    """All data of a gas-storage case.
 
     - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
     - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
       day before `end`; empty when the valuation leaves none.
     - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
     - `expired`: the valuation date lies after the end date; the value is zero.
-    - `notes`: remarks for the owner of the case, one sentence each.
+    - `notes`: remarks for the user of the case, one sentence each.
     """
 
     file: Path

@@ -33,7 +33,7 @@ class Knots(NamedTuple):
     def values(self, process, terms, now, state, above, below) -> list[Array]:
         """Marginal values, as present values, above and below these inventories at day's end.
 
-        The slow factors scale them all alike.
+        The slow factors scale them all equally.
         """
         level = process.slow_level(terms.price, now.price, state)
         x = jnp.clip(process.fast(state), -self.reach, self.reach)
@@ -65,7 +65,7 @@ def between(knots, rows, inventory, value):
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
     position = (inventory - knots.low) / width * segments
     left = jnp.clip(jnp.floor(position), 0, segments - 1)
-    # Stores stand exactly on the first and the last row. The line goes on beyond them, so that a
+    # Inventories are exactly on the first and the last row. The line goes on beyond them, so that a
     # rounding does not decide about the slope there.
     share = position - left
     row = left.astype(jnp.int32)
@@ -175,12 +175,12 @@ class Innovations(eqx.Module):
 
 
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
-    """The value at the start of a day less what is expected of it for the next date.
+    """The value at the start of a day less its expectation for the next date.
 
     Summed over the days, with the end date's value and less `first`, it is the sum of the
-    surprises. `before` and `after` are the inventories at the start and the end of the day.
+    innovations. `before` and `after` are the inventories at the start and the end of the day.
     """
-    # Data, and nobody's derivative: an adjoint need not form any.
+    # Data without a derivative: an adjoint need not form any.
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
     observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
     return _worth(row.now, before, observed) - _worth(row.ahead, after, observed)

@@ -30,10 +30,11 @@ class Economics(NamedTuple):
 
     `first_in`, `last_in`, `first_out` and `last_out` are the guide's marginal values of gas at the
     end of the day, as of its gas payment: of the first and the last unit of the most injection,
-    and of the most withdrawal. Where the value has a corner, a first unit in is worth the slope
-    above it and a last one the slope below; of units out it is the other way round. `buy` is the
-    cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are
-    the free flows in units of the largest rate, `level` the joint level of the slow price factors.
+    and of the most withdrawal. Where the value has a corner, a first unit in has the value of
+    the slope above it and a last one of the slope below; of units out it is the other way round.
+    `buy` is the cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and
+    `room_out` are the free flows in units of the largest rate, `level` the joint level of the slow
+    price factors.
     """
 
     first_in: Array
@@ -59,7 +60,7 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
     if now.value_table is None:
         first_in = last_out = last_in = first_out = jnp.asarray(1.0)
     else:
-        # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
+        # The guide is data: it has no derivatives, and the adjoint need not form them.
         guide, sides = (
             jax.lax.stop_gradient(now.value_table),
             ((keep, keep - room_out), (keep + room_in, keep)),
@@ -98,11 +99,11 @@ def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[
 
 
 def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
-    """How today's forward price stands against those ahead: mean of 30 and 120 days and of all,
+    """Today's forward price relative to those ahead: mean of 30 and 120 days and of all,
     highest and lowest, less today's, in units of half the mean price."""
     t = forward.shape[0]
     first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
-    # Running sums of a curve around zero, so that nothing is lost; memory grows with T alone.
+    # Running sums of a curve around zero, so that nothing is lost; memory grows with T only.
     middle = jnp.mean(forward)
     sums = jnp.append(0.0, jnp.cumsum(forward - middle))
 
@@ -150,7 +151,7 @@ class StoragePolicy(Policy):
 
     @property
     def value_rule(self) -> "StoragePolicy":
-        """The guide alone, by a network that adds nothing: one program runs both."""
+        """The guide only, by a network that adds nothing: one program runs both."""
 
         def last(policy: StoragePolicy):
             return policy.network.weights[-1], policy.network.biases[-1]

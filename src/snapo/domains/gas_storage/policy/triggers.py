@@ -1,7 +1,7 @@
 """Decisions of a policy: trigger prices by day, and today's decision by inventory.
 
-All at the price state in which only the fastest factor moves: a spot price then says the state.
-Prices are undiscounted spot prices in currency per unit.
+All at the price state in which only the fastest factor moves: a spot price then determines the
+state. Prices are undiscounted spot prices in currency per unit.
 """
 
 from typing import NamedTuple

@@ -211,7 +211,7 @@ FORMATS = {
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    Other files are looked for beside it. **Raises:** `CaseError` where a table, a file or a number
+    Other files are looked for next to it. **Raises:** `CaseError` where a table, a file or a number
     is wrong, or where the contract cannot be met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")

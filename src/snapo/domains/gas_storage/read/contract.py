@@ -117,7 +117,7 @@ def decision_days(table: ContractTable, valuation: datetime.date) -> tuple[datet
 
 
 def pays_by_price(table: ContractTable) -> bool:
-    """Whether gas left on the end date is worth something by that day's price."""
+    """Whether gas left on the end date has a value at that day's price."""
     value = table.end_value
     return table.end_inventory == "free" and isinstance(value, float | int) and value != 0
 

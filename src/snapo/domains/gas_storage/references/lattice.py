@@ -97,9 +97,9 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
     A non-reverting factor with the same loading on all days, independent of the others, scales
-    all prices alike; without proportional costs it leaves the value as it is (a change of
-    numeraire), and almost so with small costs (a fixed payment for the gas left counts as one).
-    It is dropped unless it is the only factor.
+    all prices in proportion; without proportional costs it leaves the value unchanged (a change of
+    numeraire), and almost so with small costs (a fixed payment for the gas left counts as one). It
+    is dropped unless it is the only factor.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)
@@ -172,7 +172,8 @@ class Refined(NamedTuple):
 
 
 def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) -> Refined:
-    """The lattice's value, the grids of volumes and of prices refined until they move it little.
+    """The lattice's value, the grids of volumes and of prices refined until they move it only
+    slightly.
 
     The first grid of volumes holds every daily flow where these have a common measure: a grid that
     does not makes a store of round volumes cheaper.
@@ -195,7 +196,7 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
 
 def _halved(first: float, value: Callable[[int], float]) -> Refined:
-    """The value on a grid that is halved until that moves it little, and the last move."""
+    """The value on a grid that is halved until that moves it only slightly, and the last move."""
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)

@@ -162,7 +162,7 @@ def perfect_foresight(
     """The earnings of each path if it were known in advance: [paths].
 
     `spots`: [paths, T] spot prices, or [paths, T + 1] where the gas left has a price. Values are
-    linear between grid points of the inventory, so on a concave contract a little low.
+    linear between grid points of the inventory, so on a concave contract slightly low.
     """
     spots = np.asarray(spots, np.float64)
     chunks = (spots[first : first + block] for first in range(0, len(spots), block))
@@ -187,7 +187,8 @@ def _known_prices(schedule, interpolation: Interpolation, spots, inventories: in
 
 
 class BlackCall(NamedTuple):
-    """A European call on a forward: its present value, and that value's derivative by it."""
+    """A European call on a forward: its present value, and its derivative with respect to the
+    forward."""
 
     value: np.ndarray
     delta: np.ndarray

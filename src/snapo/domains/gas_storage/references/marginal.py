@@ -178,7 +178,7 @@ def _spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
 PIECES = 16  # between two levels
 ROWS = 2 * PIECES + 1  # one at each level, and one half-way to the next
 THIRD = 3  # parts of a piece: a slope at a corner is taken over one part
-COMMON, DIVISORS = 0.05, 4  # how near daily volumes are to multiples, and of what part of the least
+COMMON, DIVISORS = 0.05, 4  # how near daily volumes are to multiples of which part of the least
 
 
 class SlopeTable(NamedTuple):
@@ -254,7 +254,7 @@ def common_volume(steps) -> float | None:
 SPACING = 0.6
 # The polynomial is fitted, and to be trusted, within this many standard deviations of the factor.
 FITTED = 3.0
-DEGREE = 4  # of it; with 2 a store of fast corners was worth 0.3 % less than it can be, now 0.04 %
+DEGREE = 4  # of it; with 2 a store of fast corners lost 0.3 % of its value, now 0.04 %
 
 
 @dataclass(frozen=True, eq=False)
