@@ -7,12 +7,12 @@ import pytest
 from tests.domains.pension.every_key import CASES, written
 from tests.domains.pension.miniature import TEMPLATES
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.case.toml import to_toml
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.records.inputs import every_given, pension_inputs
-from snapo.live.case.files import read_files, with_numbers
-from snapo.live.case.places import InputPositions
+from snapo.live.files import read_files, with_numbers
+from snapo.live.positions import InputPositions
 
 LITTLE = 2.0**-21  # weights still add up to one
 ANNUAL = {"forward_rate", "ultimate_forward", "zero_rate", "break_even", "ultimate_break_even",
