@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import CaseInput, FilePosition
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..demand.base import Demand
@@ -101,12 +101,6 @@ class InventoryCase:
     def value_unit(self) -> str:
         """The unit of the result: money in a period, or of the whole horizon."""
         return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
-
-    @property
-    def positions(self) -> dict[str, tuple[FilePosition, ...]]:
-        """{input: its position} of the numbers of the demand."""
-        keys = [x.name for x in self.demand.inputs()]
-        return {key: (("demand", key.removeprefix("demand_")),) for key in keys}
 
     @property
     def seasonal(self) -> bool:

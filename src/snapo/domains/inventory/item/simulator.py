@@ -30,7 +30,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..demand.base import MEAN
+from ..demand.base import MEAN, as_input
 from .estimates import memory, safety_factor, usual_cost
 from .records import InventoryCase
 
@@ -248,12 +248,4 @@ def inputs_of(case: InventoryCase) -> dict[str, Input]:
         *case.demand.inputs(),
         *([case.season] if case.seasonal else []),
     ]
-    return {item.name: _plain(item) for item in results}
-
-
-def _plain(values) -> Input:
-    """One number as one number, not as a list of one."""
-    made = values.input()
-    if values.labels != ("",):
-        return made
-    return eqx.tree_at(lambda item: item.value, made, made.value.reshape(()))
+    return {x.name: as_input(x) for x in results}

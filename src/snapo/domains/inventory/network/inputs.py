@@ -2,11 +2,9 @@
 
 from typing import Any
 
-import equinox as eqx
-
 from snapo.problem.inputs import Input
 
-from ..demand.base import Demand
+from ..demand.base import Demand, as_input
 from .records import NetworkCase, Site
 
 
@@ -14,13 +12,9 @@ def network_inputs(case: NetworkCase) -> dict[str, Input]:
     """Every number of the case that has a sensitivity; those of a place's demand as "NAME.key"."""
     costs = [case.holding, case.shortage, case.ordering, case.transshipment]
     mades = {cost.name: cost.input() for cost in costs if cost is not None}
-    for position, demand in selling(case):
-        for item in demand.inputs():
-            made = item.input()
-            made = eqx.tree_at(lambda x: x.value, made, made.value.reshape(()))
-            mades[f"{position.name}.{item.name}"] = made
-        if position.season is not None:
-            mades[f"{position.name}.{position.season.name}"] = position.season.input()
+    for site in case.sites:
+        for x in site.inputs():
+            mades[f"{site.name}.{x.name}"] = as_input(x)
     return mades
 
 

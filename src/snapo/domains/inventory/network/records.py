@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, FilePosition
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..demand.base import Demand
@@ -29,6 +29,11 @@ class Site:
     demand: Demand | None
     season: CaseInput | None = None
     fixed: bool = False
+
+    def inputs(self) -> tuple[CaseInput, ...]:
+        """The parameters of its demand, and its season where there is one."""
+        demand = () if self.demand is None else self.demand.inputs()
+        return demand if self.season is None else (*demand, self.season)
 
 
 @dataclass(frozen=True)
@@ -177,3 +182,8 @@ class NetworkCase:
     def value_unit(self) -> str:
         """The unit of the result."""
         return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
+
+    @property
+    def positions(self) -> dict[str, tuple[FilePosition, ...]]:
+        """{input: the positions of its numbers} of the demand of every place."""
+        return {f"{site.name}.{x.name}": x.positions for site in self.sites for x in site.inputs()}
