@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.form import Use
 from snapo.problem.inputs import Input
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
@@ -55,6 +56,10 @@ class Demand(eqx.Module):
     def inputs(self) -> tuple[CaseInput, ...]:
         """Its parameters: differentiable inputs under their names."""
         return tuple(x for x in vars(self).values() if isinstance(x, CaseInput))
+
+    def names(self) -> tuple[str, ...]:
+        """Those of its parameters, in a case and in a simulator."""
+        return tuple(x.name for x in vars(self).values() if isinstance(x, CaseInput | Use))
 
     @abc.abstractmethod
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:

@@ -7,8 +7,9 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.problem.inputs import Input
 
-from ..demand.base import Demand
+from ..demand.base import Demand, as_input
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,3 +107,9 @@ class InventoryCase:
     def seasonal(self) -> bool:
         """Whether periods differ."""
         return len(self.season.values) > 1
+
+    def inputs(self) -> dict[str, Input]:
+        """Every number that has a sensitivity."""
+        season = [self.season] if self.seasonal else []
+        numbers = [*self.item.inputs(), *self.demand.inputs(), *season]
+        return {x.name: as_input(x) for x in numbers}

@@ -1,19 +1,21 @@
 """Reads a case with places: the tables `[network]`, `[[place]]` and `[[transshipment]]`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
+from snapo.case.plausible import CaseFiles, checked_numbers
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 
+from ..demand.base import Demand
 from ..demand.registry import kinds, read_demand
-from ..network.records import NetworkCase, Pool, Site
+from ..network.records import NetworkCase, Pool, Site, SupplyNetwork
 from .plausible import unit_slips
 from .season import read_season
 from .settings import read_settings
@@ -117,7 +119,7 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     _check(rows, sections, TableContext(file, "network", notes), table.unmet)
     names = [row.name for row in rows]
     per = f"{table.unit}/{table.period}"
-    sites = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
+    places = [_place(row, section, names, per) for row, section in zip(rows, sections)]
     money = f"{table.currency}/{table.unit}"
     by_period = f"{money}/{table.period}"
     held = _by_label({row.name: row.holding for row in rows}, by_period)
@@ -126,24 +128,28 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     pools, moving = _pools(file, notes, top.transshipment, rows, money)
     paying = {row.name: row.order for row in rows if _pays(row)}
     ordering = _by_label(paying, table.currency) if paying else None
-    complete = all(_whole(site) for site in sites)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.factor < 1 else 10 * total
-    costs = [cost for cost in (held, short, moving) if cost is not None]
-    inputs = [*costs, *(x for site in sites for x in _demand(site)), horizon.discount]
-    notes += unit_slips(CaseFiles(file, data), inputs, table.period)
-    return NetworkCase(
+    demands = [demand for _, demand, _ in places if demand is not None]
+    seasons = [season for site, _, season in places if site.sells]
+    complete = all(map(_whole, demands, seasons))
+    case = NetworkCase(
         **read_settings(top, name),
         file=file,
-        notes=tuple(notes),
+        notes=(),
         title=top.title,
         currency=table.currency,
         unit=table.unit,
         period=table.period,
-        lost=table.unmet == "lost",
-        integer=complete if table.whole is None else table.whole,
-        sites=sites,
-        pools=pools,
+        network=SupplyNetwork(
+            tuple(site for site, _, _ in places),
+            pools,
+            table.unmet == "lost",
+            complete if table.whole is None else table.whole,
+            () if moving is None else tuple(np.argsort(moving.values, kind="stable").tolist()),
+        ),
+        demands=tuple(demands),
+        seasons=tuple(seasons),
         holding=held,
         shortage=short,
         transshipment=moving,
@@ -153,6 +159,10 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         discount=horizon.factor,
         other_leads=parse(NetworkReportTable, top.report, name, "report").lead_time,
     )
+    inputs = [cost for cost in (held, short, moving) if cost is not None]
+    of_demand = [checked_numbers(x)._replace(name=key) for key, x in case.of_demand.items()]
+    slips = unit_slips(CaseFiles(file, data), [*inputs, *of_demand, horizon.discount], table.period)
+    return replace(case, notes=(*notes, *slips))
 
 
 def _check(
@@ -214,8 +224,10 @@ def _pools(
     return tuple(pools), _by_label(costs, money) if pools else None
 
 
-def _place(row: PlaceTable, section: TableContext, names: list[str], unit: str) -> Site:
-    """The place of one table; `unit` of demand in a period."""
+def _place(
+    row: PlaceTable, section: TableContext, names: list[str], unit: str
+) -> tuple[Site, Demand | None, CaseInput | None]:
+    """The place of one table with its demand and season; `unit` of demand in a period."""
     supplier = names.index(row.supplier) if row.supplier is not None else None
     demand, season = None, None
     if row.season is not None:
@@ -225,24 +237,18 @@ def _place(row: PlaceTable, section: TableContext, names: list[str], unit: str) 
     if row.demand is not None:
         maximum = float(season.values.max()) if season is not None else 1.0
         demand = read_demand(_inner(section, "demand"), row.demand, unit, maximum)
-    return Site(row.name, supplier, row.lead_time, demand, season, _pays(row))
-
-
-def _demand(site: Site) -> Iterator[CheckedNumbers]:
-    """The numbers of the demand of a site, with its name in front."""
-    for entry in site.inputs():
-        numbers = checked_numbers(entry)
-        yield numbers._replace(name=f"{site.name}.{numbers.name}")
+    sells, seasonal = demand is not None, season is not None
+    site = Site(row.name, supplier, row.lead_time, sells, seasonal, _pays(row))
+    return site, demand, season
 
 
 def _inner(section: TableContext, name: str) -> TableContext:
     return TableContext(section.file, f"{section.name}.{name}", section.notes)
 
 
-def _whole(site: Site) -> bool:
-    """Whether all that its customers ask for is whole: a history times a season is not."""
-    demand = site.demand
-    return demand is None or demand.integer or (demand.in_pieces() and site.season is None)
+def _whole(demand: Demand, season: CaseInput | None) -> bool:
+    """Whether all that customers ask for is whole: a history times a season is not."""
+    return demand.integer or (demand.in_pieces() and season is None)
 
 
 def _pays(row: PlaceTable) -> bool:
