@@ -66,7 +66,8 @@ def storage_values(moved, name):
 
 @pytest.mark.parametrize(
     ("kind", "size", "simulator"),
-    [("inventory", "spare-part", None), ("control", "pendulum", None), ("control", "measured", None),
+    [("inventory", "spare-part", None), ("inventory", "line", None),
+     ("inventory", "stores", None), ("control", "pendulum", None), ("control", "measured", None),
      ("control", "linear-quadratic", None), ("own", "reservoir", ("simulator", "Reservoir"))],
 )  # fmt: skip
 def test_every_input_of_an_item_a_plant_and_a_simulator_is_written_and_read_once(

@@ -8,7 +8,7 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.domains.control import DOMAIN, SIZES
-from snapo.domains.control.plants.registry import TYPES
+from snapo.domains.control.plants import TYPES
 from snapo.study.domain import Domain
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
+from snapo.domains.inventory.item.simulator import InventorySimulator
 from snapo.domains.inventory.policy.rules import Classical
 from snapo.domains.inventory.read.case import read_case
 from snapo.domains.inventory.references.backlog import base_stock_cost
@@ -29,7 +29,7 @@ ENDLESS = 1e6
 
 
 def problem(of) -> Problem:
-    return Problem(InventorySimulator(of), inputs_of(of), Mean("result"))  # pyright: ignore
+    return Problem(InventorySimulator.of(of), of.inputs(), Mean("result"))
 
 
 def base_stock(of: Problem, level: float) -> Classical:

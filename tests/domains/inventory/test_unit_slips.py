@@ -53,5 +53,5 @@ def test_the_numbers_of_a_network_are_looked_at():
     data["place"][0]["demand"] = SPREAD | {"deviation": 40.0}
     data["place"][2]["holding"] = 4000.0
     first, second = DOMAIN.read(file, data).notes
-    assert first.startswith("place[works].holding: holding_cost works is 4,000 EUR/pallet/week")
-    assert second.startswith("place[shop].demand.deviation: shop.demand_deviation is 40 pallet")
+    assert first.startswith("place[2].holding: holding_cost works is 4,000 EUR/pallet/week")
+    assert second.startswith("place[0].demand.deviation: shop.demand_deviation is 40 pallet")

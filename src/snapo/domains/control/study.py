@@ -1,5 +1,6 @@
 """What a run of a controlled plant does: training, rivals, closed form, maps of the policy."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import PROFILE
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.ready import at_values, with_auto
+from snapo.study.ready import with_auto
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -78,17 +79,13 @@ def study(case: ControlCase, options: Options) -> Study:
         "notes": list(case.notes),
     }
 
-    def at_case(before: Setup, other: ControlCase) -> Setup:
-        values = {item.name: item.input.value for item in named_inputs(other.inputs)}
-        return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
-
     return Study(
         "control",
         about,
         tuple(parts),
         _result,
         lambda: setup,
-        setup_at=at_case,
+        setup_at=setup_at,
         inputs=lambda other: {entry.name: entry.input for entry in named_inputs(other.inputs)},
         live_tables=reward_and_costs,
         today=today,
@@ -112,4 +109,16 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
-    return with_auto(engine, problem, case.recipe, training, evaluation)
+    setup = with_auto(engine, problem, case.recipe, training, evaluation)
+    return setup._replace(case=case)
+
+
+def setup_at(setup: Setup, case: ControlCase) -> Setup:
+    """The setup of a case that differs in the numbers of its inputs alone.
+
+    Nothing is compiled where the case has the same form.
+    """
+    problem = replace(setup.problem, simulator=case.plant, inputs=case.inputs)
+    if problem.form != setup.problem.form:
+        return make_setup(case, setup.engines.name)
+    return setup._replace(problem=problem, case=case)

@@ -12,8 +12,14 @@ from snapo.case.table import TITLE, CaseTable, Title
 from .plants.plant import Plant, PlantParameter
 
 Width = Annotated[int, Field(ge=1, le=4096)]
+Widths = Annotated[list[Width], Field(min_length=1, max_length=8)]
 MatrixRows = list[list[float]]
 PositiveOrNone = Annotated[float, Field(gt=0)] | None
+
+
+def _whole_number(low: int, high: int, note: str) -> Any:
+    """A key for a whole number from `low` to `high`, or none; its text says so."""
+    return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
 
 
 class ControlFile(CaseTable):
@@ -35,15 +41,15 @@ class ControlFile(CaseTable):
 class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
-    hidden: Annotated[list[Width], Field(min_length=1, max_length=8)] | None = Field(
+    hidden: Widths | None = Field(
         None, description="a list of widths, [32, 32], or left out: then it follows the problem"
     )
     memory: Literal["GRU", "Recent"] | None = Field(
         None,
         description='"GRU" (a recurrent network) or "Recent" (the last observations), or left out',
     )
-    steps: Annotated[int, Field(ge=2, le=1000)] | None = Field(
-        None, description='with memory = "Recent" the number of observations it sees, 2 or more'
+    steps: int | None = _whole_number(
+        2, 1000, 'with memory = "Recent", of observations that it sees'
     )
 
 
@@ -51,9 +57,7 @@ class PlantTable(CaseTable):
     """`[plant]`: what every plant has beside its parameters."""
 
     type: str
-    horizon: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
-        None, description="a number of steps, 1 to 100,000"
-    )
+    horizon: int | None = _whole_number(1, 100_000, " of steps")
     clock: bool | None = Field(
         None, description="true or false: whether the policy sees the time that is left"
     )

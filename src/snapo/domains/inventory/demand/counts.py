@@ -20,14 +20,18 @@ variance larger by 1/12, and with the derivative of that quantile.
 import abc
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
-from .base import Demand, Parameters
+from snapo.case.quantity import Range
 
+from .base import Demand, Parameters, mean_key
+
+LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
 TAIL = 1e-8  # the chance of a demand above those that are counted
 ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
 
@@ -35,11 +39,11 @@ ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
 class CountDemand(Demand):
     """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
 
-    - `maximum`: static, the number of demands above zero that are told apart.
+    - `maximum`: the number of demands above zero that are told apart.
     """
 
     integer = True
-    maximum: int
+    maximum: int = eqx.field(static=True)
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
@@ -75,6 +79,11 @@ class CountDemand(Demand):
 def _moved(level: Array, size: Array) -> Array:
     """0, with the derivative of -level / size: that of a quantile whose distribution moves."""
     return (jax.lax.stop_gradient(level) - level) / size
+
+
+def count_mean() -> Any:
+    """The key `mean` of demand in whole units, each of which is told apart."""
+    return mean_key(LARGEST)
 
 
 def most_of(quantile: Any) -> int:
