@@ -41,7 +41,7 @@ class Place(NamedTuple):
     """A table of a good case: its description, its way from the top, and its name in messages."""
 
     table: type[CaseTable]
-    way: tuple[str | int, ...]
+    path: tuple[str | int, ...]
     name: str
 
 

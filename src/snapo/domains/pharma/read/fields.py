@@ -1,10 +1,11 @@
 """Fields of a table: each description is the text that an error message quotes as allowed."""
 
-from typing import Annotated, Any, Literal
+import math
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range
 
 NUMBER = "a number, such as 1.32"
 
@@ -32,15 +33,22 @@ def profile(default: Any = ..., meaning: str | None = None) -> Any:
     return Field(default, description=message, title=meaning)
 
 
+def whole(low: int, high: float = math.inf, default: Any = ..., note: str = "") -> Any:
+    """A field for a whole number of a range."""
+    return within(Range(low, high, note=note, noun="a whole number"), default)
+
+
+def within(bounds: Range, default: Any = ...) -> Any:
+    """A field for a number of a range, which its type does not repeat."""
+    low, high = bounds.endpoints
+    limits = {
+        "gt" if low == "(" else "ge": bounds.low,
+        "lt" if high == ")" else "le": bounds.high,
+    }
+    limits: Any = {name: end for name, end in limits.items() if math.isfinite(end)}
+    return Field(default, description=str(bounds), **limits)
+
+
 def word(*text: str, default: Any = ...) -> Any:
     """A field for one of a few words."""
     return Field(default, description=" or ".join(f'"{item}"' for item in text))
-
-
-class ProfileTable(CaseTable):
-    """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
-
-    nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')
-    at: Any = Field(None, description="shares of the unit's duration, rising from 0 to 1")
-    kind: Literal["linear", "constant"] = word("linear", "constant", default="linear")
-    ramp: Any = quantity('"0.5 K/min"', None)

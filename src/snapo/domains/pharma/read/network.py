@@ -7,6 +7,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.quantity import Range
 from snapo.case.table import TableContext, parse
 
 from ..flowsheet.feed import Feed
@@ -17,7 +18,6 @@ from .numbers import (
     LIQUID,
     NOT_NEGATIVE,
     POSITIVE,
-    ValueRange,
     absent,
     case_input,
     quantity,
@@ -60,7 +60,7 @@ def read_network(
     units = {entry["unit"] for entry in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
 
-    def of_all(key: str, measured: str, bounds: ValueRange = ANY) -> CaseInput:
+    def of_all(key: str, measured: str, bounds: Range = ANY) -> CaseInput:
         if not count:
             return absent(f"kinetics.{key}", measured)
         values = np.array([value[key] for value in read])
@@ -160,7 +160,7 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
         duration = None
         if table.duration is not None:
             duration = quantity(section, "duration", table.duration, "s", POSITIVE)
-        read = Reader(section, name, table)
+        read = Reader(section, name, table, raw)
         text = "concentration in the feed"
         results.append(
             Feed(
