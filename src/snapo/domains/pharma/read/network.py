@@ -20,6 +20,7 @@ from .numbers import (
     POSITIVE,
     absent,
     case_input,
+    position,
     quantity,
     suggest,
 )
@@ -65,7 +66,19 @@ def read_network(
             return absent(f"kinetics.{key}", measured)
         values = np.array([value[key] for value in read])
         text = ReactionTable.model_fields[key].title or ""
-        return case_input(f"kinetics.{key}", values, labels, measured, meaning=text, bounds=bounds)
+        where = tuple(
+            position(item["section"], key, item["unit"] if key == "prefactor" else measured)
+            for item in read
+        )
+        return case_input(
+            f"kinetics.{key}",
+            values,
+            labels,
+            measured,
+            meaning=text,
+            bounds=bounds,
+            positions=where,
+        )
 
     return FlowNetwork(
         species=names,
@@ -107,6 +120,7 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     unit = prefactor_unit(total)
     return {
         "name": name,
+        "section": section,
         "row": right - left,
         "order": order,
         "unit": unit,
@@ -174,6 +188,9 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                     "kmol/m3",
                     meaning=text,
                     bounds=NOT_NEGATIVE,
+                    positions=tuple(
+                        position(section, f"concentration.{item}", "kmol/m3") for item in species
+                    ),
                 ),
                 solvent=read.number("solvent", "kg/m3", LIQUID),
                 duration=duration,

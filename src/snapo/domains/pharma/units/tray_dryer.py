@@ -28,7 +28,7 @@ from ..flowsheet.stream import clear
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, Measured, Record, inner, values
 from ..read.fields import TextKey
-from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input
+from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, positions
 from ..read.quantities import UnitError, conversion
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -84,8 +84,11 @@ class Liquid(Record):
             raise read.section.error("antoine", table.antoine, message)
         zero = ZERO_CELSIUS if table.scale == "degC" else 0
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"
-        text = "of Antoine's equation"
-        antoine = case_input(name, numbers, ("A", "B", "C"), "1, K, K", meaning=text)
+        where = positions(read.section, "antoine", table.antoine, "1")
+        antoine = case_input(
+            name, numbers, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation",
+            positions=where if scale == 1 and zero == 0 else (),
+        )  # fmt: skip
         return cls(antoine=antoine, **values(cls, read))
 
 

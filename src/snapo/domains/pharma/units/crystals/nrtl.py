@@ -142,15 +142,20 @@ class Mixture(Record):
 
         solute = parameter("molar_mass", "kg/kmol", "MW")
         names = ["solute", *table.solvents]
-        labels = [f"{names[i]}-{names[j]}" for i, j in zip(*_apart(count))]
+        apart = _apart(count)
+        labels = [f"{names[i]}-{names[j]}" for i, j in zip(*apart)]
 
         def matrix(key: str, unit: str) -> CaseInput:
             raw = getattr(table, key)
             rows = np.zeros((count, count)) if raw is None else raw
             if len(rows) != count or any(len(row) != count for row in rows):
                 raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
-            numbers = np.array(rows, float)[_apart(count)]
-            return case_input(f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL")
+            numbers = np.array(rows, float)[apart]
+            where = tuple((*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart))
+            return case_input(
+                f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL",
+                positions=() if raw is None else where,
+            )  # fmt: skip
 
         melting = parameter("melting", "K", "Tm"), parameter("fusion", "J/mol", "Hfus")
         numbers = values(cls, read) | dict(zip(("melting", "fusion"), melting))
