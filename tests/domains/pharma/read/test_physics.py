@@ -79,7 +79,7 @@ ODD = {
         "units.crystalliser.seed.size: crystalliser.seed.size is 20 mm (0.02)"),
     "activation in joules": (
         'activation = "3.0e4 J/mol"', 'activation = "30 J/mol"',
-        "reactions[impurity].activation: kinetics.activation impurity is 30 J/mol"),
+        "reactions[1].activation: kinetics.activation impurity is 30 J/mol"),
     "pressure in bar": ('pressure = "1e5 Pa"', 'pressure = "1e5 bar"', "units.filter.pressure: "),
     "a viscosity": ('"4.6e-4 Pa*s"', '"4.6e3 Pa*s"', "units.filter.viscosity: "),
     "a diffusivity in cm": ('"7e-10 m^2/s"', '"7e-2 m^2/s"', "units.tablet.diffusivity: "),

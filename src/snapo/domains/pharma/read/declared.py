@@ -145,7 +145,8 @@ def inner(record: type["Record"], default: Any = ..., name: str = "") -> Any:
         data = parse(record.table, raw, str(table.file), section.name, table.notes)
         return record.read(Reader(section, number_name(section), data, raw))
 
-    return key(custom(read, record.heading, default, ("object",)), name)
+    words = f"the table {record.heading.strip('`[]').rpartition('.')[2]}"
+    return key(custom(read, words, default, ("object",)), name)
 
 
 class TableOf:

@@ -10,6 +10,7 @@ from snapo.case.quantity import Range
 NUMBER = "a number, such as 1.32"
 
 
+PROBABILITY = Range(0.0, 1.0, "()", noun="a probability")
 TextKey = Annotated[str, Field(min_length=1)]
 
 
@@ -47,6 +48,16 @@ def within(bounds: Range, default: Any = ...) -> Any:
     }
     limits: Any = {name: end for name, end in limits.items() if math.isfinite(end)}
     return Field(default, description=str(bounds), **limits)
+
+
+def tables(name: str) -> Any:
+    """A field for one table of an array, or more."""
+    return Field(description=f"one table {name} or more", min_length=1)
+
+
+def pair(subject: str) -> Any:
+    """A field for a list of two."""
+    return Field(description=f"two {subject}", min_length=2, max_length=2)
 
 
 def word(*text: str, default: Any = ...) -> Any:

@@ -87,7 +87,8 @@ class Unit(ABC):
     def __init_subclass__(cls):
         super().__init_subclass__()
         if "type" in vars(cls):
-            cls.heading = f'`type = "{cls.type}"`'
+            kind = getattr(cls, "variant", "")
+            cls.heading = f'`type = "{cls.type}"`' + (f', `kind = "{kind}"`' if kind else "")
             cls.more_keys = {"type": (Literal[cls.type], ...)} | vars(cls).get("more_keys", {})
 
     @classmethod

@@ -56,7 +56,7 @@ class Liquid(Record):
     )
     heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the liquid")
 
-    heading = "the table liquid"
+    heading = "`[units.NAME.liquid]`"
     more_keys: ClassVar = {
         "antoine": (
             list[float],

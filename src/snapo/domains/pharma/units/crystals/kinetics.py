@@ -37,7 +37,7 @@ class Kinetics(Record):
     crystal_order: CaseInput = ORDER("crystal order", 1.0)
     rounding: float = ORDER.number("rounding", 5e-6, range=POSITIVE)
 
-    heading = "the table kinetics"
+    heading = "`[units.NAME.kinetics]`"
 
 
 class Rates(NamedTuple):

@@ -102,7 +102,7 @@ class Mixture(Record):
     liquid: np.ndarray
     ratio: float
 
-    heading = "the table nrtl"
+    heading = "`[units.NAME.solubility.nrtl]`"
     more_keys: ClassVar = {
         "solute": (
             str | None,

@@ -35,7 +35,7 @@ class Seed(Record):
     moments: CaseInput | None = None
     spread: CaseInput | None = Measured(range=POSITIVE, example="0.3")("spread", None)
 
-    heading = "the table seed"
+    heading = "`[units.NAME.seed]`"
     more_keys: ClassVar = {
         "moments": (
             list[Any] | None,

@@ -45,7 +45,7 @@ class Solubility(Record):
     reference: float | None = ABSOLUTE.number("temperature of the reference", None)
     mixture: Mixture | None = inner(Mixture, None, "nrtl")
 
-    heading = "the table solubility"
+    heading = "`[units.NAME.solubility]`"
     more_keys: ClassVar = {
         "kind": (SolubilityKind, choice("polynomial", "exponential", "van-t-hoff", "nrtl")),
         "coefficients": (

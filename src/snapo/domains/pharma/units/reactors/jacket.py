@@ -24,4 +24,4 @@ class Jacket(Record):
     )
     temperature: Profile = ABSOLUTE.profile("temperature of the jacket")
 
-    heading = "the table jacket"
+    heading = "`[units.NAME.jacket]`"
