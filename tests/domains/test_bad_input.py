@@ -106,7 +106,7 @@ def judge(command: list[str], mistake: Wrong, capsys) -> Iterator[str]:
         yield f"exit code {code}, and on stdout {said.out!r}"
     if len(lines) != 1 or not said.err.startswith("snapo: ") or len(said.err) > 600:
         yield f"not one message: {said.err[:1000]}"
-    missing = [word for word in mistake.inputs_by_name if word not in said.err]
+    missing = [word for word in mistake.named if word not in said.err]
     if missing or not any(ending in said.err for ending in (".toml", ".csv", ".npy")):
         yield f"the message lacks {missing or 'the file'}: {said.err}"
     if raw := [word for word in RAW if word in said.err]:
