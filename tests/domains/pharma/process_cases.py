@@ -67,12 +67,12 @@ def network(**fields):
 
 def feed(concentration=(0.33, 0.33, 0.0, 0.0), volume=0.06, duration=None, name="charge"):
     return Feed(
-        name,
-        number(f"{name}.volume", volume, "m3"),
-        number(f"{name}.temperature", 313.15, "K"),
-        series(f"{name}.concentration", concentration, "kmol/m3"),
-        number(f"{name}.solvent", 887.6, "kg/m3"),
-        duration,
+        name=name,
+        volume=number(f"{name}.volume", volume, "m3"),
+        temperature=number(f"{name}.temperature", 313.15, "K"),
+        concentration=series(f"{name}.concentration", concentration, "kmol/m3"),
+        solvent=number(f"{name}.solvent", 887.6, "kg/m3"),
+        duration=duration,
     )
 
 

@@ -54,6 +54,16 @@ def test_all_mistakes_of_a_unit_are_named_at_once():
     assert "units.mill.rate: got '1 kg'" in text
 
 
+def test_mistakes_of_a_feed_are_named_with_their_keys():
+    tables = tomllib.loads(TEMPLATE.read_text(encoding="utf-8"))
+    tables["feeds"]["charge"] |= {"solvent": "4 kg/L", "duration": "-2 h"}
+    with pytest.raises(CaseError) as caught:
+        resolve(TEMPLATE, tables)
+    text = str(caught.value)
+    assert "feeds.charge.solvent: got '4 kg/L'; allowed is a quantity from 0 to 3,000 kg/m3" in text
+    assert "feeds.charge.duration: got '-2 h'; allowed is a quantity above 0" in text
+
+
 def test_keys_of_two_records_stand_in_one_table():
     keys = FilterDryer.table.model_fields
     assert {"filter_pressure", "pressure", "area", "heating_area", "washes", "liquid"} <= set(keys)

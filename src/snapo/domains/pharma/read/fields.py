@@ -7,9 +7,6 @@ from pydantic import Field
 
 from snapo.case.quantity import Range
 
-NUMBER = "a number, such as 1.32"
-
-
 PROBABILITY = Range(0.0, 1.0, "()", noun="a probability")
 TextKey = Annotated[str, Field(min_length=1)]
 
@@ -21,17 +18,6 @@ def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> An
     """A field for a number with a unit, required without a default. `meaning`: its meaning."""
     text = f"a quantity in quotation marks, such as {subject}"
     return Field(default, description=text, title=meaning)
-
-
-def number(subject: str = NUMBER, default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a pure number."""
-    return Field(default, description=subject, title=meaning)
-
-
-def profile(default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a temperature, or any control, over time."""
-    message = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
-    return Field(default, description=message, title=meaning)
 
 
 def whole(low: int, high: float = math.inf, default: Any = ..., note: str = "") -> Any:

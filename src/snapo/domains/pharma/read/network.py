@@ -12,10 +12,10 @@ from snapo.case.table import TableContext, parse
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import FlowNetwork
+from .declared import values
 from .names import check_name
 from .numbers import (
     ANY,
-    LIQUID,
     NOT_NEGATIVE,
     POSITIVE,
     absent,
@@ -26,7 +26,7 @@ from .numbers import (
 )
 from .quantities import prefactor_unit
 from .reader import Reader
-from .tables import FeedTable, ReactionTable, SpeciesTable
+from .tables import ReactionTable, SpeciesTable
 
 TERM = re.compile(r"(?:(\d+\.?\d*|\.\d+)\s*)?([A-Za-z][A-Za-z0-9_-]*)")
 MASS_TOLERANCE = 1e-4  # textbooks give molar masses to a few digits: 211.22 for 211.213
@@ -165,22 +165,17 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
         where = f"feeds.{name}"
         section = TableContext(file, where, notes)
         check_name(TableContext(file, "feeds", notes), name, name)
-        table = parse(FeedTable, raw, str(file), where)
+        table = parse(Feed.table, raw, str(file), where, notes)
         amounts = np.zeros(len(species))
         for item, raw_amount in table.concentration.items():
             at = _species(section, f"concentration.{item}", item, species)
             key = f"concentration.{item}"
             amounts[at] = quantity(section, key, raw_amount, "kmol/m3", NOT_NEGATIVE)
-        duration = None
-        if table.duration is not None:
-            duration = quantity(section, "duration", table.duration, "s", POSITIVE)
         read = Reader(section, name, table, raw)
         text = "concentration in the feed"
         results.append(
             Feed(
                 name=name,
-                volume=read.number("volume", "m3", POSITIVE),
-                temperature=read.number("temperature", "K", POSITIVE),
                 concentration=case_input(
                     f"{name}.concentration",
                     amounts,
@@ -192,8 +187,7 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                         position(section, f"concentration.{item}", "kmol/m3") for item in species
                     ),
                 ),
-                solvent=read.number("solvent", "kg/m3", LIQUID),
-                duration=duration,
+                **values(Feed, read),
             )
         )
     return tuple(results)

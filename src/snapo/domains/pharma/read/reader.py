@@ -3,13 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from snapo.case.given import CaseInput
-from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext, parse
 
-from ..time.profile import Profile
 from .names import check_name
-from .numbers import ANY, POSITIVE, profile, quantity, single, suggest
+from .numbers import suggest
 
 
 class Reader(NamedTuple):
@@ -19,24 +16,6 @@ class Reader(NamedTuple):
     name: str
     table: Any
     raw: Mapping[str, Any]
-
-    def meaning(self, key: str) -> str:
-        """The meaning of a key, as its table says it."""
-        return type(self.table).model_fields[key].title or key.replace("_", " ")
-
-    def number(self, key: str, unit: str, bounds: Range = ANY) -> CaseInput:
-        raw, name = getattr(self.table, key), f"{self.name}.{key}"
-        return single(self.section, name, key, raw, unit, bounds, self.meaning(key))
-
-    def optional(self, key: str, unit: str, bounds: Range = ANY) -> CaseInput | None:
-        return None if getattr(self.table, key) is None else self.number(key, unit, bounds)
-
-    def plain(self, key: str, unit: str, bounds: Range = ANY) -> float:
-        return quantity(self.section, key, getattr(self.table, key), unit, bounds)
-
-    def profile(self, key: str, unit: str, bounds: Range = POSITIVE) -> Profile:
-        raw, name = getattr(self.table, key), f"{self.name}.{key}"
-        return profile(self.section, name, key, raw, unit, bounds, self.meaning(key))
 
     def one_of(self, key: str, names: Sequence[str], noun: str) -> str:
         """One of these `names`."""

@@ -33,18 +33,6 @@ class ReactionTable(CaseTable):
     order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
 
 
-class FeedTable(CaseTable):
-    """`[feeds.NAME]`"""
-
-    volume: Any = quantity('"60 L"', meaning="volume fed")
-    temperature: Any = quantity('"313.15 K"', meaning="temperature of the feed")
-    concentration: dict[str, Any] = Field(
-        {}, description='concentrations such as { A = "0.33 mol/L" }'
-    )
-    solvent: Any = quantity('"887.6 kg/m^3"', meaning="solvent per volume fed")
-    duration: Any = quantity('"2 h"', None)
-
-
 # `from` is a word of Python, so this table is not written as a class.
 ENDS: dict[str, Any] = {
     "from": (TextKey, Field(description='a feed, or "unit.outlet"')),
