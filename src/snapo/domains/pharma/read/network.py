@@ -165,7 +165,7 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
         where = f"feeds.{name}"
         section = TableContext(file, where, notes)
         check_name(TableContext(file, "feeds", notes), name, name)
-        table = parse(Feed.table, raw, str(file), where, notes)
+        table: Any = parse(Feed.table, raw, str(file), where, notes)
         amounts = np.zeros(len(species))
         for item, raw_amount in table.concentration.items():
             at = _species(section, f"concentration.{item}", item, species)
