@@ -160,6 +160,7 @@ def _values(field) -> Iterator[tuple[str, Any]]:
 def _beyond(words: str) -> set[float]:
     """Numbers just outside of the range that a description promises."""
     found: set[float] = set()
+    words = re.sub(r"(?<=\d),(?=\d{3})", "", words)  # 1,000 is one number
     for low in re.findall(r"(?:at least|from) (-?[\d.]+\d|\d)", words):
         found.add(float(low) - 1)
     for low in re.findall(r"(-?[\d.]+\d|\d),? or more", words):

@@ -34,8 +34,18 @@ class Copies(NamedTuple):
     positions: tuple[tuple[str | int, ...], ...]
 
 
+class QuantityKey(NamedTuple):
+    """The position of a number that stands with its unit in a text, "313.15 K".
+
+    - `path`: the keys that lead to it. `unit`: of the input, in which another number is written.
+    """
+
+    path: tuple[str | int, ...]
+    unit: str
+
+
 # The position of a number: a cell, the keys that lead to it in the TOML file, or none.
-FilePosition = SheetCell | Copies | tuple[str | int, ...] | None
+FilePosition = SheetCell | Copies | QuantityKey | tuple[str | int, ...] | None
 
 
 def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from snapo.case.csv import NUMBER, FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, Copies, FilePosition, SheetCell
+from snapo.case.given import CaseInput, Copies, FilePosition, QuantityKey, SheetCell
 from snapo.case.table import TableContext
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
@@ -122,6 +122,8 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
         elif isinstance(position, Copies):
             for path in position.positions:
                 files = files.with_value(path, number)
+        elif isinstance(position, QuantityKey):
+            files = files.with_value(position.path, f"{number!r} {position.unit}")
         elif position is not None:
             files = files.with_value(position, number)
     return files

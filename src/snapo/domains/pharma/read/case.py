@@ -14,6 +14,7 @@ from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation,
 from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import PharmaCase
+from ..flowsheet.feed import Feed
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
@@ -39,7 +40,6 @@ from .tables import (
     CorrelationTable,
     DesignSpaceTable,
     DistributionTable,
-    FeedTable,
     GoalTable,
     NumericsTable,
     ParameterTable,
@@ -72,7 +72,7 @@ FORMATS = {
     "": PharmaTable,
     "species.*": SpeciesTable,
     "reactions[]": ReactionTable,
-    "feeds.*": FeedTable,
+    "feeds.*": Feed.table,
     "units.*": [unit.table for variants in TYPES.values() for unit in variants.values()],
     "parameters[]": ParameterTable,
     "parameters[].distribution": DistributionTable,

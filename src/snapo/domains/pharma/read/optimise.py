@@ -1,15 +1,16 @@
 """Reads `[optimise]`: decisions within their bounds, and the goal."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
+from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext, parse
 
 from ..recipe.records import Decision, Optimise, Term
 from .entries import EntryNumbers
-from .fields import TextKey, word
+from .fields import TextKey, tables, whole, within, word
 from .fields import quantity as quantity_field
 from .numbers import quantity, suggest, unit_of
 from .quantities import UnitError, check_basis, conversion, own_basis
@@ -35,20 +36,12 @@ class OptimiseTable(CaseTable):
     """`[optimise]`"""
 
     sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
-    terms: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[optimise.terms]]"
-    )
+    terms: list[dict] = tables("[[optimise.terms]]")
     per: list[dict] = Field([], description="tables [[optimise.per]]")
-    decisions: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[optimise.decisions]]"
-    )
-    reserve: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="a number of margins, 0 or more"
-    )
-    deviations: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="a number of standard deviations, 0 or more"
-    )
-    starts: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="a whole number, 1 or more")
+    decisions: list[dict] = tables("[[optimise.decisions]]")
+    reserve: float = within(Range(0.0, noun="a number of margins"), 0.0)
+    deviations: float = within(Range(0.0, noun="a number of standard deviations"), 0.0)
+    starts: int = whole(1, 1000, default=1)
 
 
 def read_optimise(

@@ -16,21 +16,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.grid import Grid, Sizes
 from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.network import FlowNetwork
 from ..flowsheet.stream import Stream
+from ..read.declared import TableOf, values
 from ..read.reader import Reader
 from ..time.defect import too_long
 from ..time.dynamics import Dynamics, Track
 from ..time.integrate import ended, integrate
 from ..time.numerics import Numerics
 from ..time.profile import Profile
-
-TableType = type[CaseTable]
 
 
 class Inlet(NamedTuple):
@@ -70,7 +68,8 @@ class Unit(ABC):
 
     - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
       classes of one type, else "". `title`: its name in the report.
-    - `table`: `[units.NAME]`. `reacts`: whether it reads the case's reactions.
+    - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
+      the case's reactions.
     - `symbols`: of the equations, each with its meaning; `assumptions`: sentences for the report.
     """
 
@@ -79,15 +78,23 @@ class Unit(ABC):
     type: ClassVar[str]
     variant: ClassVar[str]
     title: ClassVar[str]
-    table: ClassVar[TableType]
+    table = TableOf()
+    more_keys: ClassVar[dict[str, Any]] = {}
     reacts: ClassVar[bool]
     symbols: ClassVar[tuple[tuple[str, str], ...]]
     assumptions: ClassVar[tuple[str, ...]]
 
+    def __init_subclass__(cls):
+        super().__init_subclass__()
+        if "type" in vars(cls):
+            kind = getattr(cls, "variant", "")
+            cls.heading = f'`type = "{cls.type}"`' + (f', `kind = "{kind}"`' if kind else "")
+            cls.more_keys = {"type": (Literal[cls.type], ...)} | vars(cls).get("more_keys", {})
+
     @classmethod
-    @abstractmethod
     def read(cls, read: Reader, species: tuple[str, ...]) -> Self:
         """The unit from its table; mistakes are `CaseError`s."""
+        return cls(name=read.name, **values(cls, read, species))
 
     @property
     @abstractmethod

@@ -87,8 +87,8 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
         hint = suggest(str(kind), TYPES, "type")
         raise section.error("type", kind, f"allowed is one of {text}; {hint}")
     selected = _variant(section, raw, TYPES[kind])
-    table = parse(selected.table, raw, str(file), section.name)
-    return selected.read(Reader(section, name, table), species)
+    table = parse(selected.table, raw, str(file), section.name, notes)
+    return selected.read(Reader(section, name, table, raw), species)
 
 
 def _variant(section: TableContext, raw: dict, variants: Variants) -> type[Unit]:

@@ -1,7 +1,7 @@
 """Reads `[[control.rules]]`: controllers that stand beside the trained policy."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -9,7 +9,7 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ...control.records import PI, Cascade, ControlRule, Manipulated, Measurement
 from ..entries import EntryNumbers
-from ..fields import TextKey, quantity, word
+from ..fields import TextKey, quantity, tables, word
 from ..numbers import POSITIVE, listed, suggest
 from ..numbers import quantity as number
 
@@ -21,9 +21,7 @@ class RuleTable(CaseTable):
 
     name: TextKey = Field(description="a name")
     tuning: Literal["simc", "ziegler-nichols"] = word("simc", "ziegler-nichols", default="simc")
-    loops: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[control.rules.loops]]"
-    )
+    loops: list[dict] = tables("[[control.rules.loops]]")
 
 
 class LoopTable(CaseTable):
