@@ -9,7 +9,7 @@ import pytest
 from tests.compilations import compilations
 from tests.domains.same_form import same_programs
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import SIZES
 from snapo.domains.control.read import read_case
 from snapo.domains.control.study import make_setup, setup_at
