@@ -138,7 +138,7 @@ def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
     best = expected_cost(result, np.asarray(mean), spread, shocks)
     if not plant.measured:
         return -best
-    if "low" in start:  # not normal: Kalman's filter is the best linear one alone
+    if "low" in start:  # not normal: Kalman's filter is only the best linear one
         return None
     linear, errors = linearised(plant, values["plant"], values["cost"]), values[MEASURED]["x"]
     return -best - estimation_cost(linear, result, spread, shocks, np.diag(errors**2))

@@ -1,4 +1,4 @@
-"""How a run of a controlled plant is told."""
+"""The report of a controlled plant."""
 
 from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
@@ -21,7 +21,7 @@ SECTIONS = (
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """What stands under the title."""
+    """The lines under the title."""
     steps = f"{number(run.get('horizon'), 0)} steps"
     objective = str(run.get("objective", ""))
     return [("Plant", str(run.get("plant_words", ""))), ("Horizon", steps),

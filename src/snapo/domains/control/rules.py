@@ -1,4 +1,4 @@
-"""Classical rules as rivals of a trained policy: none, proportional, and the linear regulator."""
+"""Classical rules to compare with a trained policy: none, proportional, linear regulator."""
 
 import equinox as eqx
 import jax

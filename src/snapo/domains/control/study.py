@@ -1,4 +1,4 @@
-"""What a run of a controlled plant does: training, rivals, closed form, maps of the policy."""
+"""The run of a controlled plant: training, classical rules, closed form, maps of the policy."""
 
 from dataclasses import replace
 from typing import Any
@@ -46,7 +46,7 @@ def unit(text: str) -> str:
 
 
 def units(plant: Plant) -> dict[str, str]:
-    """{state or action: unit}; an action is told as the share of its limit, as it is trained."""
+    """{state or action: unit}; an action is shown as the share of its limit, as it is trained."""
     table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}
     table |= {f"{MEASURED}.{name}": table[name] for name in plant.measured if name in table}
     return table | {"action": "share of its limit"} if _bounded(plant) else table
@@ -57,7 +57,7 @@ def _bounded(plant: Plant) -> bool:
 
 
 def study(case: ControlCase, options: Options) -> Study:
-    """Training, distribution, fans, moves, rivals, the plane of states, and the certificate."""
+    """Training, distribution, fans, moves, classical rules, the plane of states, certificate."""
     setup, plant = make_setup(case, options.engine), case.plant
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
@@ -93,7 +93,7 @@ def study(case: ControlCase, options: Options) -> Study:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    """The trained policy beside the best rival, the closed form and the real environment."""
+    """The trained policy compared with the best rule, the closed form and the real environment."""
     baselines, played = BASELINES.of(run), GYMNASIUM.of(run)
     rules = baselines.rivals if baselines else ()
     references = {rule.name: rule.value for rule in rules}

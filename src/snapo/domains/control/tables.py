@@ -54,7 +54,7 @@ class ControlPolicyTable(CaseTable):
 
 
 class PlantTable(CaseTable):
-    """`[plant]`: what every plant has beside its parameters."""
+    """`[plant]`: what every plant has in addition to its parameters."""
 
     type: str
     horizon: int | None = _whole_number(1, 100_000, " of steps")

@@ -1,4 +1,4 @@
-"""How an inventory run is told."""
+"""The report of an inventory run."""
 
 from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles

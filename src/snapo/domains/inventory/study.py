@@ -82,7 +82,7 @@ def _periods(case: AnyCase) -> str:
 
 
 def study(case: AnyCase, options: Options) -> Study:
-    """Training, service and costs, an item's rule as a table, rivals, moves, lead time, outputs."""
+    """Training, service and costs, an item's rule, other rules, moves, lead time, outputs."""
     if options.reference:
         allowed = "an inventory has no references to compute; its rivals are in every run"
         raise CaseError("--reference", "", None, allowed)

@@ -72,7 +72,7 @@ class Plant(Simulator):
     sees_time: ClassVar[bool] = False
     portrait: ClassVar[tuple[str, ...]] = ()  # two states to draw; the first two where empty
     twin: ClassVar[str] = ""  # the environment of Gymnasium with the same numbers
-    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is a rival
+    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is compared
 
     horizon: int = eqx.field(static=True)
     time_feature: bool = eqx.field(static=True)
@@ -88,7 +88,7 @@ class Plant(Simulator):
         horizon: int | None = None,
         timer: bool | None = None,
     ):
-        """The plant for `inputs` (see `inputs.py`): their shapes and keys alone count."""
+        """The plant for `inputs` (see `inputs.py`): only their shapes and keys count."""
         self.horizon = self.steps if horizon is None else horizon
         self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
@@ -164,7 +164,7 @@ class Plant(Simulator):
         return {}
 
     def hand_rules(self, p: PlantValues) -> dict[str, Policy]:
-        """Classical rules of this plant alone, by name."""
+        """Classical rules of only this plant, by name."""
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A period of lead time less, and one more: each trained anew, on the same paths."""
+"""A period of lead time less, and one more: each trained again, on the same paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

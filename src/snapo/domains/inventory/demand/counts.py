@@ -32,14 +32,14 @@ from snapo.case.quantity import Range
 from .base import Demand, Parameters, mean_key
 
 LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
-TAIL = 1e-8  # the chance of a demand above those that are counted
+TAIL = 1e-8  # the probability of a demand above those that are counted
 ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
 
 
 class CountDemand(Demand):
     """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
 
-    - `maximum`: the number of demands above zero that are told apart.
+    - `maximum`: the number of demands above zero that are distinguished.
     """
 
     integer = True
@@ -47,7 +47,7 @@ class CountDemand(Demand):
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
-        """ln of the chance of demand `k`, shaped like both together."""
+        """ln of the probability of demand `k`, shaped like both together."""
 
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
         """`below` [T, K]: F(k - 1); `probability` [T, K]: p(k)."""
@@ -82,10 +82,10 @@ def _moved(level: Array, size: Array) -> Array:
 
 
 def count_mean() -> Any:
-    """The key `mean` of demand in whole units, each of which is told apart."""
+    """The key `mean` of demand in whole units, each of which is distinguished."""
     return mean_key(LARGEST)
 
 
 def most_of(quantile: Any) -> int:
-    """The largest demand that is told apart, of SciPy's quantile function at the largest mean."""
+    """The largest distinguished demand, by SciPy's quantile function at the largest mean."""
     return int(np.ceil(quantile(1 - TAIL))) + 1

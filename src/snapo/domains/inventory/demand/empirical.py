@@ -36,10 +36,11 @@ class EmpiricalTable(CaseTable):
 
 @register
 class EmpiricalDemand(Demand):
-    """A period of the history, by chance.
+    """A period of the history, drawn at random.
 
     Where the history has a column `factor`, its demand is divided by it, and a period drawn is
-    multiplied by its own factor. The mean moves all numbers alike, the deviation stretches them.
+    multiplied by its own factor. The mean moves all numbers by the same
+    amount, the deviation stretches them.
 
     - `numbers`: of the history, sorted; `scores`: the same with mean 0 and deviation 1.
     - `whole`: whether all are; `moved`: whether the case gives another mean or deviation.

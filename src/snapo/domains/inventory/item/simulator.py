@@ -173,7 +173,7 @@ class InventorySimulator(Simulator):
         action, likelihood = self._drawn(constants, state, action, noise, smooth)
         placed, order = _order(self.action, action, self.fixed, smooth)
         # In training orders follow a curve of the stock; a derivative by whole demand is right on
-        # lines that are straight between whole numbers alone.
+        # lines that are straight between whole numbers only.
         spread = not isinstance(smooth, Exact)
         demand = self.demand.draw(now["demand"], noise[0], spread)
         stock = state["stock"] + (order if self.lead_time == 0 else 0.0)

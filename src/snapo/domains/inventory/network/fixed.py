@@ -3,7 +3,7 @@
 As for one item (see `item.simulator`), training draws at random whether a place orders, with the
 probability that the policy gives, and multiplies costs by the likelihood of what was drawn. Every
 place has its own likelihood; a cost is multiplied by those of the places that its place is linked
-to, for no other has an effect on it, and would add noise alone.
+to, for no other has an effect on it, and would only add noise.
 """
 
 from collections.abc import Mapping

@@ -147,7 +147,7 @@ class NetworkCase:
     """What `snapo solve` needs of a case with places.
 
     - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
-      where periods are alike.
+      where all periods are equal.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
       customers; `transshipment`: by pool, of a unit moved; `ordering`: of an order of any size, by
       place in the order of `network.fixed`, None where no order costs anything.

@@ -133,7 +133,7 @@ class NetworkSimulator(Simulator):
         return Product(**sets) if len(sets) > 1 else sets["order"]
 
     def prepare(self, inputs: Any) -> Schedule:
-        """What differs by period stands in the steps where there is a season, else once in the
+        """What differs by period is in the steps where there is a season, else once in the
         constants: `step` looks for it in both."""
         network = self.network
         periods = self.horizon if network.seasonal else 1
@@ -170,7 +170,7 @@ class NetworkSimulator(Simulator):
         return Schedule(constants, steps | item)
 
     def levels(self, inputs: Any, periods: int) -> Levels:
-        """Those of the first `periods`; where there is no season, all are alike."""
+        """Those of the first `periods`; where there is no season, all are equal."""
         network = self.network
         reach = jnp.asarray(network.serves[:, network.sellers])
         longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))
