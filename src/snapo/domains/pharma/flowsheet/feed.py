@@ -8,13 +8,13 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 
 from ..given import use
-from ..read.declared import ABSOLUTE, TIME, VOLUME, Measured, Record
+from ..read.declared import ABSOLUTE, TIME, VOLUME, TableRecord, UnitQuantity
 from ..read.numbers import LIQUID
 from .stream import Stream, clear
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Feed(Record):
+class Feed(TableRecord):
     """Material that enters: amounts of one batch, or of `duration` seconds of a continuous run.
 
     - `concentration`: kmol/m3, index [S], labels are the species.
@@ -25,7 +25,9 @@ class Feed(Record):
     volume: CaseInput = VOLUME("volume fed", example="60 L")
     temperature: CaseInput = ABSOLUTE("temperature of the feed")
     concentration: CaseInput
-    solvent: CaseInput = Measured("kg/m3", LIQUID, example="887.6 kg/m^3")("solvent per volume fed")
+    solvent: CaseInput = UnitQuantity("kg/m3", LIQUID, example="887.6 kg/m^3")(
+        "solvent per volume fed"
+    )
     duration: float | None = TIME.number("time in which it is fed", None, example="2 h")
 
     heading = "`[feeds.NAME]`"

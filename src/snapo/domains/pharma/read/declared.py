@@ -1,6 +1,6 @@
 """A number of a unit, declared once as a field of its record.
 
-    SPEED = Measured("m/s", NOT_NEGATIVE, example="20 m/s")
+    SPEED = UnitQuantity("m/s", NOT_NEGATIVE, example="20 m/s")
 
     @dataclass(frozen=True, eq=False)
     class WetMill(Timed):
@@ -41,7 +41,7 @@ from .reader import Reader
 
 
 @dataclass(frozen=True)
-class Measured(Quantity):
+class UnitQuantity(Quantity):
     """A number with its unit, "30 min": called with a meaning it makes a field of a record.
 
     - `example`: a value in words. `alias`: the key, where it is not the name of the field.
@@ -97,21 +97,21 @@ class Measured(Quantity):
         return {"anyOf": kinds} if len(kinds) > 1 else kinds[0]
 
 
-TIME = Measured("s", POSITIVE, example="3600 s")
-RATE = Measured("1/s", NOT_NEGATIVE, example="1e-3 1/s")
-LENGTH = Measured("m", POSITIVE, example="20 um")
-ABSOLUTE = Measured("K", TEMPERATURE, example="313.15 K")
-PRESSURE = Measured("Pa", NOT_NEGATIVE, example="1 bar")
-CONCENTRATION = Measured("kg/m3", POSITIVE, example="20 kg/m^3")
-VOLUME = Measured("m3", POSITIVE, example="10 L")
-FLOW = Measured("m3/s", NOT_NEGATIVE, example="5 mL/min")
-AREA = Measured("m2", POSITIVE, example="0.5 m^2")
-SPEED = Measured("m/s", NOT_NEGATIVE, example="20 m/s")
-DIFFUSIVITY = Measured("m2/s", POSITIVE, example="7e-10 m^2/s")
-ENERGY = Measured("J/mol", example="40 kJ/mol")
-MOLAR_MASS = Measured("kg/kmol", POSITIVE, example="150 g/mol")
-CRYSTALS = Measured("kg/m3", DENSITY, example="1200 kg/m^3")
-POWER, SHAPE = Measured(range=NOT_NEGATIVE), Measured(range=POSITIVE, example="0.5236")
+TIME = UnitQuantity("s", POSITIVE, example="3600 s")
+RATE = UnitQuantity("1/s", NOT_NEGATIVE, example="1e-3 1/s")
+LENGTH = UnitQuantity("m", POSITIVE, example="20 um")
+ABSOLUTE = UnitQuantity("K", TEMPERATURE, example="313.15 K")
+PRESSURE = UnitQuantity("Pa", NOT_NEGATIVE, example="1 bar")
+CONCENTRATION = UnitQuantity("kg/m3", POSITIVE, example="20 kg/m^3")
+VOLUME = UnitQuantity("m3", POSITIVE, example="10 L")
+FLOW = UnitQuantity("m3/s", NOT_NEGATIVE, example="5 mL/min")
+AREA = UnitQuantity("m2", POSITIVE, example="0.5 m^2")
+SPEED = UnitQuantity("m/s", NOT_NEGATIVE, example="20 m/s")
+DIFFUSIVITY = UnitQuantity("m2/s", POSITIVE, example="7e-10 m^2/s")
+ENERGY = UnitQuantity("J/mol", example="40 kJ/mol")
+MOLAR_MASS = UnitQuantity("kg/kmol", POSITIVE, example="150 g/mol")
+CRYSTALS = UnitQuantity("kg/m3", DENSITY, example="1200 kg/m^3")
+POWER, SHAPE = UnitQuantity(range=NOT_NEGATIVE), UnitQuantity(range=POSITIVE, example="0.5236")
 
 
 def number_name(table: TableContext) -> str:
@@ -134,7 +134,7 @@ def species_key(description: str) -> Any:
     return key(Field(description=description), type=TextKey, species=True)
 
 
-def inner(record: type["Record"], default: Any = ..., name: str = "") -> Any:
+def inner(record: type["TableRecord"], default: Any = ..., name: str = "") -> Any:
     """A field for the record of an inner table."""
 
     def read(raw: Any, key: KeyContext) -> Any:
@@ -195,7 +195,7 @@ def values(record: type, read: Reader, species: tuple[str, ...] = ()) -> dict[st
     return result
 
 
-class Record:
+class TableRecord:
     """An inner table of a unit, its fields declared; `heading`: the name of the table.
 
     - `more_keys`: {key: (type, declaration)} of keys that are no fields.

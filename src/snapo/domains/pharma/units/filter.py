@@ -18,7 +18,7 @@ from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream, clear
 from ..given import use
-from ..read.declared import AREA, PRESSURE, Measured, key
+from ..read.declared import AREA, PRESSURE, UnitQuantity, key
 from ..read.numbers import NOT_NEGATIVE, POROSITY, POSITIVE, SHARE
 from .crystals.population import mean_sizes
 from .operation import Inlet, Instant
@@ -35,21 +35,21 @@ class Filter(Instant):
 
     area: CaseInput = AREA("filter area", example="200 cm^2")
     pressure: CaseInput = PRESSURE("pressure difference", range=POSITIVE)
-    viscosity: CaseInput = Measured("Pa*s", POSITIVE, example="0.46 mPa*s")(
+    viscosity: CaseInput = UnitQuantity("Pa*s", POSITIVE, example="0.46 mPa*s")(
         "viscosity of the liquor"
     )
-    medium_resistance: CaseInput = Measured("1/m", NOT_NEGATIVE, example="1e10 1/m")(
+    medium_resistance: CaseInput = UnitQuantity("1/m", NOT_NEGATIVE, example="1e10 1/m")(
         "resistance of the filter medium"
     )
-    porosity: CaseInput = Measured(range=POROSITY)("porosity of the cake")
-    saturation: CaseInput = Measured(range=SHARE)("share of the cake's voids that keeps liquor")
-    resistance: CaseInput | None = Measured("m/kg", POSITIVE, example="1e11 m/kg")(
+    porosity: CaseInput = UnitQuantity(range=POROSITY)("porosity of the cake")
+    saturation: CaseInput = UnitQuantity(range=SHARE)("share of the cake's voids that keeps liquor")
+    resistance: CaseInput | None = UnitQuantity("m/kg", POSITIVE, example="1e11 m/kg")(
         "specific resistance of the cake", None
     )
     wash: Literal["exponential", "dispersion"] = key(choice("exponential", "dispersion"))
-    wash_ratio: CaseInput = Measured(range=NOT_NEGATIVE)("wash liquid per void volume")
-    efficiency: CaseInput | None = Measured(range=NOT_NEGATIVE)("efficiency of the wash", None)
-    peclet: CaseInput | None = Measured(range=POSITIVE)("Peclet number of the wash", None)
+    wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)("wash liquid per void volume")
+    efficiency: CaseInput | None = UnitQuantity(range=NOT_NEGATIVE)("efficiency of the wash", None)
+    peclet: CaseInput | None = UnitQuantity(range=POSITIVE)("Peclet number of the wash", None)
 
     type = "filter"
     variant = ""

@@ -15,7 +15,7 @@ from snapo.case.quantity import Range, choice
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish
 from ..given import use
-from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, Measured, key, keys_of, values
+from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, UnitQuantity, key, keys_of, values
 from ..read.numbers import NOT_NEGATIVE, POSITIVE
 from ..time.profile import Profile
 from .filter import Filter, check_wash
@@ -35,8 +35,12 @@ class Nutsche(Filter):
         choice("reslurry", "dispersion", "exponential"),
         type=Literal["reslurry", "dispersion", "exponential"],
     )
-    wash_ratio: CaseInput = Measured(range=NOT_NEGATIVE)("wash liquid per void volume, of a wash")
-    washes: CaseInput | None = Measured(range=Range(1.0, 20.0))("number of reslurry washes", 1.0)
+    wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)(
+        "wash liquid per void volume, of a wash"
+    )
+    washes: CaseInput | None = UnitQuantity(range=Range(1.0, 20.0))(
+        "number of reslurry washes", 1.0
+    )
 
     def remaining(self, inputs):
         if self.efficiency is not None or self.peclet is not None:

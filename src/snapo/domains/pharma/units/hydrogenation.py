@@ -21,7 +21,7 @@ from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.declared import ABSOLUTE, ENERGY, PRESSURE, RATE, TIME, Measured, key, species_key
+from ..read.declared import ABSOLUTE, ENERGY, PRESSURE, RATE, TIME, UnitQuantity, key, species_key
 from ..read.numbers import POSITIVE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -44,7 +44,7 @@ class Hydrogenation(Timed):
     gas: int = species_key("the species that is the gas")
     pressure: Profile = PRESSURE.profile("partial pressure of the gas")
     transfer: CaseInput = RATE("kL a of the gas", range=POSITIVE, example="0.05 1/s")
-    henry: CaseInput = Measured("Pa*m3/kmol", POSITIVE, example="3.4e7 Pa*L/mol")(
+    henry: CaseInput = UnitQuantity("Pa*m3/kmol", POSITIVE, example="3.4e7 Pa*L/mol")(
         "Henry's constant at the reference"
     )
     enthalpy: CaseInput = ENERGY(

@@ -39,7 +39,7 @@ from ..read.declared import (
     POWER,
     SHAPE,
     VOLUME,
-    Measured,
+    UnitQuantity,
     inner,
     key,
     species_key,
@@ -55,7 +55,7 @@ ROUNDS = 60  # of bisection: to the last digit
 EDGE = 1e-12  # how far inside the supersaturation of the feed the search begins and ends
 
 
-GROWTH = Measured("m/s", POSITIVE, example="5 um/s")
+GROWTH = UnitQuantity("m/s", POSITIVE, example="5 um/s")
 BALANCE = {
     "solution": "(1 − M_T,in/ρ) (c_in − c)/(1 − c/ρ), c per volume of solution",
     "suspension": "c_in − c, c per volume of suspension",
@@ -86,7 +86,7 @@ class Msmpr(Instant):
     solubility: Solubility = inner(Solubility)
     growth: CaseInput = GROWTH("growth at a supersaturation of 1")
     growth_order: CaseInput = POWER("order of growth", 1.0, range=POSITIVE)
-    nucleation: CaseInput = Measured("1/m3/s", POSITIVE, example="1e7 1/m^3/s")(
+    nucleation: CaseInput = UnitQuantity("1/m3/s", POSITIVE, example="1e7 1/m^3/s")(
         "nucleation at the reference"
     )
     reference_growth: CaseInput = GROWTH("growth to which nucleation refers", example="0.1 um/s")

@@ -8,7 +8,7 @@ from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.declared import Measured
+from ..read.declared import UnitQuantity
 from ..read.numbers import INSIDE
 from .operation import Inlet, Instant
 
@@ -17,7 +17,7 @@ from .operation import Inlet, Instant
 class Thickener(Instant):
     """All crystals leave with the share `underflow` of the liquor; the rest is clear."""
 
-    underflow: CaseInput = Measured(range=INSIDE)(
+    underflow: CaseInput = UnitQuantity(range=INSIDE)(
         "share of the liquor that stays with the crystals"
     )
 

@@ -26,7 +26,7 @@ from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, Measured, Record, inner, values
+from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
 from ..read.fields import TextKey
 from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, positions
 from ..read.quantities import UnitError, conversion
@@ -39,19 +39,19 @@ SHARPNESS = 8  # of the passage from constant to falling rate
 ROUNDING = 1e-4  # of where evaporation begins, as a share of the pressure above the cake
 
 
-HEAT_TRANSFER = Measured("W/m2/K", POSITIVE, example="20 W/m^2/K")
-HEAT_CAPACITY = Measured("J/kg/K", POSITIVE, example="1200 J/kg/K")
+HEAT_TRANSFER = UnitQuantity("W/m2/K", POSITIVE, example="20 W/m^2/K")
+HEAT_CAPACITY = UnitQuantity("J/kg/K", POSITIVE, example="1200 J/kg/K")
 
 
 @dataclass(frozen=True, eq=False)
-class Liquid(Record):
+class Liquid(TableRecord):
     """The liquid in a cake. ln p = ln(10) (A - B / (C + T)) in Pa with T in K (Antoine).
 
     `antoine`: (A, B, C), index [3].
     """
 
     antoine: CaseInput
-    latent_heat: CaseInput = Measured("J/kg", POSITIVE, example="448 kJ/kg")(
+    latent_heat: CaseInput = UnitQuantity("J/kg", POSITIVE, example="448 kJ/kg")(
         "latent heat of the liquid"
     )
     heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the liquid")
@@ -104,10 +104,10 @@ class TrayDryer(Timed):
     pressure: Profile = PRESSURE.profile("pressure above the cake")
     area: CaseInput = AREA("area of the shelf")
     heat_transfer: CaseInput = HEAT_TRANSFER("heat transfer from shelf to cake")
-    mass_transfer: CaseInput = Measured("kg/m2/s/Pa", POSITIVE, example="7e-10 kg/m^2/s/Pa")(
+    mass_transfer: CaseInput = UnitQuantity("kg/m2/s/Pa", POSITIVE, example="7e-10 kg/m^2/s/Pa")(
         "mass transfer from the crystals' surface"
     )
-    critical: CaseInput = Measured(range=POSITIVE, example="0.03 kg/kg")(
+    critical: CaseInput = UnitQuantity(range=POSITIVE, example="0.03 kg/kg")(
         "moisture below which the rate falls"
     )
     heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the crystals")

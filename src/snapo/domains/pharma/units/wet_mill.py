@@ -21,7 +21,7 @@ from snapo.case.quantity import Range
 
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..given import fixed, use
-from ..read.declared import LENGTH, POWER, RATE, SPEED, TIME, Measured
+from ..read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity
 from ..read.numbers import POSITIVE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -42,7 +42,7 @@ class WetMill(Timed):
     reference_speed: CaseInput = SPEED("speed to which the rate refers", range=POSITIVE)
     size_power: CaseInput = POWER("power of the size in the rate", 3.0)
     speed_power: CaseInput = POWER("power of the speed in the rate", 2.0)
-    fragments: CaseInput = Measured(range=Range(2.0, 100.0))("mean number of fragments", 2.0)
+    fragments: CaseInput = UnitQuantity(range=Range(2.0, 100.0))("mean number of fragments", 2.0)
 
     type = "wet-mill"
     variant = ""

@@ -9,15 +9,15 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 
 from ...given import absent, use
-from ...read.declared import Measured, Record
+from ...read.declared import TableRecord, UnitQuantity
 from ...read.numbers import NOT_NEGATIVE, POSITIVE
 
-RATE, ORDER = Measured("m/s", NOT_NEGATIVE), Measured(range=NOT_NEGATIVE, example="1.32")
-NUCLEI = Measured("1/m3/s", NOT_NEGATIVE)
+RATE, ORDER = UnitQuantity("m/s", NOT_NEGATIVE), UnitQuantity(range=NOT_NEGATIVE, example="1.32")
+NUCLEI = UnitQuantity("1/m3/s", NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, eq=False)
-class Kinetics(Record):
+class Kinetics(TableRecord):
     """Growth, nucleation and dissolution with S = (c - c*) / c* and its positive part S+.
 
     S+ = (S + sqrt(S^2 + 4 d^2)) / 2 with d = `rounding` (5e-6 gives S^2 + 1e-10); S- = S+ - S.

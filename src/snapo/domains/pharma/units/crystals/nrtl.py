@@ -25,7 +25,15 @@ from snapo.case.quantity import quantity_of
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
-from ...read.declared import ABSOLUTE, CONCENTRATION, ENERGY, MOLAR_MASS, Measured, Record, values
+from ...read.declared import (
+    ABSOLUTE,
+    CONCENTRATION,
+    ENERGY,
+    MOLAR_MASS,
+    TableRecord,
+    UnitQuantity,
+    values,
+)
 from ...read.fields import Texts
 from ...read.numbers import POSITIVE, SHARE, case_input, listed
 from ...read.reader import Reader
@@ -80,7 +88,7 @@ def _matrix(text: str, default: Any = ...) -> Any:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Mixture(Record):
+class Mixture(TableRecord):
     """A solute, number 0, in n - 1 solvents.
 
     - `density`: of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index [n (n - 1)],
@@ -90,7 +98,7 @@ class Mixture(Record):
 
     melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
     fusion: CaseInput = ENERGY("enthalpy of fusion", None, range=POSITIVE, example="27.1 kJ/mol")
-    capacity: CaseInput = Measured("J/mol/K", example="0 J/mol/K")(
+    capacity: CaseInput = UnitQuantity("J/mol/K", example="0 J/mol/K")(
         "heat capacity of the melt less that of the crystals",
         "0 J/mol/K",
         alias="heat_capacity_change",

@@ -13,7 +13,7 @@ from snapo.case.given import CaseInput
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use
-from ...read.declared import CONCENTRATION, LENGTH, Measured, Record
+from ...read.declared import CONCENTRATION, LENGTH, TableRecord, UnitQuantity
 from ...read.numbers import POSITIVE, case_input, position, quantity
 from ...read.reader import Reader
 from .population import NUMBER, SIZE, cell_powers
@@ -22,7 +22,7 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 
 
 @dataclass(frozen=True, eq=False)
-class Seed(Record):
+class Seed(TableRecord):
     """Crystals at the start: `loading` of a `size`; or `moments`, index [6].
 
     Of the two, one is there and the other None; moments are m^k/m3, k = 0..5.
@@ -33,7 +33,7 @@ class Seed(Record):
     loading: CaseInput | None = CONCENTRATION("loading", None, example="0.02 kg/m^3")
     size: CaseInput | None = LENGTH("size", None)
     moments: CaseInput | None = None
-    spread: CaseInput | None = Measured(range=POSITIVE, example="0.3")("spread", None)
+    spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")("spread", None)
 
     heading = "`[units.NAME.seed]`"
     more_keys: ClassVar = {

@@ -14,7 +14,7 @@ from snapo.case.quantity import choice
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
-from ...read.declared import ABSOLUTE, CONCENTRATION, ENERGY, Record, inner, values
+from ...read.declared import ABSOLUTE, CONCENTRATION, ENERGY, TableRecord, inner, values
 from ...read.fields import TextKey
 from ...read.numbers import ZERO_CELSIUS, absent, case_input, positions, several
 from ...read.quantities import UnitError, conversion
@@ -25,7 +25,7 @@ SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 
 
 @dataclass(frozen=True, eq=False)
-class Solubility(Record):
+class Solubility(TableRecord):
     """c*(T, w) in kg/m3.
 
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`

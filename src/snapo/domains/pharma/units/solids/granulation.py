@@ -28,7 +28,7 @@ from snapo.case.quantity import Range
 from ...flowsheet.ledger import LedgerFinish, ledger
 from ...flowsheet.stream import MOMENTS
 from ...given import use
-from ...read.declared import LENGTH, POWER, RATE, SPEED, TIME, Measured, species_key
+from ...read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity, species_key
 from ...read.numbers import DENSITY, INSIDE, LIQUID, POSITIVE
 from ...time.dynamics import Dynamics
 from ...time.profile import Profile
@@ -36,8 +36,8 @@ from ..crystals.population import mean_sizes
 from ..operation import Inlet, Timed
 
 SPHERE = np.pi / 6  # granules are round
-DENSITIES = Measured("kg/m3", DENSITY, example="1540 kg/m^3")
-RATIO, PART = Measured(range=POSITIVE), Measured(range=INSIDE)
+DENSITIES = UnitQuantity("kg/m3", DENSITY, example="1540 kg/m^3")
+RATIO, PART = UnitQuantity(range=POSITIVE), UnitQuantity(range=INSIDE)
 
 
 @dataclass(frozen=True, eq=False)

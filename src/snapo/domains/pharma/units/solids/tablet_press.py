@@ -35,7 +35,7 @@ from ...read.declared import (
     POWER,
     PRESSURE,
     TIME,
-    Measured,
+    UnitQuantity,
     species_key,
 )
 from ...read.numbers import DENSITY, INSIDE, POSITIVE, SHARE
@@ -44,9 +44,9 @@ from .release import BY_MEAN, lasting, over_sizes, released
 
 ACCEPTED = (0.985, 1.015)  # of the label: a mean within them adds nothing to the acceptance value
 TEN = 2.4  # acceptability constant of ten tablets
-STRESS = Measured("Pa", POSITIVE, example="80 MPa")
-WEIGHT = Measured("kg", POSITIVE, example="100 mg")
-PART = Measured(range=INSIDE)
+STRESS = UnitQuantity("Pa", POSITIVE, example="80 MPa")
+WEIGHT = UnitQuantity("kg", POSITIVE, example="100 mg")
+PART = UnitQuantity(range=INSIDE)
 
 
 HECKEL, KAWAKITA = ("yield_pressure", "rearrangement"), ("kawakita_a", "kawakita_b")
@@ -66,14 +66,14 @@ class TabletPress(Instant):
     label: CaseInput = WEIGHT("drug in a tablet as labelled")
     diameter: CaseInput = LENGTH("diameter of a flat tablet", example="10 mm")
     pressure: CaseInput = PRESSURE("pressure of compaction", example="150 MPa")
-    true_density: CaseInput = Measured("kg/m3", DENSITY, example="1450 kg/m^3")(
+    true_density: CaseInput = UnitQuantity("kg/m3", DENSITY, example="1450 kg/m^3")(
         "true density of the solids"
     )
     packing: CaseInput = PART("share of a bed that particles fill")
     yield_pressure: CaseInput | None = STRESS("Heckel's mean yield pressure", None)
     rearrangement: CaseInput | None = PART("relative density by rearrangement", None, range=SHARE)
     kawakita_a: CaseInput | None = PART("Kawakita's a", None)
-    kawakita_b: CaseInput | None = Measured("1/Pa", POSITIVE, example="0.1 1/MPa")(
+    kawakita_b: CaseInput | None = UnitQuantity("1/Pa", POSITIVE, example="0.1 1/MPa")(
         "Kawakita's b", None
     )
     strength: CaseInput = STRESS("tensile strength without pores", example="10 MPa")
