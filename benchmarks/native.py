@@ -9,6 +9,7 @@ two transposes take when every thread does nothing else, in registers; it takes 
 
 import argparse
 import ctypes
+import math
 import os
 import subprocess
 import sys

@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
 def solve(folder, out, progress=lambda text: None, **options):
     """`snapo solve` of a case in a folder."""
     asked = commands.CaseRequest(folder, options.pop("assignments", ()))
-    return commands.solve(asked, tell, out=out, **{"engine": "native"} | options)
+    return commands.solve(asked, progress, out=out, **{"engine": "native"} | options)
 
 
 @pytest.fixture(scope="module")

@@ -36,12 +36,12 @@ class Basis:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Level payments `probability` year, money, at the end of each of `years` years, which are
+    """Level payments of `payment` a year, money, at the end of each of `years` years, which are
     worth the deficit on technical provisions; their `total`; all 0 without a deficit."""
 
     deficit: float
     years: float
-    probability: float
+    payment: float
     total: float
 
 

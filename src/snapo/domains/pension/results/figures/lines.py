@@ -196,7 +196,7 @@ def _funding(case: PensionCase) -> list[str]:
     plan = result.recovery
     if plan.deficit:
         message = (
-            f"recovery plan: {readable(plan.probability, currency)} a year for {plan.years:g} years"
+            f"recovery plan: {readable(plan.payment, currency)} a year for {plan.years:g} years"
         )
         summary.append(f"{message} (deficit {readable(plan.deficit, currency)})")
     return summary
