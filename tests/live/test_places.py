@@ -119,7 +119,9 @@ def test_numbers_of_a_table_that_is_no_csv_say_why_they_stay(tmp_path):
     case = tmp_path / "case.toml"
     case.write_text(case.read_text().replace("curve.csv", "curve.parquet"))
     places, _ = counted(tmp_path)
-    with pytest.raises(CaseError, match=r"curve\.parquet: numbers can be changed in a CSV"):
+    with pytest.raises(
+        CaseError, match=r"curve\.parquet: only numbers in a CSV next to the case can be changed"
+    ):
         places.case_at({"forward_curve": places.inputs["forward_curve"].value + 0.5})
 
 

@@ -297,7 +297,9 @@ class InputPositions:
         """{name: numbers} of the inputs whose positions their reader recorded."""
         entries = dict(inputs_in(self.case, "", set()))
         recorded = {
-            name: x for name, x in entries.items() if isinstance(x, CaseInput) and x.positions
+            name: x
+            for name, x in entries.items()
+            if name in self.inputs and isinstance(x, CaseInput) and x.positions
         }
         for name, located in getattr(self.case, "positions", {}).items():
             x = self.inputs[name]

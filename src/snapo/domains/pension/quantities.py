@@ -56,6 +56,10 @@ class FundQuantity(Quantity):
         """The quantity in a group of inputs."""
         return replace(self, group=group, **changes)
 
+    def __get_pydantic_json_schema__(self, *more: Any) -> dict[str, Any]:
+        one = super().__get_pydantic_json_schema__(*more)
+        return {"anyOf": [one, {"type": "array", "items": one}]} if self.by_factor else one
+
     def in_column(self, column: str, meaning: str, **changes: Any) -> Self:
         """The quantity of a column of a CSV."""
         return replace(self, column=column, meaning=meaning, **changes)

@@ -22,10 +22,9 @@ from .connections import ordered, read_connections
 from .entries import EntryNumbers
 from .estimation import read_estimation
 from .fitted import read_fitted
-from .goal import read_design_space, read_goal
 from .loops.control import read_control
 from .network import read_feeds, read_network
-from .optimise import OptimiseTable, read_optimise
+from .optimise import OptimiseTable, read_design_space, read_goal, read_optimise
 from .plausible.checks import (
     check_amounts,
     check_decided,
