@@ -94,6 +94,6 @@ def test_the_rule_of_the_guide_is_near_the_exact_value(tmp_path, price, model):
     exact = lattice(problem.schedule, factors(problem), "linear").value
     setup = make_setup(case, "native", fitted_value(problem))
     rule = evaluate(
-        setup.problem, setup.policy.value_table, paths=16384, engine=setup.engines.evaluate
+        setup.problem, setup.policy.value_rule, paths=16384, engine=setup.engines.evaluate
     )
     assert exact * 0.998 < rule.value < exact + 4 * rule.standard_error
