@@ -103,7 +103,7 @@ def test_a_store_that_does_nothing_begins_anew_and_is_trained(seed):
     training = snapo.Training(seed=seed, steps=600, learning_rate=0.04)
     solution = snapo.solve(Store(), STORE, training=training, evaluation=FEW)
     assert solution.value > 7.4
-    assert any("began anew" in note for note in solution.notes) == (seed > 0)
+    assert any("restarted" in note for note in solution.notes) == (seed > 0)
 
 
 @pytest.mark.prove
