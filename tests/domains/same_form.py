@@ -1,6 +1,8 @@
-"""The programs of a problem as text, constants included, for the guard of forms."""
+"""For guards of forms: the programs of problems as text, constants included, and their solving."""
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,9 @@ import jax.numpy as jnp
 from snapo.problem.code.version import path, text
 from snapo.problem.inputs import plain
 from snapo.problem.problem import Problem
+from snapo.solver.solution import Solution
+from snapo.solver.solve import solve
+from snapo.study.study import Setup
 
 
 def programs(problem: Problem):
@@ -33,15 +38,26 @@ def programs(problem: Problem):
 
 
 def same_programs(problems: Iterable[Problem], enough: int) -> int:
-    """How many pairs of problems have one form, up to `enough`; all of them are one program."""
-    known: dict[Hashable, list[Problem]] = {}
+    """How many problems have the form of an earlier one, up to `enough`; each is its program."""
+    first: dict[Hashable, Callable[[], Any]] = {}
     pairs = 0
     for problem in problems:
-        others = known.setdefault(problem.form, [])
-        if others:
-            assert programs(problem) == programs(others[-1])
+        program = cache(partial(programs, problem))
+        earlier = first.setdefault(problem.form, program)
+        if earlier is not program:
+            assert program() == earlier()
             pairs += 1
-        others.append(problem)
         if pairs >= enough:
             break
     return pairs
+
+
+def solved(setup: Setup) -> Solution:
+    """What is made ready, solved."""
+    return solve(
+        setup.problem,
+        policy=setup.policy if setup.recipe is None else setup.recipe,
+        training=setup.training,
+        evaluation=setup.evaluation,
+        engine=setup.engines,
+    )

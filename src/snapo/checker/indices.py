@@ -172,7 +172,7 @@ def moving_indices(notes: Notes, points: SamplePoints) -> None:
     sites = zip(recorder.reads, points.met.outside)
     for number, (site, (index, axis, is_outside)) in enumerate(sites):
         which = np.flatnonzero(is_outside)
-        if not which.size or (site.line is not None and site.line.user_code):
+        if not which.size or (site.line is not None and site.line.internal):
             continue
         if not site.writes and not _matters(points, number, which):
             continue

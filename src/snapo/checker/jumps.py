@@ -31,7 +31,7 @@ def jumps(notes: Notes, points: SamplePoints) -> None:
     candidates = [
         k
         for k, comparison in enumerate(recorder.comparisons)
-        if comparison.line and not comparison.line.user_code
+        if comparison.line and not comparison.line.internal
     ]
     if points.method.name not in ("step", "terminal") or not candidates:
         return

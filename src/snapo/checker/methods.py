@@ -97,12 +97,12 @@ def preparation(simulator: Simulator, inputs: PyTree) -> Method:
 
 
 class CodeLine(NamedTuple):
-    """A line of a user's code; `user_code`: whether it is one of snapo's."""
+    """A line of code; `internal`: whether it is one of snapo's, and not the user's."""
 
     file: str
     number: int
     text: str
-    user_code: bool
+    internal: bool
 
     def __str__(self) -> str:
         return f"{short(self.file)}:{self.number}"

@@ -245,11 +245,11 @@ def require(
     notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> None:
     """Reports unknown outputs and other mistakes of this kind, and stops if there are any."""
-    for unknown_output in unknown_outputs(objective, constraints, outputs):
+    for unknown in unknown_outputs(objective, constraints, outputs):
         message = (
-            unknown_output.subject
-            if unknown_output.got in unknown_output.subject
-            else f"{unknown_output.subject[:-1]}: {unknown_output.got}."
+            unknown.subject
+            if unknown.got in unknown.subject
+            else f"{unknown.subject[:-1]}: {unknown.got}."
         )
-        notes.error(unknown_output.of, message, f"The outputs are {sorted(outputs)}.")
+        notes.error(unknown.of, message, f"The outputs are {sorted(outputs)}.")
     notes.stop_on_errors()

@@ -45,17 +45,17 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
 @contextmanager
 def _asked() -> Iterator[list[Short]]:
     """The slices past an end that this thread's code takes of traced arrays."""
-    shorts: list[Short] = []
+    past_end: list[Short] = []
     mine, before = threading.get_ident(), Tracer.__getitem__
 
     def getitem(self, index):
         if threading.get_ident() == mine and (line := _users_line(sys._getframe(1))):
-            shorts.extend(Short(*item, line) for item in _past(index, self.shape))
+            past_end.extend(Short(*item, line) for item in _past(index, self.shape))
         return before(self, index)
 
     Tracer.__getitem__ = getitem
     try:
-        yield shorts
+        yield past_end
     finally:
         Tracer.__getitem__ = before
 
@@ -63,7 +63,7 @@ def _asked() -> Iterator[list[Short]]:
 def _users_line(frame: Any) -> CodeLine | None:
     """The line of a user's code that takes a slice itself; none in libraries and in snapo."""
     line = line_among([(frame.f_code.co_filename, frame.f_lineno)])
-    return None if line is None or line.user_code else line
+    return None if line is None or line.internal else line
 
 
 def _past(index: Any, shape: tuple[int, ...]) -> Iterator[tuple[str, int]]:

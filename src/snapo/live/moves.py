@@ -231,7 +231,7 @@ class WhatIf:
 
         **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
         """
-        news = {}
+        changes = {}
         for name, value in values.items():
             inputs = self.inputs_by_name.get(name)
             if inputs is None:
@@ -242,8 +242,8 @@ class WhatIf:
                 raise CaseError(name, "", None, message)
             new = new.reshape(inputs.value.shape)
             if not np.array_equal(new, inputs.value):
-                news[name] = new
-        return news
+                changes[name] = new
+        return changes
 
     def files(self, values: InputValues, selected: SelectedChoices = NONE) -> Files:
         """The files of the case with these numbers, so that `snapo solve` reproduces the page."""

@@ -177,8 +177,8 @@ def _put_value(
     key: Key, text: bool, unit: str, shape: tuple[int, ...], files: Files, requested: np.ndarray
 ) -> Files:
     if text:
-        writtens = [_written(number, True, unit) for number in requested.ravel().tolist()]
-        return files.with_value(key, writtens if shape else writtens[0])
+        entries = [_written(number, True, unit) for number in requested.ravel().tolist()]
+        return files.with_value(key, entries if shape else entries[0])
     numbers = requested.reshape(shape).tolist() if shape else float(requested.ravel()[0])
     return files.with_value(key, numbers)
 

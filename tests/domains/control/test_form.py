@@ -7,14 +7,14 @@ import jax
 import numpy as np
 import pytest
 from tests.compilations import compilations
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import same_programs, solved
 
 from snapo.case.load import load
 from snapo.domains.control import SIZES
 from snapo.domains.control.read import read_case
 from snapo.domains.control.study import make_setup, setup_at
+from snapo.engine.native.call import _runners
 from snapo.problem.problem import Problem
-from snapo.solver.solve import solve
 
 QUICK = {
     "training": {"steps": 2, "paths": 64, "validation_paths": 64},
@@ -66,21 +66,13 @@ def test_a_plant_has_no_numbers(size):
 
 @pytest.mark.parametrize("size", ["pendulum", "measured"])
 def test_a_second_plant_compiles_nothing_and_has_its_own_bits(size):
-    def solved(setup):
-        return solve(
-            setup.problem,
-            policy=setup.recipe,
-            training=setup.training,
-            evaluation=setup.evaluation,
-            engine=setup.engines,
-        )
-
     setup = make_setup(plant(size), "native")
     first = solved(setup)
     with compilations() as compiled:
         second = solved(setup_at(setup, plant(size, 1.05)))
     assert compiled == []
     jax.clear_caches()
+    _runners.clear()
     again = solved(make_setup(plant(size, 1.05), "native"))
     assert second.value == again.value != first.value
     assert jax.tree.all(jax.tree.map(np.array_equal, second.policy, again.policy))

@@ -8,13 +8,12 @@ import pytest
 from tests.compilations import compilations
 from tests.domains.inventory.inventory_cases import case
 from tests.domains.inventory.network_cases import network
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import same_programs, solved
 
 from snapo.domains.inventory.setup import make_setup, setup_at, simulator_of
 from snapo.engine.native.call import _runners
 from snapo.problem.problem import Problem
 from snapo.solver.learning.optimiser import schedule
-from snapo.solver.solve import solve
 
 QUICK = {
     "training": {"steps": 2, "paths": 64, "validation_paths": 64},
@@ -135,15 +134,6 @@ def lot(cost: float, mean: float):
 
 @pytest.mark.parametrize("made", [lot, line])
 def test_a_second_inventory_compiles_nothing_and_has_its_own_bits(made):
-    def solved(setup):
-        return solve(
-            setup.problem,
-            policy=setup.policy,
-            training=setup.training,
-            evaluation=setup.evaluation,
-            engine=setup.engines,
-        )
-
     setup = make_setup(made(8.0, 5.0), "native")
     first = solved(setup)
     # The verdict on the training computes the rates up to the best step, which differs.

@@ -195,13 +195,13 @@ def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[s
     Of a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """
     _known(plant, data, name, "noise")
-    diags = {}
+    matrices = {}
     for key, value in data.items():
         numbers = _numbers(value, name, f"noise.{key}")
         if numbers.ndim < 2 and np.any(numbers < 0):
             raise CaseError(name, f"noise.{key}", value, "a standard deviation is at least 0")
-        diags[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
-    return diags
+        matrices[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
+    return matrices
 
 
 def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def _with(process: Process, case: PharmaCase) -> Process:
     new = object.__new__(Process)
     new.__dict__.update(process.__dict__)
     new.case = case
-    new.inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
+    new.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
     return new
 
 

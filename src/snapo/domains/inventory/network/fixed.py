@@ -76,13 +76,13 @@ class LikelihoodWeights:
         self.drawn = likelihood is not None
         if self.drawn:
             linked = jnp.asarray(network.linked[:, list(network.fixed)], likelihood.dtype)
-            self.mean_weights = 1 + linked @ (likelihood - 1)  # [n], of a number of a place
+            self.place_weights = 1 + linked @ (likelihood - 1)  # [n], of a number of a place
             self.all = 1 + jnp.sum(likelihood - 1)
             self.usual = usual_costs
 
     def of(self, amounts):
         """[n] amounts by place."""
-        return self.mean_weights * amounts if self.drawn else amounts
+        return self.place_weights * amounts if self.drawn else amounts
 
     def of_all(self, amount):
         """One amount of the whole network."""
@@ -91,4 +91,4 @@ class LikelihoodWeights:
     def innovation(self, costs):
         """0, with the derivative of `of(costs) - costs` [n] summed; costs count only as far as they
         are not the usual ones, for the less is multiplied, the less noise there is."""
-        return jnp.sum((self.mean_weights - 1) * (costs - self.usual)) if self.drawn else 0.0
+        return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

@@ -100,7 +100,7 @@ class _Model:
         self.expected, self.index = expected**2, index**2
         self.both = expected * index * available[count, count + 1]
         self.drift = expected * volatility * available[count, :count]
-        self.residual = index * volatility * available[count + 1, :count]
+        self.own_load = index * volatility * available[count + 1, :count]
 
     def among(self, years: np.ndarray) -> Float[Array, "phases n n"]:
         """K of all pairs of times."""
@@ -131,7 +131,7 @@ class _Model:
             single = (u - left) / a
             faded = (jnp.exp(-a * (paid - u)) - jnp.exp(-k * u - a * paid)) / (k + a)
             double = (u + jnp.expm1(-k * u) / k - left + faded) / (k * a)
-            result = result + self.drift[i] * double + self.residual[i] * single
+            result = result + self.drift[i] * double + self.own_load[i] * single
         return result
 
     def forward(self, times: np.ndarray, dates: np.ndarray) -> Float[Array, "T1 n"]:

@@ -272,14 +272,14 @@ def _people(
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
     table, section = reader.table(tables_people.MembersTable, "members"), reader.context("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
-    lee_carters: dict[str, Any] = dict.fromkeys(names)
+    parts: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
         got = None if table.file is None else table.cash_flows
         raise section.error("file", got, "either file or cash_flows is needed, and not both")
     if table.cash_flows is not None:
         arrears = rules.timing == "arrears"
-        lee_carters["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
-        return lee_carters
+        parts["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
+        return parts
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
     mortality = read_mortality(
@@ -288,10 +288,10 @@ def _people(
         start,
     )
     values = (section, table, mortality, rules.retirement_age, grid)
-    lee_carters["members"], lee_carters["mortality"] = people.read_members(*values), mortality
+    parts["members"], parts["mortality"] = people.read_members(*values), mortality
     lee_carter = reader.optional_table(tables_people.LeeCarterTable, "lee_carter")
-    lee_carters["lee_carter"] = read_lee_carter(reader.context("lee_carter"), lee_carter, mortality)
-    return lee_carters
+    parts["lee_carter"] = read_lee_carter(reader.context("lee_carter"), lee_carter, mortality)
+    return parts
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:

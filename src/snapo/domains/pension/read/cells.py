@@ -49,14 +49,6 @@ def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) 
     return row.number(column, low, high) if row.cells.get(column) else default
 
 
-def above_zero(row: Row, column: str) -> float:
-    """A number above zero."""
-    value = row.number(column)
-    if value <= 0:
-        raise row.error(column, "allowed is a number above 0")
-    return value
-
-
 def word(row: Row, column: str, available: Sequence[str]) -> str:
     """One of a few words; in any case of letters."""
     text = row.cells[column].lower()

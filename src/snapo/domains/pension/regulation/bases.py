@@ -92,14 +92,14 @@ def side_by_side(case: PensionCase, paid: Due) -> Bases:
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding
-    basises = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
-    mature = next(item for item in basises if item.name == LOW).duration
+    rows = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
+    mature = next(item for item in rows if item.name == LOW).duration
     old = mature <= funding.significant_maturity
     years = funding.recovery_years
     if years is None:
         years = funding.mature if old else funding.longest
-    recovery = _recovery(basises[0], paid, years)
-    return Bases(basises, recovery, old, funding.since, funding.source)
+    recovery = _recovery(rows[0], paid, years)
+    return Bases(rows, recovery, old, funding.since, funding.source)
 
 
 def discounted(paid: Due, margin: float) -> np.ndarray:

@@ -69,9 +69,7 @@ class Process:
 
     def __init__(self, case: PharmaCase):
         self.case = case = with_steps(case)
-        self.inputs = {
-            name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()
-        }
+        self.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
         self.names = tuple(attribute.name for attribute in case.attributes)
         self.parameters = tuple(parameter.name for parameter in case.parameters)
         self.entries: tuple[Entry, ...] = tuple((p.input, p.entry) for p in case.parameters)

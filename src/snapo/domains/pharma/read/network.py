@@ -38,7 +38,7 @@ def read_network(
 ) -> FlowNetwork:
     """The reactions of the case; without any, nothing reacts."""
     section = TableContext(file, "species", notes)
-    names = tuple(check_name(section, specy, specy) for specy in species)
+    names = tuple(check_name(section, name, name) for name in species)
     if not names:
         raise CaseError(str(file), "species", None, "a case needs one species or more")
     masses = []
