@@ -1,4 +1,4 @@
-"""CSV files and arrays beside a case, read so that every mistake has a line and a remedy.
+"""CSV files and arrays of a case, read so that every mistake has a line and a remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
 order; blank lines, lines that start with `#`, and further columns are passed over. Commas separate,

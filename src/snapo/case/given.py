@@ -35,7 +35,7 @@ class Copies(NamedTuple):
 
 
 class QuantityKey(NamedTuple):
-    """The position of a number that stands with its unit in a text, "313.15 K".
+    """The position of a number that is written with its unit in a text, "313.15 K".
 
     - `path`: the keys that lead to it. `unit`: of the input, in which another number is written.
     """

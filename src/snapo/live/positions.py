@@ -83,7 +83,7 @@ def _keys(files: Files, name: str, values: Input) -> Iterator[Guess]:
             continue
         texts, shape = _texts(value), np.shape(value)
         if numbers.ndim == 1 and values.value.shape == (numbers.size, numbers.size):
-            numbers, shape = np.diag(numbers), values.value.shape  # a list in place of a matrix
+            numbers, shape = np.diag(numbers), values.value.shape  # a list instead of a matrix
         if numbers.size != values.value.size:
             continue
         rank = SAME if _fits(numbers, texts, values) else LIKE

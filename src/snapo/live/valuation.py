@@ -175,7 +175,8 @@ class Valuation(WhatIf):
         return self._variants[key]
 
     def _no_value(self, changed: InputValues, selected: SelectedChoices, invalid: int) -> CaseError:
-        """The refusal of numbers without a value; of several, those that alone have none."""
+        """The refusal of numbers without a value; of several, those that have none by
+        themselves."""
         wrong, policy = dict(changed), self.solution.policy
         assert policy is not None
         if 1 < len(changed) <= MAXIMUM:

@@ -138,7 +138,7 @@ class Sobol(Scenarios):
         sobol = qmc.Sobol(
             min(width, SOBOL_DIMENSIONS), rng=np.random.default_rng([self.seed, scramble])
         )
-        # Point 0 alone: scipy cannot skip nothing, and warns of a number that is no power of 2.
+        # Only point 0: scipy cannot skip nothing, and warns of a number that is no power of 2.
         zeroth, start = sobol.random(1), max(1, int(points[0]))
         if start > 1:
             sobol.fast_forward(start - 1)

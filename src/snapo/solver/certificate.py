@@ -27,7 +27,7 @@ NUDGE = 1e-3  # of each number: larger than any step, small against the number i
 
 
 class Bump(NamedTuple):
-    """One derivative by the adjoint and by differences on the same paths.
+    """One derivative from the adjoint and from differences on the same paths.
 
     - `direction`: the label bumped, or "random direction" over all of the input's entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.

@@ -8,7 +8,7 @@ Prices of limits while a policy is trained: an augmented Lagrangian.
 
 After every step each limit is measured on the exact simulator and on that step's paths. Its
 multiplier moves by a share of the excess, never below zero, and the price that the next step sees
-is the multiplier and a part in proportion to the excess, which damps what the multiplier alone
+is the multiplier and a part in proportion to the excess, which damps what only the multiplier
 would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
 
 The unit of an excess is the deviation of a path's measure, or the excess itself where that is
@@ -105,7 +105,7 @@ def updated_prices(
     units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
     units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
     far = units * excess / np.maximum(local, np.abs(excess))
-    # On a long way to the level the damping part leads alone: a multiplier that adds up all the way
+    # On a long way to the level the damping part leads: a multiplier that adds up all the way
     # goes far beyond. With much room it falls by a tenth at least, whatever the unit has become.
     move = far * local / np.maximum(local, np.abs(excess))
     move = np.where(excess < -local, np.minimum(far, -old), move)
@@ -116,7 +116,7 @@ def updated_prices(
 
 def _deviation(objective: Objective, totals: Totals) -> float:
     """Of one path's share in an objective; at least a tenth of the largest share, since all paths
-    may be alike."""
+    may be equal."""
     shares = objective.influence(totals)
     return max(float(shares.std()), 0.1 * float(np.abs(shares).max()), MINIMUM)
 

@@ -69,7 +69,7 @@ def solve(
       mean of the only output there is, unless its name shows that it should be small, as "cost"
       does.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
-      ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
+      ones of `training.seed`. Only `Supplied` ones serve all roles, each with paths of its own.
     - `constraints`: one or several, of means, probabilities or other numbers of all paths, such as
       `[Mean("unserved") <= 0.05]`: an augmented Lagrangian finds their prices in training, and the
       derivatives with respect to inputs are those of the best value within them.

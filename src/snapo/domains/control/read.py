@@ -164,7 +164,7 @@ def _given(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _values(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain arrays in place of inputs."""
+    """Plain arrays instead of inputs."""
     if not isinstance(inputs, Mapping):
         return np.asarray(inputs.value)  # pyright: ignore[reportReturnType]
     return {key: _values(item) for key, item in inputs.items()}

@@ -114,7 +114,7 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
 
 
 def setup_at(setup: Setup, case: ControlCase) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone.
+    """The setup of a case that differs only in the numbers of its inputs.
 
     Nothing is compiled where the case has the same form.
     """

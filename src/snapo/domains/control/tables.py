@@ -99,20 +99,20 @@ def _field(parameter: PlantParameter) -> Any:
 
 
 class At(CaseTable):
-    """A first state that is known."""
+    """A initial state that is known."""
 
     at: float | list[float] = Field(description="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
-    """A first state anywhere between two numbers."""
+    """A initial state anywhere between two numbers."""
 
     low: float = Field(description="a number below high")
     high: float = Field(description="a number above low")
 
 
 class NormalStart(CaseTable):
-    """A first state that is normal, its numbers independent."""
+    """A initial state that is normal, its numbers independent."""
 
     mean: float | list[float] = Field(description="a number, or a list of them")
     deviation: float | list[float] = Field(description="a number above 0, or a list of them")

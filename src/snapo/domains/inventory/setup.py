@@ -39,7 +39,7 @@ def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
 
 
 def setup_at(setup: Setup, case: AnyCase) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
+    """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
     Nothing is compiled where the case has the same form.
     """

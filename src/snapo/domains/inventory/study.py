@@ -118,7 +118,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
     """The headline: the value of the trained rule, and those of the classical ones."""
     results = BASELINES.of(run)
     rules = results.rivals[1:] if results else ()
-    # A difference that is not finite is None in the files of a run.
+    # A non-finite difference is None in the files of a run.
     lead_time = [
         (x.rule, -x.difference, x.difference_error) for x in rules if x.difference is not None
     ]

@@ -43,7 +43,7 @@ COLUMNS = (
 
 
 def lines(case: PharmaCase) -> list[str]:
-    """A case in a few lines, one for each side of it, for its owner to compare."""
+    """A case in a few lines, one for each side of it, for its user to compare."""
     inputs = pharma_inputs(case)
     numbers = sum(entry.value.size for entry in inputs.values())
     rows = [
@@ -128,7 +128,7 @@ def about(case: PharmaCase) -> dict[str, Any]:
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
-    """The value is that of the policy, or of the recipe as it stands."""
+    """The value is that of the policy, or of the recipe."""
     batches, loop, best = CAPABILITY.of(run), CLOSED_LOOP.of(run), OPTIMUM.of(run)
     state = status(run)
     entries: dict[str, Any] = {

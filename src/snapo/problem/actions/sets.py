@@ -69,7 +69,8 @@ class Actions(eqx.Module):
         return np.zeros(self.size), np.ones(self.size)
 
     def together(self) -> list[list[int]]:
-        """The components in groups whose members cannot move alone: by default each by itself."""
+        """The components in groups whose members cannot move by themselves: by default each by
+        itself."""
         return [[i] for i in range(self.size)]
 
 

@@ -45,7 +45,7 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held: what moves them alone has rightly none. What `jax.lax.stop_gradient` takes
+    Decisions are held: what moves only them has rightly none. What `jax.lax.stop_gradient` takes
     is left out, as its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]

@@ -95,8 +95,8 @@ def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that goes on at each step back (`Clip.keep`), from norms [T, N]: a
     third is left after the steps in which they grow a hundredfold; 1 where they do not.
 
-    A third, not a hundredth: a cart that swings its pole up ends at -63 to -66 with a third and at
-    -64 to -66 with a hundredth (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
+    A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
+    -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
     """
     back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
     over = np.flatnonzero(back > GROWTH * back[0])

@@ -15,7 +15,7 @@ leads out of: a battery that always discharges at midnight, when it is empty. Tw
 taken. A tenth of every decision is drawn at random at first, which visits states that the rule does
 not. And weights decay, since nothing holds against it there: to a quarter over all steps, however
 many they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with
-the decay alone, 95.7 to 97.7 % with both; of the first five with exploration alone one earned 94.4
+the decay only, 95.7 to 97.7 % with both; of the first five with exploration only, one earned 94.4
 %. Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
 both; .45 and .48 % with a decay of .2, seven times as large.
 
@@ -62,7 +62,8 @@ class Training:
     - `window`: backpropagate through windows of this many steps, after which a critic gives the
       continuation value (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
-      where gradients explode and leaves all others alone (`learning.conditioning`); None: never.
+      where gradients explode and leaves all others unchanged (`learning.conditioning`); None:
+      never.
     - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
       `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": all
       but where adjoints grow and gradients leap (`learning.conditioning`); 1.0: all, always.
@@ -200,7 +201,7 @@ NUMBERS = {
 }  # fmt: skip
 
 
-WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
+WORK = 1.2e8  # products of one step of training: some 0.01 s on two cores
 PATHS = (16, 512)  # at least, at most
 ALIKE = 64  # at most, where all paths are one
 STEPS = (240, 3840)

@@ -1,7 +1,7 @@
 """Training on windows of the horizon: short adjoints, and a critic for the time after it.
 
 Through hundreds of steps of an unstable system an adjoint grows without limit. A window cuts it,
-and a window alone is short-sighted: its last decisions ignore their consequences. So
+and a window by itself is short-sighted: its last decisions ignore their consequences. So
 every window but the last ends with the value of its final state,
 
     E[ outputs of the window + critic(observation at its end, share of the horizon left) ],
@@ -100,7 +100,7 @@ def continuation_value(objective: Objective, rollout: Rollout) -> tuple[np.ndarr
     paths = next(iter(totals.values())).size
     value = np.zeros((len(jax.tree.leaves(rollout.record["state"])[0]), paths))
     for name, weight in flat_weights(objective, paths).items():
-        # An output of `terminal` alone comes after every step.
+        # An output of only `terminal` comes after every step.
         earned = float64(rollout.record["outputs"]).get(name, np.zeros(()))
         with np.errstate(invalid="ignore"):  # a path that exploded is left out below
             before = np.cumsum(earned, axis=0) - earned if earned.ndim else earned
@@ -191,7 +191,7 @@ class Windowed(Around):
 
     def terminal(self, constants, state, smooth):
         observed = self.inner.observe(constants["own"], constants["end"], state)
-        # What the horizon's end alone gives comes later: it is part of the critic's value.
+        # What only the end of the horizon gives comes later: it is part of the critic's value.
         later = dict.fromkeys(self.inner.terminal(constants["own"], state, smooth), jnp.zeros(()))
         return later | {AHEAD: constants["critic"](observed, constants["left"])}
 

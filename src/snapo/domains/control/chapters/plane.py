@@ -115,7 +115,7 @@ def _decisions(problem: Problem, policy: Policy, names, across, up) -> np.ndarra
 def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
     """A phase portrait; behind it the map of the policy where these are all the states."""
     if not plane.states:
-        return [Text("The plant has one state alone.")]
+        return [Text("The plant has only one state.")]
     count = len(plane.paths)
     alt = f"{plane.label(0)} and {plane.label(1)}: {count} paths from initial states, as dots."
     svg = draw("plane", alt, lambda axes: _paint(axes, plane), 330)

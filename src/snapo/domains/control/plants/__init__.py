@@ -32,7 +32,7 @@ def catalogue(plants: tuple[type[Plant], ...]) -> dict[str, type[Plant]]:
         missing = sorted(getattr(plant, "__abstractmethods__", ()))
         missing += [name for name in MEMBERS if not hasattr(plant, name)]
         if missing:
-            raise TypeError(f"The plant {plant.__name__} lacks {', '.join(missing)}.")
+            raise TypeError(f"The plant {plant.__name__} has no {', '.join(missing)}.")
         if plant.type in table:
             raise TypeError(f'Two plants are of type "{plant.type}".')
         table[plant.type] = plant

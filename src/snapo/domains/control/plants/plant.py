@@ -1,7 +1,7 @@
 """What every plant has: states with units, equations of one step, a cost by parts.
 
 A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
-distribution of its first state and its disturbances are inputs, so that each has a sensitivity.
+distribution of its initial state and its disturbances are inputs, so that each has a sensitivity.
 """
 
 import abc
@@ -139,7 +139,7 @@ class Plant(Simulator):
         """The cost of a step by part, on the state before it."""
 
     def final_cost(self, w: PlantValues, p: PlantValues, state: PlantState) -> PlantState:
-        """The cost of the last state by part."""
+        """The cost of the terminal state by part."""
         return {}
 
     @abc.abstractmethod

@@ -37,7 +37,7 @@ class CaseSummary:
 
     @classmethod
     def of(cls, run: RunFiles) -> "CaseSummary":
-        """That of a run; an entry that it lacks has its default."""
+        """That of a run; a missing entry has its default."""
         entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
         return cls(**{name: value for name, value in entries.items() if value is not None})
 
@@ -48,7 +48,7 @@ class CaseSummary:
 
 
 def about(case: AnyCase) -> dict[str, Any]:
-    """Title, units, periods, the objective in words; the lead time of an item."""
+    """Title, units, periods, the objective as text; the lead time of an item."""
     per = f" of a {case.period}" if case.discount == 1 else ", discounted"
     unit = case.value_unit if case.objective.keeps_unit else ""
     entries = {

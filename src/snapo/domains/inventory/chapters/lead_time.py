@@ -37,7 +37,7 @@ class OtherLeadTime:
 
 @dataclass(frozen=True)
 class OtherLeadTimes:
-    """Each other lead time alone; of a network, of every place by itself."""
+    """Each other lead time by itself; of a network, of every place by itself."""
 
     lead_time_change: tuple[OtherLeadTime, ...]
 

@@ -22,7 +22,7 @@ from .service import CostAndService, PathMean
 class PlaceService:
     """A place: averages of a period, each with its standard error.
 
-    - `level`: up to which it orders, with a cost of an order over its orders alone.
+    - `level`: up to which it orders, with a cost of an order over its orders only.
     - `supplier`: empty where goods come from outside.
     - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
     - `demand`, `fill_rate`: where it has customers.

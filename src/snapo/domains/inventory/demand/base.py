@@ -1,7 +1,7 @@
 """What every kind of demand can do, and the list of all kinds.
 
 Demand of a period is a function of one standard normal and of the demand's parameters, with a
-derivative by them in both simulators. Periods differ by a factor of the mean.
+derivative with respect to them in both simulators. Periods differ by a factor of the mean.
 """
 
 import abc
@@ -98,11 +98,11 @@ KINDS: dict[str, type[Demand]] = {}
 
 
 def register(demand: type[Demand]) -> type[Demand]:
-    """Makes a demand known under its `kind`; one that lacks a part of its behaviour is refused."""
+    """Makes a demand known under its `kind`; one without a part of its behaviour is refused."""
     missing = sorted(getattr(demand, "__abstractmethods__", ()))
     missing += [name for name in ("kind", "table") if not hasattr(demand, name)]
     if missing:
-        raise TypeError(f"demand {demand.__name__} lacks {', '.join(missing)}")
+        raise TypeError(f"demand {demand.__name__} has no {', '.join(missing)}")
     if demand.kind in KINDS:
         raise TypeError(f"demand {demand.__name__}: {demand.kind!r} is known already")
     KINDS[demand.kind] = demand

@@ -1,4 +1,5 @@
-"""Demand in whole units: the quantile of its distribution, with a derivative by its parameters.
+"""Demand in whole units: the quantile of its distribution, with a derivative with respect to its
+parameters.
 
 Demand k is drawn where the uniform number u lies between F(k - 1) and F(k), F being the
 distribution function. A step function has no useful derivative; this one is given
@@ -33,7 +34,7 @@ from .base import Demand, Parameters, mean_key
 
 LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
 TAIL = 1e-8  # the probability of a demand above those that are counted
-ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
+ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
 
 class CountDemand(Demand):

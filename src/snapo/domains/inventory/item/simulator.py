@@ -14,7 +14,7 @@ Zipkin, Old and new methods for lost-sales inventory systems, Operations Researc
 
 Where an order has a cost of its own, training draws at random whether there is one, with the
 probability that the policy gives, and multiplies costs by the likelihood of what was drawn
-(`Choice.draw`). Placing a part of an order in place of that would be another problem: its best rule
+(`Choice.draw`). Placing a part of an order instead of that would be another problem: its best rule
 is as sharp as it can be, and derivatives through a sharp threshold explode. (Trained so, rules
 came to cost 1 to 18 % more than the best one, and the first rule was kept.)
 """
@@ -58,7 +58,7 @@ class InventorySimulator(Simulator):
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
     "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered"; and of the
-    value alone "cycles", which end with an arrival, and "cycles_met", without unmet demand.
+    value only "cycles", which end with an arrival, and "cycles_met", without unmet demand.
     """
 
     lost: bool = eqx.field(static=True)
@@ -172,8 +172,8 @@ class InventorySimulator(Simulator):
         corner = CORNER * constants["usual"]
         action, likelihood = self._drawn(constants, state, action, noise, smooth)
         placed, order = _order(self.action, action, self.fixed, smooth)
-        # In training orders follow a curve of the stock; a derivative by whole demand is right on
-        # lines that are straight between whole numbers only.
+        # In training orders follow a curve of the stock; a derivative with respect to whole demand
+        # is right on lines that are straight between whole numbers only.
         spread = not isinstance(smooth, Exact)
         demand = self.demand.draw(now["demand"], noise[0], spread)
         stock = state["stock"] + (order if self.lead_time == 0 else 0.0)
@@ -249,7 +249,7 @@ def _weighted(outputs, likelihood, usual):
 
 def _cycle(state, order, unmet, lead_time: int, smooth):
     """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
-    demand)): of the value alone; training has no use for them."""
+    demand)): of the value only; training has no use for them."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):
         return state["missed"], (nothing, nothing)

@@ -53,7 +53,8 @@ def economic_lots(case: NetworkCase) -> np.ndarray:
     """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no cost of its own.
 
     h is the local holding cost of the places with customers, e that of the place's echelon: what
-    holding a unit there costs more than at its supplier. One place alone has the lot of an item.
+    holding a unit there costs more than at its supplier. One place by itself has the lot of an
+    item.
     """
     lots, (mean, _) = np.zeros(len(case.network.sites)), served(case)
     for i, cost in zip(case.network.fixed, _ordering(case)):

@@ -300,8 +300,8 @@ class NetworkSimulator(Simulator):
     def _asked(self, here, noise, smooth, dtype):
         """[n] demand of customers."""
         request = jnp.zeros(len(self.network.sites), dtype)
-        # In training orders are no whole numbers, so that a derivative by whole demand, which is
-        # right on lines that are straight between them, would be wrong.
+        # In training orders are no whole numbers, so that a derivative with respect to whole
+        # demand, which is right on lines that are straight between them, would be wrong.
         spread = not isinstance(smooth, Exact)
         for k, (i, demand) in enumerate(zip(self.network.sellers, self.demands)):
             request = request.at[i].set(demand.draw(here["demand"][k], noise[k], spread))

@@ -1,6 +1,6 @@
 """Goods that stores send one another: before demand, to balance stocks, or after it, where short.
 
-In a pool every place sends what it has beyond one level and takes what it lacks to another, which
+In a pool every place sends what it has beyond one level and takes its shortage to another, which
 is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools follow
 one another, the cheapest first. With two places, or one cost for all, no other way to move as much
 is cheaper.
@@ -9,7 +9,7 @@ is cheaper.
   it is short of. Holding nothing back is complete pooling (Krishnan and Rao, 1965; Tagaras, 1989).
 - **Before demand** the level is that of balance, at which all places of the pool are as many
   standard deviations above their mean demand; a place sends what it has beyond it by more than a
-  band, and takes what it lacks by more than a band. A shift of its own moves its balance.
+  band, and takes its shortage by more than a band. A shift of its own moves its balance.
 """
 
 from collections.abc import Sequence

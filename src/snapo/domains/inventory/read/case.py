@@ -1,4 +1,4 @@
-"""Reads an inventory case: a TOML file and the CSVs beside it become an `InventoryCase`."""
+"""Reads an inventory case: a TOML file and the CSVs next to it become an `InventoryCase`."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -208,7 +208,7 @@ def _pools(
             message = f"the places with customers are {', '.join(sell)}"
             raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
-            raise section.error("between", table.between, "each place stands there once")
+            raise section.error("between", table.between, "each place is there once")
         if table.one_way and len(table.between) != 2:
             message = "one way leads from the first to the second of two places"
             raise section.error("one_way", True, message)

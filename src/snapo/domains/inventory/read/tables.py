@@ -1,4 +1,4 @@
-"""The tables of an inventory case as they stand in the TOML file, each key with its meaning.
+"""The tables of an inventory case of the TOML file, each key with its meaning.
 
 The description of a key is the text that an error message quotes as allowed.
 """

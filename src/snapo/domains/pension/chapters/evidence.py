@@ -196,7 +196,7 @@ def assumptions(run: PensionRun) -> Section:
 
 def _glossary() -> Table:
     rows = [
-        ("P, Q", "real-world and risk-neutral scenarios; stands beside everything simulated"),
+        ("P, Q", "real-world and risk-neutral scenarios; next to everything simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
         ("Certainty equivalent", "the sure ratio with the utility of the policy's own"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),

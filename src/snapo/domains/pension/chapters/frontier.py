@@ -4,7 +4,7 @@ For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon
 present value of contributions over the liability of today. The sweep goes up and then down again;
 each time a policy is trained from the best one for its aim so far, wherever that one was trained,
 and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order for that reason alone: of two policies that each serve their own aim best,
+points would be in order only for that reason: of two policies that each serve their own aim best,
 the one for the larger s asks for less. They are chosen on the validation paths and measured on
 fresh ones, so that they are in order within their errors.
 """

@@ -252,8 +252,8 @@ def _others(rows: Sequence[NumberEffect], scale: float, unit: str) -> Table:
     body = [_row(row, name_of(row.input, row.label), scale) for row in rows[:ROWS]]
     head = [("Input", ""), ("Rise", ""), *_columns(unit)]
     more = "" if len(rows) <= ROWS else "; the rest is in sensitivities.csv"
-    folded = f"Each number alone: {len(rows)} sensitivities{more}"
-    return Table(head, body, "Each number alone", TEXTS, folded=folded)
+    folded = f"Each number by itself: {len(rows)} sensitivities{more}"
+    return Table(head, body, "Each number by itself", TEXTS, folded=folded)
 
 
 def _definitions(moves: Sequence[InputEffect]) -> Table:

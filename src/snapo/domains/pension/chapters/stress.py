@@ -145,7 +145,7 @@ def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
 
 
 def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
-    """Rates [n] moved by lines of one kind: those without a tenor move all of them alike, those
+    """Rates [n] moved by lines of one kind: those without a tenor move all of them equally, those
     with one by sizes that are linear between tenors and constant outside."""
     for line in lines:
         if not line.label:

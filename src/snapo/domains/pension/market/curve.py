@@ -1,4 +1,4 @@
-"""Zero-coupon prices from a curve as it is quoted; break-evens have the same form."""
+"""Zero-coupon prices from a quoted curve; break-evens have the same form."""
 
 from typing import Any
 

@@ -64,7 +64,7 @@ def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False)
     model = _Model(case, inputs)
     spread = model.among(years)
     step = np.diff(np.eye(count + 1), axis=0)
-    # Payments follow an increase all the year; the middle one stands for them.
+    # Payments follow an increase all the year; the middle one represents them.
     after = ((item - 1) / 2 + (case.plan.timing == "arrears")) * d
     due = model.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
     at = jnp.concatenate([jnp.zeros((len(phases), 1)), model.with_rates_at(years[:, 1:])], axis=1)

@@ -1,7 +1,7 @@
 """Fixed increases: promised whatever happens, so that they are part of the payments themselves.
 
 At the end of every step that ends on the date of indexation, pensions in payment grow by the rate
-of `Indexation`. Rights before payment grow alike, or by the rates of a `Revaluation`: one for
+of `Indexation`. Rights before payment grow equally, or by the rates of a `Revaluation`: one for
 deferred members until their pension begins, one for actives in service.
 """
 

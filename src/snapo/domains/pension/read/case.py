@@ -90,7 +90,7 @@ def read_case(path: str | Path) -> PensionCase:
 @dataclass(frozen=True)
 class _Reader:
     """One case while it is read: its tables by name, without those that it has not; `notes` are
-    remarks for its owner, `defaulted` the names of numbers that were left at a default."""
+    remarks for its user, `defaulted` the names of numbers that were left at a default."""
 
     file: Path
     top: PensionTable

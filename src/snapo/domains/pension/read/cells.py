@@ -50,7 +50,7 @@ def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) 
 
 
 def word(row: Row, column: str, available: Sequence[str]) -> str:
-    """One of a few words; in any case of letters."""
+    """One of a few names; in any case of letters."""
     text = row.cells[column].lower()
     if text not in available:
         raise row.error(column, f"allowed is one of {', '.join(available)}")
@@ -76,7 +76,7 @@ def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
         if not row.cells[column]:
             raise row.error(column, "every row needs a name")
         if row.cells[column] in names:
-            raise row.error(column, "this name stands further up already")
+            raise row.error(column, "this name is further up already")
         names.append(row.cells[column])
     return tuple(names)
 
@@ -95,7 +95,7 @@ def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray
 
 
 def years(value: float) -> str:
-    """A time in words: "10y", or "18m" where it is whole months, else "2.35y"."""
+    """A time as text: "10y", or "18m" where it is whole months, else "2.35y"."""
     if abs(value - round(value)) < NEVER:
         return f"{round(value)}y"
     months = 12 * value
@@ -122,4 +122,4 @@ def known_words(
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")
         if item in values[:i]:
-            raise CaseError(file, where, item, "this name stands there twice")
+            raise CaseError(file, where, item, "this name is there twice")

@@ -86,7 +86,7 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
                 continue
             value = row.number(column, -1.0, 1.0)
             if i == j and value != 1:
-                raise row.error(column, "on the diagonal stands 1")
+                raise row.error(column, "the diagonal is 1")
             if j < i:
                 matrix[i, j] = matrix[j, i] = value
     for i, row in enumerate(rows):

@@ -66,7 +66,7 @@ def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
 
 
 def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
-    """The curve with the numbers of the method; others as they are.
+    """The curve with the numbers of the method; others unchanged.
 
     **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
     or where the price of a bond would not be above 0.

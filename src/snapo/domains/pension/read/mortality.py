@@ -73,7 +73,7 @@ def _since(section: TableReader, table: MortalityTable, start: datetime.date) ->
     if not improves and now > table.year:
         section.notes.append(
             f"mortality.improvement is left out: the death probabilities of {table.year} are used"
-            f" as they are, {now - table.year:.3g} years later."
+            f" unchanged, {now - table.year:.3g} years later."
         )
     return now - table.year
 
@@ -114,7 +114,7 @@ def _table(section: TableContext, file: str) -> tuple[int, CaseInput]:
     for row in rows:
         key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
         if key in cells:
-            raise row.error("age", "this age stands further up already")
+            raise row.error("age", "this age is further up already")
         cells[key] = row
     ages = sorted({age for _, age in cells})
     for sex in (MALE, FEMALE):

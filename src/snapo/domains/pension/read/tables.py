@@ -94,7 +94,7 @@ def csv(columns: str, default: Any = ...) -> Any:
 
 
 def one_of(*available: str, default: Any = ...) -> Any:
-    """A field that takes one of a few words."""
+    """A field that takes one of a few names."""
     displayed = [f'"{item}"' for item in available]
     text = (
         displayed[0] if len(displayed) == 1 else f"{', '.join(displayed[:-1])} or {displayed[-1]}"

@@ -239,8 +239,8 @@ class PlanTable(CaseTable):
 
 
 class IndexationTable(CaseTable):
-    """`[plan.indexation]`: increases of pensions in payment, and of other rights alike where there
-    is no `[plan.revaluation]`."""
+    """`[plan.indexation]`: increases of pensions in payment, and of other rights equally where
+    there is no `[plan.revaluation]`."""
 
     kind: Literal["none", "fixed", "full", "capped", "conditional"] = one_of(
         "none", "fixed", "full", "capped", "conditional", default="none"

@@ -71,7 +71,7 @@ def simulator_of(case: PensionCase) -> PensionSimulator:
 
 
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
+    """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
     Nothing is compiled where the fund takes these numbers from its inputs only.
     """

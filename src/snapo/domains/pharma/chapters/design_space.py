@@ -30,7 +30,7 @@ MAP, ENDS = "design_space.csv", "design_space_boundary.csv"
 
 @dataclass(frozen=True, eq=False)
 class SpaceMap:
-    """The map over two or three parameters, in their owners' units.
+    """The map over two or three parameters, in the case's units.
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.

@@ -201,7 +201,7 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "variation alone takes the room" if x.spent else "",
+            else "its variation takes all the room" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip

@@ -1,7 +1,7 @@
 """The time loops of many batches by the native engine: its lanes are batches, its steps the mesh's.
 
 Between the units all is algebra, which XLA does for many batches side by side. What takes time,
-a unit's steps, is one kernel. Derivatives go forward beside the values, and a unit carries only
+a unit's steps, is one kernel. Derivatives go forward with the values, and a unit carries only
 those by numbers that act on it.
 """
 
@@ -39,7 +39,7 @@ class March(Simulator):
     """A unit's steps for one batch, from a state that is given.
 
     State: `y` [m]; `drawn` and `moving`, numbers of these kinds that the steps read; `dy` [C, m]
-    and `d_moving`, derivatives by C numbers. What is `shared` are the constants.
+    and `d_moving`, derivatives with respect to C numbers. What is `shared` are the constants.
     """
 
     horizon: int = eqx.field(static=True)
@@ -95,7 +95,8 @@ class Batches(Protocol):
 
 
 class Marches:
-    """Attributes of many batches on the mesh, and their derivatives by `by`, at draws of `entries`.
+    """Attributes of many batches on the mesh, and their derivatives with respect to `by`, at draws
+    of `entries`.
 
     Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
     """
@@ -111,7 +112,7 @@ class Marches:
     def __call__(
         self, draws: Float[np.ndarray, "N E"], inputs: dict[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, "N Q P"]]:
-        """The attributes, and their derivatives by `by`."""
+        """The attributes, and their derivatives with respect to `by`."""
         endpoints: dict[str, np.ndarray] = {}
         d_ends: dict[str, np.ndarray] = {}
         for name, leg in self.legs.items():

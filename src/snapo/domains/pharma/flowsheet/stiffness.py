@@ -80,12 +80,12 @@ def _controlled(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
-    """False where a bound from the numbers alone says that explicit steps are stable."""
+    """False where a bound from the numbers says that explicit steps are stable."""
     return unit.reacts and longest_step(case, unit) * fastest(case, unit) > STABLE
 
 
 def longest_step(case: PharmaCase, unit: Timed) -> float:
-    """Seconds of the longest explicit step, by the profiles alone."""
+    """Seconds of the longest explicit step, by the profiles only."""
     edges = edges_of(unit.profiles)
     within = steps_per_piece(case.numerics.steps, len(edges) - 1)
     return float(unit.duration.used() * np.diff(edges).max() / within)

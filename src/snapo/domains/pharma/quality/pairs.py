@@ -83,7 +83,7 @@ def pairs(
     samples: int,
     seed: int,
 ) -> list[Pair]:
-    """Every pair of the parameters, with both kinds of proven ranges as they were found alone."""
+    """Every pair of the parameters, with both kinds of proven ranges, each by itself."""
     both = list(combinations(process.case.parameters, 2))
     fixed, drawn = goods(process, required, samples, seed)
     plain = _together(process, both, nominal, fixed, NOMINAL)

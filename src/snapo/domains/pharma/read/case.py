@@ -1,4 +1,4 @@
-"""Reads a pharma case: a TOML file and the CSVs beside it become a `PharmaCase`."""
+"""Reads a pharma case: a TOML file and the CSVs next to it become a `PharmaCase`."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -99,7 +99,7 @@ def read_case(path: str | Path) -> PharmaCase:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    """The same for TOML data that was read already; other files are looked for next to `file`."""
     top = parse(PharmaTable, data, str(file), "")
     notes: list[str] = []
     network = read_network(file, top.species, top.reactions, top.reference_temperature, notes)

@@ -37,7 +37,7 @@ def read_estimation(
         fit = parse(FitTable, item, str(file), section.name)
         entry = numbers.one(section, "of", fit.of)
         if entry in which:
-            raise section.error("of", fit.of, "this number stands there twice")
+            raise section.error("of", fit.of, "this number is there twice")
         unit = numbers.unit(*entry)
         low, high = (
             quantity(section, key, raw, unit, basis=own_basis(entry[0]))
@@ -88,7 +88,7 @@ def read_estimation(
 def _experiment(
     file, raw, i: int, numbers: EntryNumbers, available, endpoints: dict[str, Entry], fit, notes
 ) -> Experiment:
-    """`available`: {state: unit}; `endpoints`: where the duration of a unit stands; `fit`: {number:
+    """`available`: {state: unit}; `endpoints`: the key of a unit's duration; `fit`: {number:
     its lower bound}."""
     section = TableContext(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)

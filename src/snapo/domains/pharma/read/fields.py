@@ -47,5 +47,5 @@ def pair(subject: str) -> Any:
 
 
 def word(*text: str, default: Any = ...) -> Any:
-    """A field for one of a few words."""
+    """A field for one of a few names."""
     return Field(default, description=" or ".join(f'"{item}"' for item in text))

@@ -21,7 +21,7 @@ EXAMPLES = {"K": "313.15 K", "s": "3600 s", "m": "20 um", "kmol/m3": "0.33 mol/L
 
 
 class Location(Protocol):
-    """Where a quantity stands: a key of a table, or a cell of a file."""
+    """The position of a quantity: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
         """The mistake at this place."""
@@ -86,7 +86,7 @@ def quantity(
 
 
 def unit_of(section: Location, key: str, raw: Any, unit: str) -> str:
-    """The unit that the owner wrote under `key`, for a quantity in the domain's `unit`."""
+    """The unit that the user wrote under `key`, for a quantity in the domain's `unit`."""
     return _split(section, key, raw, unit)[1] or "1"
 
 
@@ -117,9 +117,9 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with all that is said about them; used in order unless `index` says else.
+    """Numbers of a case with all that is known of them; used in order unless `index` says else.
 
-    `local`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
+    `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
     low, high = (TEMPERATURE if unit == "K" else bounds).closed
     size = float(np.max(np.abs(values), initial=0.0))

@@ -99,7 +99,7 @@ def _term(
 
 
 def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[Decision]:
-    """One for each entry that `of` stands for, all with the same bounds."""
+    """One for each entry that `of` means, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
     decisions = []
     for name, entry in numbers.all(section, "of", table.of):
@@ -159,7 +159,7 @@ def read_design_space(
             hint = suggest(axis, names, "parameter")
             raise section.error(f"axes[{i}]", axis, f"there is no such parameter; {hint}")
         if axis in table.axes[:i]:
-            raise section.error(f"axes[{i}]", axis, "this parameter stands there twice")
+            raise section.error(f"axes[{i}]", axis, "this parameter is there twice")
     if all(attribute.low is None and attribute.high is None for attribute in attributes):
         message = "no attribute has a limit, so nothing bounds a design space"
         raise CaseError(str(file), "design_space", None, message)

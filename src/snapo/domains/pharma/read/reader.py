@@ -10,7 +10,7 @@ from .numbers import suggest
 
 
 class Reader(NamedTuple):
-    """One table while it is read, and as it stands; its numbers are called "name.key"."""
+    """One table while it is read, and as it was written; its numbers are called "name.key"."""
 
     section: TableContext
     name: str
@@ -31,7 +31,7 @@ class Reader(NamedTuple):
         for i, name in enumerate(names):
             check_name(self.section, key, name)
             if name in names[:i]:
-                raise self.section.error(key, name, "this name stands there twice")
+                raise self.section.error(key, name, "this name is there twice")
         return tuple(names)
 
     def inner(self, key: str, table: type[CaseTable]) -> "Reader":

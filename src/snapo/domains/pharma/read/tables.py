@@ -1,4 +1,4 @@
-"""The tables of a pharma case as they stand in the TOML file, each key with its meaning.
+"""The tables of a pharma case of the TOML file, each key with its meaning.
 
 A quantity is any value here: whether its number and unit are right is decided by `numbers`. Tables
 of units are those of the unit operations.
@@ -68,7 +68,7 @@ class AttributeTable(CaseTable):
     unit: str = Field(description='a unit such as "um", or "1"')
     low: Any = quantity('"80 um"', None)
     high: Any = quantity('"100 um"', None)
-    citation: str = Field("", description="a sentence on where the limit stands")
+    citation: str = Field("", description="the source of the limit, a sentence")
     margin: Any = quantity('"1 um"', None)
 
 

@@ -211,7 +211,7 @@ class Crystalliser(Timed):
             to_dose = lambda y: dose.volume - volume * y[-1]  # noqa: E731
 
         def taken(mu3):
-            """What crystals take beside the liquid, per first volume of that."""
+            """The volume of crystals in addition to the liquid, per first volume of that."""
             return shape * units[3] * mu3 if self.basis == "solution" else jnp.zeros(())
 
         def scaled(y) -> tuple[Array, Array]:

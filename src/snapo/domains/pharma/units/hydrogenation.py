@@ -2,7 +2,7 @@
 
 The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
 Henry's law. Either its concentration is a state of its own, or it follows at every moment from
-what enters being what reacts (a reaction slow against kL a makes that wrong at the start alone).
+what enters being what reacts (a reaction slow against kL a makes that wrong only at the start).
 """
 
 from dataclasses import dataclass

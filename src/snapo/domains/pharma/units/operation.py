@@ -34,7 +34,7 @@ from ..time.profile import Profile
 class Inlet(NamedTuple):
     """A port that must be fed, by exactly one connection.
 
-    - `crystals`: "refused" where the unit takes liquids alone; "needed"; "counted" where they are
+    - `crystals`: "refused" where the unit takes only liquids; "needed"; "counted" where they are
       needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
     - `dosed`: the shape over time in which the unit takes its inlet in; None for all at the start
       or evenly.
@@ -180,7 +180,7 @@ class Timed(Unit):
         return False
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
-        """1/s: a bound on the rates at which its states answer, from the numbers of the case alone,
+        """1/s: a bound on the rates at which its states answer, from the numbers of the case only,
         where `feeds` are all that enters; infinite where there is none."""
         return inf
 

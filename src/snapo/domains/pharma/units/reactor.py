@@ -3,7 +3,7 @@
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are what is
 integrated, and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction.
 Stirred and plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred
-tank has one, and what left the last. With a jacket the heat at a point is a state beside.
+tank has one, and what left the last. With a jacket the heat at a point is a further state.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ class Reactor(Timed):
       the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (residence time V / flow;
       `cells` stirred tanks in series, None for a tube without mixing along it, of so many
       `elements`). A continuous reactor ends with its feed at the latest.
-    - `filled`: the content of a continuous reactor at the start: its feed, or the solvent alone.
+    - `filled`: the content of a continuous reactor at the start: its feed, or only the solvent.
     - Continuous kinds deliver what left the outlet, mixed, over the duration.
     - `temperature`: where there is a `jacket`, its first value is where it starts.
     """

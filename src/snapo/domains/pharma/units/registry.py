@@ -58,7 +58,7 @@ def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
         missing = sorted(getattr(operation, "__abstractmethods__", ()))
         missing += [name for name in MEMBERS if not hasattr(operation, name)]
         if missing or inspect.isabstract(operation):
-            raise TypeError(f"The unit operation {operation.__name__} lacks {', '.join(missing)}.")
+            raise TypeError(f"The unit operation {operation.__name__} has no {', '.join(missing)}.")
         variants = table.setdefault(operation.type, {})
         if operation.variant in variants or (variants and "" in (operation.variant, *variants)):
             raise TypeError(

@@ -5,10 +5,10 @@ volume is b(w | v) = (2 + z) (w / v)^z / v with z = (2 - p) / (p - 1): p = 2 is 
 breakage, and the fragments of one crystal have its weight. Where S is proportional to v and
 p = 2, Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
 
-Cells stand for crystals of their mean volume, and a fragment is shared between the two cells on
+Cells represent crystals of their mean volume, and a fragment is shared between the two cells on
 both sides of it so that number and volume are both kept (Kumar and Ramkrishna, Chemical Engineering
 Science 51, 1311, 1996). So mass closes to rounding on any grid; what is finer than the first cell
-joins it by its volume, and number is lost there alone.
+joins it by its volume, and number is lost only there.
 """
 
 from dataclasses import dataclass

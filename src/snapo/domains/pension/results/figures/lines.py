@@ -220,7 +220,7 @@ def _by_tenor(values: dict[int, float]) -> str:
 
 
 def readable(amount: float, currency: str) -> str:
-    """Money with four digits and its size in words: "EUR 308.3 million"."""
+    """Money with four digits and its size as text: "EUR 308.3 million"."""
     size, word = next((item for item in SIZES if abs(amount) >= item[0]), (1.0, ""))
     return f"{currency} {amount / size:,.1f}{word}"
 

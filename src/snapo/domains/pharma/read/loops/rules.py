@@ -1,4 +1,4 @@
-"""Reads `[[control.rules]]`: controllers that stand beside the trained policy."""
+"""Reads `[[control.rules]]`: controllers that are compared with the trained policy."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -57,7 +57,7 @@ def read_rules(
         section = TableContext(file, f"control.rules[{i}]", notes)
         table = parse(RuleTable, item, str(file), section.name)
         if table.name in [rule.name for rule in rules]:
-            raise section.error("name", table.name, "this name stands there twice")
+            raise section.error("name", table.name, "this name is there twice")
         read = _Loops(section, numbers, manipulated, sensors, units, timed)
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):

@@ -13,7 +13,7 @@ its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, 
 117, 3, 2001). How the two rates depend on speed and moisture is an empirical power law.
 
 A granule goes on as a particle of its own density: the stream's moments are those of granules, with
-the sizes of the crystals inside kept beside them.
+the sizes of the crystals inside kept with them.
 """
 
 from dataclasses import dataclass

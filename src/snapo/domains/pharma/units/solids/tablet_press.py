@@ -13,7 +13,7 @@ and breaks a flat tablet across its diameter at F = pi d h sigma/2 (J. T. Fell a
 
 Content: the acceptance value of USP <905> for ten tablets, |M - X| + 2.4 s in per cent of the
 label, M being X between 98.5 and 101.5 and else the nearer of both, with the mean and the standard
-deviation of the batch in place of a sample's.
+deviation of the batch instead of a sample's.
 """
 
 from dataclasses import dataclass
