@@ -73,7 +73,7 @@ class Progress:
     `dual`: the prices of the problem's limits.
     `raced`: the rounds in which starts fell out, where there were several.
     `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
-    `redrawn`: the steps at which it restarted from other initial weights (see `verdict.idle`);
+    `redrawn`: the steps at which it restarted from other initial weights (see `verdict.constant`);
     `unchanged`: the validations in a row in which every path earned the same.
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """

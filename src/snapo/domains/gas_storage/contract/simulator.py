@@ -42,7 +42,7 @@ class StorageSimulator(Simulator):
     - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
       used; `discounts`: of its payments.
     - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
-    - `value_table`: the marginal values that the policy starts from (see `policy.value_table`).
+    - `value_table`: the marginal values that the policy starts from (see `policy.guide`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     - `innovations`: of a fitted value of the store: the control variate `value_surprise` instead of
