@@ -148,7 +148,8 @@ def restless(norm: float, noise: float, path: float, size: float) -> bool:
 
 def _way(training: TrainingPlan, step: int) -> float:
     """The sum of the rates of the steps before this one."""
-    rates = np.asarray(schedule(training)(np.arange(max(1, step))))
+    # Of all steps: a length that followed `step` would be another program for every step.
+    rates = np.asarray(schedule(training)(np.arange(max(1, training.steps))))
     return float(np.sum(rates[:step]))
 
 
