@@ -50,19 +50,17 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 def check_writable(out: Path) -> None:
     """An unwritable folder or a full disk is found before training, not after."""
-    position = out
-    while (
-        not os.path.lexists(position) and position != position.parent
-    ):  # a link to nowhere is no folder
-        position = position.parent
-    if not position.is_dir():
-        raise CaseError(str(out), "", None, f"{position} is not a folder")
+    folder = out
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():  # nor is a link to nowhere
+        raise CaseError(str(out), "", None, f"{folder} is not a folder")
     try:
-        with tempfile.TemporaryFile(dir=position):
+        with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
-    free = shutil.disk_usage(position).free
+    free = shutil.disk_usage(folder).free
     if free < ENOUGH_SPACE:
         message = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
         raise CaseError(str(out), "", None, message)

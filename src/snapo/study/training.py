@@ -53,9 +53,8 @@ def train(run: StudyRun) -> dict[str, Any]:
 TRAINING = Part("training", train)
 
 
-Advantage = tuple[
-    str, float | None, float | None
-]  # a rule, the trained policy's gain over it, error
+# A rule, the trained policy's gain over it, and its error.
+Advantage = tuple[str, float | None, float | None]
 
 
 def trained(

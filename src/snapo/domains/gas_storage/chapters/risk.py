@@ -252,9 +252,8 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
     """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for item in run.group("volatility", RATE):
-        by_name = (
-            run.input_number(item.input).group != RATE and len(item.label) < 10
-        )  # no delivery day
+        # A label of ten letters is a delivery day.
+        by_name = run.input_number(item.input).group != RATE and len(item.label) < 10
         totals[item.input, item.label if by_name else ""] += item.value or 0.0
     return [
         _slider(run.input_number(name), label, slope) for (name, label), slope in totals.items()

@@ -147,9 +147,8 @@ def read_contribution(
     def input(name: str) -> CaseInput:
         # A default loading of zero is no input.
         requested = name in used and (name != "loading" or name in table.model_fields_set)
-        requested = requested and (
-            name != "recovery_years" or level is None
-        )  # a date has no gradient
+        if name == "recovery_years" and level is not None:
+            requested = False  # a date has no gradient
         if not requested:
             return _nothing(f"contribution_{name}")
         return input_of(table, name, "contribution", money)

@@ -30,9 +30,8 @@ from .flow import flow, problem_of
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
-BatchKind = Literal[
-    "shared", "drawn", "moving"
-]  # the same for all batches, or not, or with derivatives
+# The same for all batches, or not, or with derivatives.
+BatchKind = Literal["shared", "drawn", "moving"]
 
 
 class March(Simulator):
