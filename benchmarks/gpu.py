@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN as CONTROL
 from snapo.domains.control import study as control
 from snapo.domains.gas_storage import DOMAIN as GAS

@@ -9,6 +9,7 @@ two transposes take when every thread does nothing else, in registers; it takes 
 
 import argparse
 import ctypes
+import math
 import os
 import subprocess
 import sys
@@ -27,8 +28,7 @@ import numpy as np
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.pipeline import object_code
-from snapo.lanes.machine.processor import host
+from snapo.lanes.machine.pipeline import host, object_code
 from snapo.lanes.machine.threads import cores
 from snapo.problem.actions import Box
 from snapo.problem.noise import Stored

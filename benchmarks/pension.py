@@ -189,8 +189,7 @@ def _resident() -> float:
 
 def picture(rows: Sequence[Row]) -> str:
     """Speed-up over the number of inputs as SVG, with the speed-up needed and the machine."""
-    from snapo.report.drawing import draw_alone
-    from snapo.report.theme import LIGHT
+    from snapo.report.drawing import LIGHT, draw_alone
 
     inputs, found = [row.inputs for row in rows], [row.speed_up for row in rows]
 

@@ -25,7 +25,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.solver.solve import solve
 from snapo.study.study import Setup
 
@@ -72,7 +72,36 @@ def _later(text: str) -> str:
     return "\n".join([head, *map(row, rows)]) + "\n"
 
 
-DOMAINS: dict[str, Callable[[bool], Setup]] = {"gas-storage": storage}
+def stores(second: bool) -> Setup:
+    """The template of a depot with stores; the second one has other costs."""
+    from snapo.domains.inventory import setup
+    from snapo.domains.inventory.read.network import read_network
+
+    file, data = load(Path(setup.__file__).parent / "template_stores")
+    if second:
+        for table in data["place"]:
+            table["holding"] *= 1.05
+    data["training"], data["evaluation"] = SHORT, FEW
+    return setup.make_setup(read_network(file, data), "native")
+
+
+def plant(second: bool) -> Setup:
+    """The template of a pendulum; the second one is heavier, and its cost another."""
+    from snapo.domains.control import read, study
+
+    file, data = load(Path(study.__file__).parent / "template" / "pendulum")
+    if second:
+        data["plant"]["mass"] = 1.1
+        data["cost"] = data.get("cost", {}) | {"speed": 0.12}
+    data["training"], data["evaluation"] = SHORT, FEW
+    return study.make_setup(read.read_case(file, data), "native")
+
+
+DOMAINS: dict[str, Callable[[bool], Setup]] = {
+    "gas-storage": storage,
+    "inventory": stores,
+    "control": plant,
+}
 
 
 def solved(domain: str, second: bool) -> dict[str, Any]:

@@ -28,7 +28,7 @@ import pytest
 from hypothesis import settings
 from tests.miniatures import MINIATURES
 
-from snapo.lanes.machine import compiling, disk, pipeline
+from snapo.lanes.machine import disk, pipeline
 from snapo.testing.miniature import once
 
 # The same examples every time: a test that fails today failed yesterday.
@@ -41,7 +41,7 @@ def pytest_configure(config):
 
     `make prove` makes the code that users run. All of it is made in the process of the tests.
     """
-    compiling.HERE = 10**6
+    disk.HERE = 10**6
     if LEVEL == "low" and "not prove" in config.option.markexpr:
         disk.PIPELINE = pipeline.PIPELINE = pipeline.Pipeline(speed_level=0, code_level=0)
 

@@ -9,7 +9,7 @@ import pytest
 
 import snapo
 from snapo.engine import Xla
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 

@@ -6,7 +6,7 @@ from importlib import import_module
 
 import pytest
 
-from snapo.problem.carry import registry
+from snapo.problem.carry.save import KINDS, class_of
 from snapo.study.domain import find, installed
 from snapo.study.kind import Kind
 
@@ -19,9 +19,9 @@ def test_every_public_name_is_there(name):
     assert [each for each in dir(module) if not hasattr(module, each)] == []
 
 
-@pytest.mark.parametrize("name", registry.KINDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_every_class_that_a_file_of_a_policy_may_name_is_there(name):
-    assert registry.kind(name).__name__ == name
+    assert class_of(name).__name__ == name
 
 
 @pytest.mark.parametrize("kind", installed())

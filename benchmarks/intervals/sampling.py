@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.setup import case_of, make_setup
 from snapo.problem.scenarios import Pseudo, Sources

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from snapo.gym.dynamics import GymDynamics
+from snapo.gym.environments import GymDynamics
 
 from .tasks import Task
 

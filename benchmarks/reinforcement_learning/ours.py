@@ -8,8 +8,8 @@ from snapo import Training
 from snapo.engine import choose
 from snapo.problem.problem import Problem
 from snapo.solver.learning.progress import Progress
+from snapo.solver.learning.windows import UPDATES
 from snapo.solver.train import initial_progress, train
-from snapo.solver.windows.window import UPDATES
 
 from .clock import Clock, Point, Tell
 from .tasks import TASKS

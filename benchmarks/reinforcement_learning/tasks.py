@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.pendulum import Pendulum
 from snapo.domains.gas_storage import DOMAIN as STORAGE

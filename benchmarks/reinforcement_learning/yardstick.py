@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo.gym
-from snapo.gym.dynamics import GymDynamics
+from snapo.gym.environments import GymDynamics
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 

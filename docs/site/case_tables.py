@@ -42,8 +42,11 @@ def tables(package: str) -> Iterator[type[CaseTable]]:
             continue
         module = importlib.import_module(name)
         for found in vars(module).values():
-            if inspect.isclass(found) and issubclass(found, CaseTable) and found.__module__ == name:
-                yield found
+            if inspect.isclass(found) and found.__module__ == name:
+                # A record has its table from the declarations of its fields.
+                table = found.table if "heading" in vars(found) else found
+                if issubclass(table, CaseTable):
+                    yield table
 
 
 def described(table: type[CaseTable]) -> Iterator[str]:

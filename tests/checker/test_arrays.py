@@ -11,14 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from snapo.checker.arrays.moving import moving_indices
-from snapo.checker.arrays.slices import outside, short_slices
-from snapo.checker.arrays.tables import tables
 from snapo.checker.check import check
 from snapo.checker.findings import Notes, StopCheck
-from snapo.checker.program.methods import Method
-from snapo.checker.program.points import SamplePoints
-from snapo.problem.prepare import prepare
+from snapo.checker.indices import moving_indices
+from snapo.checker.methods import Method
+from snapo.checker.slices import outside, short_slices, tables
+from snapo.checker.watch import SamplePoints
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule
 
 from .test_check import Good, inputs

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.checker.check import check
-from snapo.checker.first import simulator_mistakes
+from snapo.checker.check import check, simulator_mistakes
 from snapo.problem.simulator import Schedule, Simulator
 
 INPUTS = {"rate": snapo.Input(0.5)}
@@ -145,7 +144,7 @@ def refused(kind, **more):
 def test_numbers_drawn_in_python_are_refused(kind):
     text = refused(kind)
     assert "error: step" in text and "Two calls with the same arguments differ" in text
-    assert "Use the noise that step is given" in text
+    assert "Use the noise argument of step" in text
 
 
 @pytest.mark.parametrize("kind", [While, Traced])

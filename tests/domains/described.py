@@ -15,8 +15,9 @@ from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from snapo.case import table as tables
+from snapo.case.load import load
 from snapo.case.quantity import quantity_of
-from snapo.case.table import CaseTable, load
+from snapo.case.table import CaseTable
 from snapo.study import commands
 
 CASE, UNKNOWN = "case.toml", "a_key_that_nobody_knows"
@@ -159,6 +160,7 @@ def _values(field) -> Iterator[tuple[str, Any]]:
 def _beyond(words: str) -> set[float]:
     """Numbers just outside of the range that a description promises."""
     found: set[float] = set()
+    words = re.sub(r"(?<=\d),(?=\d{3})", "", words)  # 1,000 is one number
     for low in re.findall(r"(?:at least|from) (-?[\d.]+\d|\d)", words):
         found.add(float(low) - 1)
     for low in re.findall(r"(-?[\d.]+\d|\d),? or more", words):

@@ -1,10 +1,18 @@
-"""The programs of a problem as text, constants included, for the guard of forms."""
+"""For guards of forms: the programs of problems as text, constants included, and their solving."""
+
+from collections.abc import Callable, Hashable, Iterable
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from snapo.problem.code import program
+from snapo.problem.code.version import path, text
+from snapo.problem.inputs import plain
 from snapo.problem.problem import Problem
+from snapo.solver.solution import Solution
+from snapo.solver.solve import solve
+from snapo.study.study import Setup
 
 
 def programs(problem: Problem):
@@ -15,15 +23,41 @@ def programs(problem: Problem):
 
         def rolled(leaves, constants, now, *noise):
             own = jax.tree.unflatten(structure, leaves)
-            return program.path(own, None)(constants, now, *noise)
+            return path(own, None)(constants, now, *noise)
 
-        prepared = program.text(
+        prepared = text(
             lambda leaves, values: jax.tree.unflatten(structure, leaves).prepare(values),
             leaves,
-            {name: given.value for name, given in problem.inputs_by_name.items()},
+            plain(problem.inputs),
         )
         sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
         now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
         constants = jax.tree.map(jnp.asarray, schedule.constants)
         vectors = [jnp.zeros(size) for size in sizes]
-        return prepared, program.text(rolled, leaves, constants, now, *vectors)
+        return prepared, text(rolled, leaves, constants, now, *vectors)
+
+
+def same_programs(problems: Iterable[Problem], enough: int) -> int:
+    """How many problems have the form of an earlier one, up to `enough`; each is its program."""
+    first: dict[Hashable, Callable[[], Any]] = {}
+    pairs = 0
+    for problem in problems:
+        program = cache(partial(programs, problem))
+        earlier = first.setdefault(problem.form, program)
+        if earlier is not program:
+            assert program() == earlier()
+            pairs += 1
+        if pairs >= enough:
+            break
+    return pairs
+
+
+def solved(setup: Setup) -> Solution:
+    """What is made ready, solved."""
+    return solve(
+        setup.problem,
+        policy=setup.policy if setup.recipe is None else setup.recipe,
+        training=setup.training,
+        evaluation=setup.evaluation,
+        engine=setup.engines,
+    )

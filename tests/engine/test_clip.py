@@ -6,7 +6,7 @@ import pytest
 
 import snapo
 from snapo.engine import Native, Xla
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator

@@ -17,12 +17,11 @@ from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
 from snapo.problem.objective import CVaR, Mean
 from snapo.problem.policy import MLP
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
-from snapo.solver.finite_paths import adjoint_of_finite_paths
+from snapo.solver.adjoint import adjoint_of_finite_paths
 
 DOUBLE = Xla(precision="float64")
 T, PATHS = 6, 8

@@ -7,9 +7,9 @@ import pytest
 
 from snapo.engine.transpose import compiled_meanwhile, pull_back
 from snapo.problem.inputs import Input
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule
-from snapo.solver.provenance.clock import Clock
+from snapo.solver.provenance import Clock
 
 INPUTS = {"rate": Input([0.1, 0.3], "1/year")}
 

@@ -15,7 +15,7 @@ from snapo.domains.control.chapters.baselines import agent
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.pendulum import Pendulum
 from snapo.domains.control.rules import classical_rules
-from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
+from snapo.domains.inventory.item.simulator import InventorySimulator
 from snapo.domains.inventory.setup import first_policy
 from snapo.problem.actions import Actions
 from snapo.problem.simulator import Schedule
@@ -118,7 +118,7 @@ def test_gymnasiums_own_checker_passes(walk, item):
 def item():
     """Demand that waits, with a cost of an order: whether to order, and how much."""
     given = case(order=10.0, unmet="waits", horizon={"periods": 6, "warm_up": 1})
-    problem = snapo.Problem(InventorySimulator(given), inputs_of(given), snapo.Mean("result"))  # pyright: ignore
+    problem = snapo.Problem(InventorySimulator.of(given), given.inputs(), snapo.Mean("result"))
     return problem, first_policy(problem, given, 0)
 
 

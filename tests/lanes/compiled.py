@@ -5,15 +5,13 @@ import ctypes
 import jax
 import numpy as np
 
-from snapo.lanes.body import operations
+from snapo.lanes import body
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.module import Module
 from snapo.lanes.emit.storage import Layout
 from snapo.lanes.emit.values import EmittedValues, Workspace
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory
-from snapo.lanes.machine.pipeline import object_code
-from snapo.lanes.machine.processor import host
+from snapo.lanes.machine.linked import KernelMemory, Linked
+from snapo.lanes.machine.pipeline import host, object_code
 from snapo.lanes.program.flatten import flatten
 from snapo.lanes.program.passes import optimize
 
@@ -33,7 +31,7 @@ def text(function, shapes, dtype: str = "float32"):
     values = EmittedValues(code, Workspace("%work"))
     for value in program.inputs:
         values.bind(value, given.address(value, "%given"))
-    operations.write(values, program.ops, program.outputs)
+    body.write(values, program.ops, program.outputs)
     for i, value in enumerate(program.outputs):
         values.copy(value, found.address(i, "%found"))
     code.do("ret void")

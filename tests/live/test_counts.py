@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from snapo.live.counts import ENOUGH, FEWEST, MAXIMUM, PathCounts
+from snapo.live.rollout import ENOUGH, FEWEST, MAXIMUM, PathCounts
 
 
 @pytest.mark.parametrize(

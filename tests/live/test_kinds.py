@@ -9,11 +9,9 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small
 from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
-from snapo.live.case.choices import choices
-from snapo.live.case.files import read_files
-from snapo.live.case.places import InputPositions
-from snapo.live.moves import WhatIf
-from snapo.live.recalculation import Recalculation
+from snapo.live.files import read_files
+from snapo.live.moves import Recalculation, WhatIf, choices
+from snapo.live.positions import InputPositions
 from snapo.live.valuation import Valuation
 from snapo.live.worker import open_run
 from snapo.solver.measure.measure import MeasuredRun, measure
@@ -159,7 +157,7 @@ def test_a_process_in_closed_loop_is_valued_as_solve_does(tmp_path):
     assert found["value"]["standard_error"] == again["standard_error"]
     (section,) = found["sections"]
     assert [row[0] for row in section["rows"]] == ["product", "impurity"]
-    assert "keep all limits" in section["words"]
+    assert "keep all limits" in section["description"]
 
 
 @pytest.mark.prove

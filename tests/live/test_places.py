@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.case.files import read_files
-from snapo.live.case.places import InputPositions
+from snapo.live.files import read_files
+from snapo.live.positions import InputPositions
 from snapo.live.terms import usual
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -13,7 +13,7 @@ from snapo.study.domain import Options
 
 @pytest.fixture(scope="module")
 def storage(tmp_path_factory):
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     folder = tmp_path_factory.mktemp("storage")
     commands.new("gas-storage", folder)
@@ -24,7 +24,7 @@ def storage(tmp_path_factory):
 
 def counted(folder):
     """The places of a storage case, and a list with an entry for each time that it is read."""
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     loaded, readings = commands.load(commands.CaseRequest(folder)), []
 
@@ -59,14 +59,15 @@ def test_every_input_of_a_store_is_written_and_read_once(tmp_path):
 
 
 def storage_values(moved, name):
-    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+    from snapo.domains.gas_storage.contract.records import storage_inputs
 
     return storage_inputs(moved.case)[name].value
 
 
 @pytest.mark.parametrize(
     ("kind", "size", "simulator"),
-    [("inventory", "spare-part", None), ("control", "pendulum", None), ("control", "measured", None),
+    [("inventory", "spare-part", None), ("inventory", "line", None),
+     ("inventory", "stores", None), ("control", "pendulum", None), ("control", "measured", None),
      ("control", "linear-quadratic", None), ("own", "reservoir", ("simulator", "Reservoir"))],
 )  # fmt: skip
 def test_every_input_of_an_item_a_plant_and_a_simulator_is_written_and_read_once(
@@ -118,7 +119,9 @@ def test_numbers_of_a_table_that_is_no_csv_say_why_they_stay(tmp_path):
     case = tmp_path / "case.toml"
     case.write_text(case.read_text().replace("curve.csv", "curve.parquet"))
     places, _ = counted(tmp_path)
-    with pytest.raises(CaseError, match=r"curve\.parquet: numbers can be changed in a CSV"):
+    with pytest.raises(
+        CaseError, match=r"curve\.parquet: only numbers in a CSV next to the case can be changed"
+    ):
         places.case_at({"forward_curve": places.inputs["forward_curve"].value + 0.5})
 
 

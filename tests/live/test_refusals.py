@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.case.refusals import no_value, stopped
-from snapo.live.counts import PathCounts
+from snapo.live.rollout import PathCounts
+from snapo.live.terms import no_value, stopped
 from snapo.live.valuation import Valuation
 from snapo.live.worker import in_words, open_run
 from snapo.problem.inputs import Input
@@ -22,7 +22,7 @@ def test_a_refusal_names_the_input_in_the_units_of_its_field():
     words = str(no_value({"swing": np.array(-1e4)}, {"swing": POINTS}, 510, 512))
     assert words == (
         "swing: got −1,000,000 points; allowed is a number with which the simulator can calculate, "
-        "such as the run's 10 points: here 510 of its 512 paths come to no finite total, so "
+        "such as the run's 10 points: here 510 of its 512 paths have no finite total, so "
         "there is no value."
     )
     new = FLOWS.value + np.array([0.0, -1e30, 0.0])
@@ -45,7 +45,7 @@ def stop(module: str) -> Exception:
 def test_a_mistake_of_the_users_code_is_told_as_theirs_and_ours_as_ours():
     words = stopped(stop("mine"), ["capacity"], "mine")
     assert words == (
-        "Your simulator stopped with capacity moved; it says (mine.py, line 4, step): "
+        "Your simulator stopped with capacity moved (mine.py, line 4, step): "
         "ValueError: the tank has no size."
     )
     for module in (None, "other", "min"):

@@ -12,7 +12,7 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
 
-from snapo.live.crew import WorkerProcess  # noqa: E402
+from snapo.live.process import WorkerProcess  # noqa: E402
 from snapo.live.server import Server  # noqa: E402
 
 FAKE = Path(__file__).with_name("fake_worker.py")

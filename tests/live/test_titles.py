@@ -2,7 +2,7 @@
 
 import pytest
 
-from snapo.live.case.choices import title
+from snapo.live.moves import title
 
 TABLES = {
     "kind": "pharma",

@@ -10,9 +10,8 @@ from snapo.engine import Xla
 from snapo.problem.actions import Box, Simplex
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Linear
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import in_mean
+from snapo.problem.policies.rules import Linear
+from snapo.problem.problem import in_mean, prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

@@ -8,7 +8,7 @@ import pytest
 from tests.problem.reservoir import Reservoir, inputs
 
 import snapo
-from snapo.problem.policies.plain import as_policy
+from snapo.problem.policies.composed import as_policy
 from snapo.solver.learning.starts import others
 
 SHORT = snapo.Training(steps=6, paths=64)

@@ -13,16 +13,8 @@ from tests.problem.reservoir import Reservoir, inputs
 import snapo
 from snapo.problem.actions import Box, Choice, Integers, Simplex
 from snapo.problem.policies.memory import GRU
-from snapo.problem.policy import (
-    MLP,
-    BaseStock,
-    Constant,
-    Linear,
-    Policy,
-    Residual,
-    Threshold,
-    parameters,
-)
+from snapo.problem.policies.rules import BaseStock, Constant, Linear, Threshold
+from snapo.problem.policy import MLP, Policy, Residual, parameters
 from snapo.problem.simulator import Interface
 from snapo.problem.smooth import Exact
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import snapo
 from snapo.engine import Xla
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.process import FactorPrice, Factors, Process, Schwartz
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, at

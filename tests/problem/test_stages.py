@@ -12,9 +12,10 @@ from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Actions, Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
-from snapo.problem.policies.stages import Stages
-from snapo.problem.policy import MLP, Constant, Linear, parameters, trainable
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.composed import Stages
+from snapo.problem.policies.rules import Constant, Linear
+from snapo.problem.policy import MLP, parameters, trainable
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth

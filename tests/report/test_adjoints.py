@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from snapo.report.evidence import history
 from snapo.report.folder import RunFiles
-from snapo.report.sections.proof import history
 
 
 def run(growth, **result):

@@ -14,10 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
-from snapo.report.axes import number_axis
 from snapo.report.bands import Swing, scatter, tornado
 from snapo.report.charts import histogram
-from snapo.report.drawing import STYLE, WIDTH
+from snapo.report.drawing import STYLE, WIDTH, number_axis
 from snapo.report.page import Page, Section, Table, coded, render
 from snapo.report.quantity import (
     measured,
@@ -31,7 +30,7 @@ from snapo.report.quantity import (
     unit_words,
     with_unit,
 )
-from snapo.study.report import write_report
+from snapo.study.carry_out import write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b(?! is kept)|\bundefined\b|\[object|&[a-z]+;|</?[a-z]+>"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.report.pdf import VARIABLE, browser, print_page
+from snapo.report.page import VARIABLE, browser, print_page
 from snapo.study import commands
 
 SCRIPT = f"""#!{sys.executable}

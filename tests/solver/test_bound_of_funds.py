@@ -13,7 +13,7 @@ from tests.solver.test_merton import EQUIVALENT, GAMMA, MARKET, OBJECTIVE, UTILI
 from tests.solver.test_merton import Merton as MertonOfTest
 
 from snapo import Input, Mean, Problem
-from snapo.problem.policy import Constant, Linear
+from snapo.problem.policies.rules import Constant, Linear
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.solver.bound import Bound, bound
 
@@ -63,7 +63,7 @@ class Merton(MertonOfTest):
 class OfPower:
     """Penalties: the surprises of C_t W^(1 - g) / (1 - g), where C_t belongs to one weight."""
 
-    terms, words = 1, "the surprises of a power of wealth"
+    terms, description = 1, "the surprises of a power of wealth"
 
     def __init__(self, weight: float = WEIGHT):
         self.factor = float(moment(weight))
@@ -147,7 +147,7 @@ class Funding(funding.Funding):
 class OfSquare:
     """Penalties: the surprises of `wrong` v_t X^2, discounted; v_t by the exact recursion."""
 
-    terms, words = 1, "the surprises of a square"
+    terms, description = 1, "the surprises of a square"
 
     def __init__(self, wrong: float = 1.0):
         h, r, mu, sigma = 1 / 12, funding.R, funding.MU, funding.SIGMA
@@ -218,7 +218,7 @@ def test_a_wrong_square_is_wide_and_never_wrong():
 class OfMix:
     """The one mix there is: its assets, less the surprises of their conditional mean."""
 
-    terms, words = 1, "the surprises of the expected assets"
+    terms, description = 1, "the surprises of the expected assets"
 
     def __init__(self):
         self.mean = 0.5 * np.exp(np.array([0.06, 0.03]) / 12).sum()

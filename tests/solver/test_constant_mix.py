@@ -15,8 +15,8 @@ import pytest
 from snapo.engine import Xla
 from snapo.problem.actions import Simplex
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

@@ -23,7 +23,7 @@ import snapo
 from snapo.problem.objective import CRRA
 from snapo.problem.scenarios import Scenarios
 from snapo.solver import statistics
-from snapo.solver.by_block.changes import plan
+from snapo.solver.derivatives.changes import plan
 from snapo.solver.evaluate import estimate
 
 M, S, C = 1.0, 0.8, 0.6

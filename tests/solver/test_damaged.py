@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from snapo.problem.actions import Box
-from snapo.problem.policy import MLP, Constant, Residual
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import MLP, Residual
 from snapo.solver import checkpoint
 from snapo.solver.train import Progress, Record, Training, initial_progress
 

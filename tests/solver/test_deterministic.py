@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.relaxations.known import Relaxation
+from snapo.solver.relaxations.stop import Relaxation
 
 PRICES = np.array([3.0, 1.0, 4.0, 2.0])
 

@@ -166,7 +166,7 @@ def test_a_cost_alone_is_not_made_large_in_silence(name):
 
 def test_the_printed_solution_says_what_was_made_large(tmp_path):
     found = snapo.solve(Till(), INPUTS, HALF, objective=-snapo.CVaR("cash", 0.9), **FEW)
-    words = "made as large as possible: minus the mean of the largest 10 % of cash"
+    words = "maximised: minus the mean of the largest 10 % of cash"
     assert str(found).splitlines()[1] == words and words in found._repr_html_()
     found.save(tmp_path)
     assert snapo.Solution.load(tmp_path).lines()[1] == words

@@ -15,9 +15,8 @@ from snapo.engine import Xla
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
 from snapo.problem.objective import Mean
-from snapo.problem.policy import Linear
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.policies.rules import Linear
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

@@ -18,8 +18,7 @@ from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
 from snapo.problem.objective import Mean
 from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Sources, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

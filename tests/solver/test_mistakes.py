@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.checker.first import first_mistakes
+from snapo.checker.check import first_mistakes
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input

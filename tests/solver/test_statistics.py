@@ -10,9 +10,9 @@ from scipy import stats
 import snapo
 from snapo.problem.objective import CVaR, Mean
 from snapo.solver import statistics
-from snapo.solver.by_block.changes import plan
+from snapo.solver.derivatives.changes import plan
 from snapo.solver.evaluate import estimate, value_of, value_of_groups
-from snapo.solver.provenance.clock import Clock
+from snapo.solver.provenance import Clock
 from snapo.solver.statistics import Estimate
 
 RNG = np.random.default_rng(0)

@@ -12,8 +12,8 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
-from snapo.solver.learning.following import resolve_auto
-from snapo.solver.learning.told import start_notes
+from snapo.solver.learning.log import start_notes
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.train import Training, initial_progress, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)
@@ -222,7 +222,7 @@ def test_paths_that_are_not_finite_are_counted_in_every_record(tmp_path):
     assert rare.value == pytest.approx(1.0, abs=0.01)
     assert 0 < rare.dropped["evaluate"] <= 16 and 0 < rare.dropped["sensitivities"] <= 12
     assert rare.dropped["train"] == sum(record.bad_paths for record in rare.history)
-    assert "not finite" in str(rare) and rare.summary()["dropped"] == dict(rare.dropped)
+    assert "non-finite" in str(rare) and rare.summary()["dropped"] == dict(rare.dropped)
     # A hundredth of the wealth more is a hundredth of the value more, without the paths left out.
     assert rare.sensitivities.held["wealth"].value == pytest.approx(rare.value, rel=1e-2)
     assert np.isfinite(rare.sensitivities.held["wealth"].standard_error)
@@ -269,11 +269,11 @@ class Breaks(snapo.Simulator):
 @pytest.mark.parametrize(
     "kind, said",
     [
-        ("state", "64 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+        ("state", "64 of 64 paths are non-finite in output 'cash', first at step 2 of the 4 of a "
          "path, in state water."),
-        ("output", "32 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+        ("output", "32 of 64 paths are non-finite in output 'cash', first at step 2 of the 4 of a "
          "path, in output cash."),
-        ("derivative", "not finite, though all totals are. step, "),
+        ("derivative", "non-finite, though all totals are. step, "),
     ],
 )  # fmt: skip
 def test_a_training_that_breaks_says_where(kind, said):

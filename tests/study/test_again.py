@@ -2,8 +2,8 @@
 
 import pytest
 
-from snapo.study.again import options_of_run
 from snapo.study.domain import RunsCode
+from snapo.study.prepare import options_of_run
 
 ABOUT = {"title": "mine", "notes": []}
 

@@ -14,12 +14,13 @@ from snapo.case.error import CaseError
 from snapo.cli.main import main
 from snapo.problem.actions import Box, Integers
 from snapo.problem.policies.memory import GRU
-from snapo.problem.policy import MLP, Constant, Residual, parameters
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import MLP, Residual, parameters
 from snapo.solver import checkpoint
 from snapo.solver.solution import POLICY, Solution
 from snapo.study import commands
-from snapo.study.solving.given import read
-from snapo.study.solving.prepare import Wanted, made_ready
+from snapo.study.initial_policy import read
+from snapo.study.prepare import Wanted, made_ready
 from snapo.testing.miniature import quiet
 
 OWN = MINIATURES["own"]

@@ -8,11 +8,11 @@ import pytest
 from tests.study.fake import parts
 
 from snapo.problem.inputs import Input
+from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
+from snapo.report.missing import not_asked, unless_left_out
 from snapo.report.page import Chart, Missing, Page, Text, render
-from snapo.report.sections.lacking import not_asked, unless_left_out
-from snapo.report.sections.proof import history, making
-from snapo.study import choice
+from snapo.study import training
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION, distributed
@@ -100,10 +100,10 @@ def test_sections_of_a_run_without_anything_say_so(tmp_path):
 
 def test_parts_are_chosen_with_all_that_they_need():
     given = parts([1.0])
-    assert choice.with_needs(given, []) == given
-    doubled = choice.with_needs(given, ["doubled", "not of this case"])
+    assert training.with_needs(given, []) == given
+    doubled = training.with_needs(given, ["doubled", "not of this case"])
     assert [part.name for part in doubled] == ["first sum", "doubled"]
-    assert choice.summary(given, doubled) == {
+    assert training.summary(given, doubled) == {
         "planned": ["first sum", "doubled"], "left_out": ["alone"]
     }  # fmt: skip
 
@@ -158,9 +158,9 @@ def test_a_file_of_another_form_is_a_missing_result(tmp_path):
 
 
 def test_a_run_without_a_policy_says_why(tmp_path):
-    assert "--resume" in str(choice.no_policy(tmp_path, {}))
+    assert "--resume" in str(training.no_policy(tmp_path, {}))
     record = {"about": {"left_out": ["training"]}}
-    assert "`[report] parts` leave out the training" in str(choice.no_policy(tmp_path, record))
+    assert "`[report] parts` leave out the training" in str(training.no_policy(tmp_path, record))
 
 
 def test_sections_of_a_whole_run(tmp_path):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from snapo.solver.learning import convergence
-from snapo.solver.verdict.room import room
+from snapo.solver.verdict.convergence import AS_BEGUN, CONVERGED, SATURATED, SHORT
+from snapo.solver.verdict.further import room
 from snapo.study.study import Part, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -38,10 +38,10 @@ ADVICE = (
 @pytest.mark.parametrize(
     "word, high, now, kept",
     [
-        (convergence.SHORT, 94.2, convergence.CONVERGED, False),
-        (convergence.AS_BEGUN, 94.2, convergence.CONVERGED, False),
-        (convergence.SATURATED, 94.2, convergence.SATURATED, False),
-        (convergence.SHORT, 1400.0, convergence.SHORT, True),
+        (SHORT, 94.2, CONVERGED, False),
+        (AS_BEGUN, 94.2, CONVERGED, False),
+        (SATURATED, 94.2, SATURATED, False),
+        (SHORT, 1400.0, SHORT, True),
     ],
 )
 def test_near_a_bound_the_verdict_is_the_room_and_no_advice_to_train_on(

@@ -16,8 +16,8 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Supplied, stream
 from snapo.solver.evaluate import evaluate
 from snapo.solver.solution import Solution
 from snapo.study import commands, run_folder
+from snapo.study import seeds as table_of
 from snapo.study.domain import Options
-from snapo.study.solving import by_seed as table_of
 from snapo.testing.miniature import once, quiet
 
 SMALL = MINIATURES["inventory"]
@@ -201,7 +201,7 @@ def test_without_other_paths_the_choice_is_told(two):
     own = setup()._replace(problem=replace(problem, sources=sources))
     assert table_of._measured_on_others(own)[1] is False
     found = result_of(two / "run")["seeds"] | {"fresh": False}
-    assert "a little high" in table_of.describe(found)
+    assert "slightly high" in table_of.describe(found)
 
 
 def test_seeds_without_a_value_are_told():

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.table import CaseTable, load, parse
+from snapo.case.load import load
+from snapo.case.table import CaseTable, parse
 from snapo.testing.mistakes import UNKNOWN, refusals, spoilt_files, spoilt_keys
 
 CASE = """kind = "toy"
@@ -102,7 +103,7 @@ def test_a_reader_that_ends_in_a_traceback(folder, tmp_path):
         return {0: "closed", 1: "open"}[data["tank"]["open"]], read(file, data)
 
     found = refusals(careless, folder, spoilt_keys(folder), tmp_path / "scratch")
-    assert "tank.open: left out: KeyError in place of a CaseError: 'open'" in found
+    assert "tank.open: left out: KeyError instead of a CaseError: 'open'" in found
     assert any(line.startswith("tank.open: a table: TypeError") for line in found)
 
 
@@ -114,4 +115,4 @@ def test_a_message_without_its_place(folder, tmp_path):
             raise CaseError(str(file), "", None, "something is wrong") from None
 
     found = refusals(careless, folder, spoilt_keys(folder), tmp_path / "scratch")
-    assert any("tank.stages: text: the message lacks stages" in line for line in found)
+    assert any("tank.stages: text: stages not in the message" in line for line in found)

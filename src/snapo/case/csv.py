@@ -1,4 +1,4 @@
-"""CSV files and arrays beside a case, read so that every mistake has a line and a remedy.
+"""CSV files and arrays of a case, read so that every mistake has a line and a remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
 order; blank lines, lines that start with `#`, and further columns are passed over. Commas separate,
@@ -9,17 +9,98 @@ import csv
 import datetime
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from .columns import PARQUET, parquet_lines
 from .dialect import AmbiguousFormat, Dialect, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .given import SheetCell
 from .table import LARGEST, TOO_LARGE, TableContext, not_utf8
+
+PARQUET = "Parquet needs the package pyarrow: pip install 'snapo[parquet]'"
+FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
+
+
+def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
+    """Line number and cells of a Parquet file, its column names first, as of a CSV.
+
+    **Raises:** `CaseError` where pyarrow is missing, or the file is damaged or nested.
+    """
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise reference.error(f"{PARQUET}; or use a CSV file") from None
+    try:
+        table = parquet.read_table(path)
+        columns = [column.to_pylist() for column in table.columns]
+    except Exception as error:  # of Arrow, whatever is wrong with the file
+        message = f"this is not a Parquet file ({str(error).strip().splitlines()[0]})"
+        raise CaseError(reference.name, "", None, message) from None
+    return list(enumerate(_lines(table.column_names, zip(*columns)), start=1))
+
+
+def _lines(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterable[list[str]]:
+    yield [str(name).strip() for name in names]
+    for row in rows:
+        yield [cell(value) for value in row]
+
+
+def cell(value: Any) -> str:
+    """A value as a CSV of a case has it; "" for nothing."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, datetime.datetime):
+        day = value.time() == datetime.time() and value.tzinfo is None
+        return value.date().isoformat() if day else value.isoformat(" ")
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    return repr(value) if isinstance(value, float) else str(value).strip()
+
+
+def write_table(frame: Any, file: Path | str) -> Path:
+    """Writes a data frame (pandas, polars, pyarrow …) as a file that a case can name.
+
+    The file's suffix determines how: `.csv` or `.parquet`. Column names are those of the file; an
+    index is left out. Returns the path.
+
+    **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
+    another ending, `TypeError` for an object that is no frame.
+
+    >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")
+    Traceback (most recent call last):
+    TypeError: write_table: a dict is no data frame; give one of pandas, polars or pyarrow.
+    """
+    try:
+        import narwhals as nw
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(f"write_table: {FRAMES}") from None
+    file = Path(file)
+    try:
+        table = nw.from_native(frame, eager_only=True)
+    except TypeError:
+        message = (
+            f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
+        )
+        raise TypeError(f"write_table: {message}") from None
+    match file.suffix.lower():
+        case ".csv":
+            with file.open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream, lineterminator="\n")
+                writer.writerows(_lines(table.columns, table.iter_rows()))
+        case ".parquet":
+            try:
+                import pyarrow.parquet as parquet
+            except ImportError:
+                raise ModuleNotFoundError(f"write_table: {PARQUET}") from None
+            parquet.write_table(table.to_arrow(), file)
+        case other:
+            raise ValueError(f"write_table: the ending {other!r}; allowed are .csv and .parquet.")
+    return file
+
 
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 MONTH = re.compile(r"(\d{4})-(\d{2})", re.ASCII)
@@ -28,7 +109,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class FileReference:
-    """Where a case names a file: the table, the key, and the name that stands there."""
+    """Where a case names a file: the table, the key, and the name itself."""
 
     section: TableContext
     key: str
@@ -57,7 +138,7 @@ class Row:
     def number(
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
     ) -> float:
-        """A finite number within [low, high]; `allowed`: the same in words."""
+        """A finite number within [low, high]; `allowed`: the same as text."""
         text, allowed = self.cells[column], allowed or within(low, high)
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
@@ -111,7 +192,7 @@ class Row:
 
 
 def within(low: float, high: float) -> str:
-    """The words for a range: "a number of at least 0"."""
+    """The text of a range: "a number of at least 0"."""
     if low == -math.inf:
         return "a finite number"
     if high == math.inf:
@@ -236,7 +317,7 @@ def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> l
         raise CaseError(name, f"line {line}", got, message)
     for column in names:
         if column and names.count(column) > 1:
-            raise CaseError(name, f"line {line}", column, "this column stands there twice")
+            raise CaseError(name, f"line {line}", column, "this column is there twice")
     return names
 
 

@@ -1,8 +1,8 @@
 """How a CSV was written: by which separator, with which decimal mark, and days in which order.
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
-where the file leaves no doubt, and the case gets a note of it; where one file could mean two things
-it is refused. `1.234` beside `1,5` is a thousand and more; `1,234` alone could be either.
+where the file is unambiguous, and the case gets a note of it; where one file could mean two things
+it is refused. `1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
 """
 
 import re
@@ -49,7 +49,8 @@ class Dialect:
         """A day as YYYY-MM-DD or a month as YYYY-MM, where it is written another way; else the
         cell itself.
 
-        **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not tell day from month.
+        **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not distinguish day from
+        month.
         """
         cell = MIDNIGHT.sub("", cell)
         if match := MONTH.fullmatch(cell):
@@ -78,7 +79,7 @@ class Dialect:
 
 
 def separator(header: str) -> str:
-    """The separator of a header row: the one that stands there most often, else the comma."""
+    """The separator of a header row: the most frequent one, else the comma."""
     bare = re.sub(r'"[^"]*"', "", header)
     return max(SEPARATORS, key=lambda item: bare.count(item))
 
@@ -107,7 +108,7 @@ def _decimal_comma(cells: set[str]) -> bool:
 
 
 def _first(cells: set[str]) -> Order | None:
-    """What comes first in days with slashes: told by any number above twelve."""
+    """What comes first in days with slashes: determined by any number above twelve."""
     table: dict[Order, str] = {}
     for cell in sorted(cells):
         match = DAY.fullmatch(MIDNIGHT.sub("", cell))

@@ -1,4 +1,4 @@
-"""A mistake in a case, as its owner reads it: file, key or line, value, and the allowed range."""
+"""A mistake in a case, as the user reads it: file, key or line, value, and the allowed range."""
 
 import datetime
 import difflib
@@ -12,7 +12,7 @@ class CaseError(ValueError):
 
     **Arguments:**
 
-    - `file`: the file with the mistake, as its owner knows it.
+    - `file`: the file with the mistake, as the user knows it.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
     - `value`: the value found; `None` where one is missing.
     - `allowed`: a correct value, described in a clause.
@@ -31,7 +31,7 @@ class CaseError(ValueError):
 
 
 def show(value: Any) -> str:
-    """A value as its owner wrote it: dates in ISO form, text in quotes, long lists cut short."""
+    """A value as the user wrote it: dates in ISO form, text in quotes, long lists cut short."""
     if isinstance(value, datetime.date):
         return value.isoformat()
     if isinstance(value, bool):
@@ -48,7 +48,7 @@ def show(value: Any) -> str:
 
 
 class Unquoted(str):
-    """A description in place of a value ("an unknown key"), shown without quotation marks."""
+    """A description instead of a value ("an unknown key"), shown without quotation marks."""
 
 
 def nearest(key: str, available, word: str = "key") -> str:

@@ -1,4 +1,4 @@
-"""Numbers that the owner of a case gave, with their meaning and units."""
+"""Numbers that the user gave, with their meaning and units."""
 
 import math
 from collections.abc import Sequence
@@ -29,13 +29,23 @@ class SheetCell(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """The positions of a number that stands in several: the two entries of a correlation."""
+    """The positions of a number that is in several: the two entries of a correlation."""
 
     positions: tuple[tuple[str | int, ...], ...]
 
 
+class QuantityKey(NamedTuple):
+    """The position of a number that is written with its unit in a text, "313.15 K".
+
+    - `path`: the keys that lead to it. `unit`: of the input, in which another number is written.
+    """
+
+    path: tuple[str | int, ...]
+    unit: str
+
+
 # The position of a number: a cell, the keys that lead to it in the TOML file, or none.
-FilePosition = SheetCell | Copies | tuple[str | int, ...] | None
+FilePosition = SheetCell | Copies | QuantityKey | tuple[str | int, ...] | None
 
 
 def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
@@ -45,7 +55,7 @@ def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[File
 
 @dataclass(frozen=True, eq=False)
 class CaseInput:
-    """Numbers that the owner of the case gave, and where each of them is used.
+    """Numbers that the user gave, and where each of them is used.
 
     The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
     name, unit and labels, and takes `[index]` inside `prepare`, so that the sensitivity to every
@@ -58,7 +68,7 @@ class CaseInput:
     - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
-    - `low`, `high`: what the numbers may be at all; infinite where there is no limit.
+    - `low`, `high`: the range of valid numbers; infinite where there is no limit.
     - `bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in `Input`.
     - `positions`: [n] the position of each number in the files of the case; () where no reader
       recorded it.
@@ -104,7 +114,7 @@ class CaseInput:
         return position.file if isinstance(position, SheetCell) else float(self.values[0])
 
     def input(self) -> "Input":
-        """The numbers as a differentiable input, with all that is said about them."""
+        """The numbers as a differentiable input, with all their metadata."""
         from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
 
         metadata = {name: getattr(self, name) for name in SHARED}

@@ -1,8 +1,9 @@
-"""When a key of a case has a meaning: said at the key itself, looked at once all tables are there.
+"""When a key of a case has a meaning: declared at the key itself, looked at once all tables are
+there.
 
     spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
 
-A key that a case states and that nothing in it uses is a mistake of its owner's, and is refused.
+A key that a case states and that nothing in it uses is a mistake of the user, and is refused.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -12,6 +13,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from .error import CaseError
+from .given import CaseInput
 
 Tables = Mapping[str, Any]
 
@@ -21,7 +23,8 @@ class Only:
     """A key with a meaning only where something holds.
 
     - `applies`: of the tables of a case by name, "" the whole file; a missing one is left out.
-    - `when`: the same in a clause that follows "only". `instead`: what the case has in its place.
+    - `when`: the same in a clause that follows "only". `instead`: the alternative that the case
+      has.
     """
 
     applies: Callable[[Tables], bool]
@@ -54,6 +57,7 @@ def check_meanings(file: str, tables: Tables) -> None:
             for only in conditions(type(table).model_fields[key]):
                 if not only.applies(tables):
                     value = getattr(table, key)
+                    value = value.written if isinstance(value, CaseInput) else value
                     displayed = None if isinstance(value, dict | list) else value
                     where = f"{name}.{key}" if name else key
                     mistakes.append(CaseError(file, where, displayed, only.why(tables)))

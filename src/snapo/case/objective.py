@@ -1,4 +1,4 @@
-"""From the `[objective]` table of a case to the objective that training makes large."""
+"""From the `[objective]` table of a case to the objective that training maximises."""
 
 from snapo.problem import objective as core
 

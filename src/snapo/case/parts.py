@@ -1,4 +1,4 @@
-"""`[report] parts`: cases whose runs can be made of some parts alone."""
+"""`[report] parts`: cases whose runs can be made only of some parts."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ def known_parts(
     - `available`: all parts of the domain; `missing`: {one of them: why a run of this case has it
       not, in a clause}.
 
-    **Raises:** `CaseError` for a name that is not known, or of a part that is lacking.
+    **Raises:** `CaseError` for a name that is not known, or of a part that is missing.
     """
     for i, name in enumerate(requested):
         message = ""

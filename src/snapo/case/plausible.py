@@ -23,7 +23,7 @@ import numpy as np
 
 from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
-from .given import Copies, FilePosition, SheetCell
+from .given import Copies, FilePosition, QuantityKey, SheetCell
 from .table import TableContext
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -85,7 +85,7 @@ class Plausible:
     It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
     of `endings`, as far as these are set.
 
-    - `hint`: a clause that says which unit is meant.
+    - `hint`: a clause on the unit that is meant.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
     - `by_size`: the range is of absolute values: the sign means something else.
     """
@@ -203,6 +203,8 @@ def in_words(position: FilePosition) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
     if isinstance(position, Copies):
         return in_words(position.positions[0])
+    if isinstance(position, QuantityKey):
+        return in_words(position.path)
     if position is None or isinstance(position, SheetCell):
         return str(position or "")
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in position)

@@ -8,7 +8,7 @@ position in the files where another value can be written:
     COST = Quantity("{currency}/{volume_unit}", group="cost", move=0.01, by="date")
 
     class ContractTable(Table):
-        injection_cost: Given = COST("per unit injected", 0.0)
+        injection_cost: CaseInput = COST("per unit injected", 0.0)
 """
 
 import math
@@ -31,7 +31,7 @@ from .table import LARGEST, TOO_LARGE, CaseTable, TableContext
 
 
 class Range(NamedTuple):
-    """The numbers from `low` to `high`; its text stands in messages and in the documentation.
+    """The numbers from `low` to `high`; its text is in messages and in the documentation.
 
     - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
     - `note`: text that follows, such as ": the mean of ln S".
@@ -91,7 +91,7 @@ FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
 class Quantity:
     """All that is known of a number before its value.
 
-    - `unit`: a key of the same table in braces stands for its value.
+    - `unit`: a key of the same table in braces is replaced by its value.
     - `range`: the numbers allowed; `limits`: those that occur at all, beyond which a number is
       refused as a mistake; `plausible`: those outside of which a note asks for the unit.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
@@ -124,7 +124,7 @@ class Quantity:
 
     @property
     def allowed(self) -> str:
-        """The values that the key may have, in words."""
+        """The values that the key may have, as text."""
         file = f", or the name of a CSV file with columns {self.by},{self.column}"
         return self.text or f"{self.range}{file if self.by else ''}"
 
@@ -218,7 +218,7 @@ class KeyContext(NamedTuple):
         return read_rows(FileReference(self.table, self.name, file), columns)
 
     def filled(self, unit: str) -> str:
-        """A unit with the values of other keys in place of their names in braces."""
+        """A unit with the values of other keys instead of their names in braces."""
         return unit.format_map(_Values(self.values))
 
 
@@ -244,7 +244,7 @@ class Custom(NamedTuple):
 
 
 def custom(read: ReadKey, allowed: str, default: Any = ..., types: Sequence[str] = ("string",)):
-    """A field of a `Table` that a function reads; `allowed`: its values, in words."""
+    """A field of a `Table` that a function reads; `allowed`: its values, as text."""
     return declared(Custom(read, tuple(types)), default, allowed)
 
 
@@ -263,7 +263,7 @@ def quantity_of(field: FieldInfo) -> Quantity | None:
 
 
 def choice(*options: str, default: str = "") -> Any:
-    """A field for one of a few words, the first by default."""
+    """A field for one of a few texts, the first by default."""
     text = " or ".join(f'"{option}"' for option in options)
     return Field(default or options[0], description=text)
 

@@ -53,15 +53,15 @@ class TrainingTable(CaseTable):
     exploration: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.0, description="a number from 0 to below 1"
     )
-    starts: Count = Field(1, description="a number of first weights, 1 or more")
+    starts: Count = Field(1, description="a number of initial weights, 1 or more")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
 
-AUTO = "or left out: then it follows the problem"
+AUTO = "or left out: then it is chosen from the problem"
 
 
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: six keys follow the problem.
+    """`[training]` of a plant or of a simulator of one's own: six keys are chosen from the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
@@ -83,7 +83,7 @@ class FollowingTable(TrainingTable):
         None, description=f"a number from 0 to below 1, {AUTO}"
     )
     starts: Count | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number of first weights, 1 or more, {AUTO}"
+        None, description=f"a number of initial weights, 1 or more, {AUTO}"
     )
 
 
@@ -109,7 +109,7 @@ class EvaluationTable(CaseTable):
 
 
 class ObjectiveTable(CaseTable):
-    """`[objective]`: the figure to maximise; `kind` says which of the other keys apply.
+    """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply.
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
@@ -172,9 +172,8 @@ def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) 
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
         raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
     if objective.kind == "crra" and weight < 0:
-        message = (
-            'a utility is of what shall be large: with kind "crra" allowed is a number above 0'
-        )
+        message = "a utility is of a quantity to be maximised: "
+        message += 'with kind "crra" allowed is a number above 0'
         raise CaseError(file, f"{name}.weight", weight, message)
     return float(weight)
 
@@ -198,7 +197,7 @@ def read_training(
 
 
 def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> None:
-    """Refuses training on windows for objectives that have no worth of what lies ahead."""
+    """Refuses training on windows for objectives that have no continuation value."""
     for kind in kinds:
         if training.window != "auto" and kind != "mean":
             message = f'windows need an objective of kind "mean", and there is "{kind}"'

@@ -1,6 +1,6 @@
-"""What every domain's case format shares: one TOML file, plain files beside it, clear errors.
+"""What every domain's case format shares: one TOML file, plain files next to it, clear errors.
 
-A case is data: nothing in it is executed, and every file that it names lies beside it. The
+A case is data: nothing in it is executed, and every file that it names lies next to it. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
 """
 
@@ -8,7 +8,6 @@ import datetime
 import difflib
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -24,8 +23,6 @@ from .error import CaseError, nearest
 
 LARGEST = 1e36  # a number of a case, in size: training computes in single precision
 LONGEST = 2_000  # characters of a text in a table
-DEEPEST = 20  # levels of tables and lists
-TOO_DEEP = "the tables of this file are nested too deeply; no case needs more than a few levels"
 TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
@@ -81,53 +78,6 @@ NotNegative = Annotated[float, Field(ge=0)]
 AnyTable = TypeVar("AnyTable", bound=CaseTable)
 
 
-def load(path: Path) -> tuple[Path, dict[str, Any]]:
-    """Reads the case at `path`, a TOML file or a folder with `case.toml`; returns file and data."""
-    if path.suffix.lower() == ".xlsx" and path.is_file():
-        from .workbook.read import unpacked
-
-        path = unpacked(path)
-    file = path / "case.toml" if path.is_dir() else path
-    if not file.is_file():
-        message = "a case is a TOML file, or a folder with case.toml in it; there is none here"
-        raise CaseError(str(path), "", None, message)
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise CaseError(str(file), "", None, not_utf8(error)) from None
-    except OSError as error:
-        raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
-    if not text.strip():
-        raise CaseError(str(file), "", None, "the file is empty; `snapo new` writes a case")
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise _not_toml(file, text, str(error)) from None
-    except RecursionError:
-        raise CaseError(str(file), "", None, TOO_DEEP) from None
-    if is_deep(data):
-        raise CaseError(str(file), "", None, TOO_DEEP)
-    return file, data
-
-
-def is_deep(data: Any) -> bool:
-    """Whether tables and lists are nested in more levels than any case needs."""
-    level = [data]
-    for _ in range(DEEPEST):
-        inner = (item.values() if isinstance(item, dict) else item for item in level)
-        level = [x for entry in inner for x in entry if isinstance(x, dict | list)]
-    return bool(level)
-
-
-def _not_toml(file: Path, text: str, message: str) -> CaseError:
-    """The parser's complaint, with the line that it is about."""
-    result = re.search(r"line (\d+)", message)
-    number = int(result[1]) if result else len(text.rstrip().splitlines())  # "at end of document"
-    got = text.splitlines()[number - 1].strip()
-    subject = f"this is not valid TOML ({message.partition(' (at ')[0]})"
-    return CaseError(str(file), f"line {number}", got, subject)
-
-
 def not_utf8(error: UnicodeDecodeError) -> str:
     """The sentence about a text file in another encoding, with the line and the byte."""
     raw = error.object
@@ -138,7 +88,7 @@ def not_utf8(error: UnicodeDecodeError) -> str:
 class TableRead(NamedTuple):
     """A table of a case that was checked: its name in messages, its data, and its options.
 
-    `options`: {key: the words and truth values that it may have}, of keys with several.
+    `options`: {key: the texts and truth values that it may have}, of keys with several.
     """
 
     name: str
@@ -162,13 +112,13 @@ def recorded_tables() -> Iterator[list[TableRead]]:
 
 
 def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
-    """Records the words of a key that chooses the format of its table, such as `kind`."""
+    """Records the values of a key that chooses the format of its table, such as `kind`."""
     if (tables := _tables_read.get()) is not None:
         tables.append(TableRead(name, data, {}, {key: tuple(kinds)}))
 
 
 def options_of(annotation: Any) -> tuple[str | bool, ...]:
-    """The words and truth values of a type, as far as it lists them."""
+    """The texts and truth values of a type, as far as it lists them."""
     if annotation is bool:
         return (False, True)
     parts = get_args(annotation)
@@ -206,7 +156,7 @@ def parse(
         entries, meant = {}, set()
         for item in error.errors():
             key = str(item["loc"][0])
-            # Of a union's several complaints about one key, the first stands for all.
+            # Of a union's several complaints about one key, the first is reported.
             entries.setdefault(key, _explain(table, data, file, name, item))
             if item["type"] == "extra_forbidden":
                 meant.update(difflib.get_close_matches(key, table.model_fields, n=1))
@@ -217,7 +167,7 @@ def parse(
 
 
 def _check_sizes(table: CaseTable, file: str, name: str) -> None:
-    """Numbers that could only overflow, and texts that nobody reads, are a mistake in every key."""
+    """Numbers that would overflow and overlong texts are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
         message = f"allowed is {type(table).model_fields[key].description}"

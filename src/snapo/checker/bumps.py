@@ -1,30 +1,98 @@
 """Every input's adjoint against central differences, on the same few paths, decisions held.
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them alone. An input that does nothing under the random policy is judged where it does
+a few of them separately. An input that does nothing under the random policy is judged where it does
 something, at low, middle or high actions. Inputs that move no path (`in_mean`) are not judged here.
 """
 
 from dataclasses import replace
+from typing import NoReturn
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine.transpose import pull_back
 from snapo.problem import inputs as inputs_
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import in_mean
+from snapo.problem.problem import in_mean, prepare
 from snapo.problem.simulator import Schedule, Simulator
 
-from .derivatives import NOT_DIFFERENTIABLE
-from .findings import Notes
+from .findings import Notes, StopCheck
 from .rollout import ENGINE, CheckedRollout
+
+NOT_DIFFERENTIABLE = (
+    "A root, logarithm, power or division at zero has no derivative, even inside a branch that "
+    "jnp.where does not take: give the branch a harmless argument, f(jnp.where(ok, x, 1.0)), too."
+)
+
+
+def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
+    """Names the method and step at which a derivative is non-finite, and stops.
+
+    The reverse sweep starts at the end, so the last bad step is the one met first.
+    """
+    constants, T, N = run.schedule.constants, simulator.horizon, run.draws.size
+
+    def finite(function, *arguments):
+        """{argument: whether d(sum of floating results) / d argument is finite}, for one path."""
+        moving, fixed = eqx.partition(arguments, eqx.is_inexact_array)
+
+        def total(moving):
+            results = jax.tree.leaves(function(*eqx.combine(moving, fixed)))
+            return sum(jnp.sum(x) for x in results if jnp.issubdtype(x.dtype, jnp.floating))
+
+        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), jax.grad(total)(moving))
+
+    def one(now, state, action, noise):
+        def step(state, now, action, constants):
+            return simulator.step(constants, now, state, action, noise, run.smooth)
+
+        def observe(state, now, constants):
+            return simulator.observe(constants, now, state)
+
+        return {
+            "step": finite(step, state, now, action, constants),
+            "observe": finite(observe, state, now, constants),
+        }
+
+    with jax.enable_x64(True):
+        mapped = jax.jit(lambda xs: jax.lax.map(lambda x: jax.vmap(one, (None, 0, 0, 0))(*x), xs))
+        marks = mapped((run.schedule.steps, run.states, run.actions, run.draws.step_noise))
+        marks = jax.tree.map(np.asarray, marks)
+    names = {
+        "step": ("state", "now", "action", "constants"),
+        "observe": ("state", "now", "constants"),
+    }
+    invalid = []
+    for method, arguments in names.items():
+        for path, ok in jax.tree_util.tree_flatten_with_path(marks[method])[0]:
+            if not ok.all():
+                step, number = (int(i) for i in np.argwhere(~ok)[-1])
+                leaf = arguments[path[0].idx] + jax.tree_util.keystr(path[1:])
+                invalid.append((step, method, leaf, number))
+    if invalid:
+        step, method, leaf, path = max(invalid)
+        notes.error(
+            notes.method(method),
+            f"Its derivative with respect to {leaf} is non-finite, first (from the end) at step "
+            f"{step} of {T} (path {path} of {N}).",
+            NOT_DIFFERENTIABLE,
+        )
+    else:
+        notes.error(
+            notes.method("initial") + " or terminal",
+            "A derivative is non-finite.",
+            NOT_DIFFERENTIABLE,
+        )
+    raise StopCheck
+
 
 TOLERANCE = 1e-4  # of the larger of adjoint and difference; round-off is added to it
 SMALLER = (1.0, 1 / 8, 1 / 64)  # bumps, in steps: a path on a corner or a jump may spoil one
 WIDE = (1e3, 3e4)  # wide bumps, which find steps that a small one does not cross, in steps
-ENTRIES = 3  # numbers of one input that are bumped alone, besides all of them together
+ENTRIES = 3  # numbers of one input that are bumped separately, besides all of them together
 
 
 def bumped(
@@ -50,7 +118,7 @@ def bumped(
         if not np.all(np.isfinite(result)):
             notes.error(
                 f"{notes.method('prepare')}: input {entry.name}",
-                "The derivative of the schedule by it is not finite.",
+                "The derivative of the schedule with respect to it is non-finite.",
                 NOT_DIFFERENTIABLE,
             )
             continue
@@ -76,7 +144,7 @@ def _gradients(simulator: Simulator, inputs: PyTree, run: CheckedRollout) -> dic
 
 
 def _directions(entry: inputs_.NamedInput, rng) -> list[tuple[str, np.ndarray]]:
-    """All numbers together with random signs, then a few alone."""
+    """All numbers together with random signs, then a few separately."""
     shape, size = entry.input.value.shape, entry.input.value.size
     if size == 1:
         return [("", np.ones(shape))]
@@ -91,7 +159,7 @@ def _directions(entry: inputs_.NamedInput, rng) -> list[tuple[str, np.ndarray]]:
 class _Comparison:
     """One direction of one input in one run: its adjoint and differences, an entry per output.
 
-    Every number moves by its own step; derivatives are by the largest of these moves.
+    Every number moves by its own step; derivatives are with respect to the largest of these moves.
     """
 
     def __init__(
@@ -126,7 +194,8 @@ class _Comparison:
         return result if (np.abs(result) * bump > minimum).any() else None
 
     def moves_decisions(self, bump: float) -> bool:
-        """Whether outputs move where the policy decides, by what it sees: an error of a reading."""
+        """Whether outputs move where the policy decides, through its observations (a measurement
+        error)."""
         there = self.run.values(self.simulator, False, schedule=self._schedule(bump))
         back = self.run.values(self.simulator, False, schedule=self._schedule(-bump))
         return not self.run.same(there, back)
@@ -145,14 +214,14 @@ class _Comparison:
 
 
 def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
-    """Writes down the mistakes along one direction of an input; whether there was any."""
+    """Reports the mistakes along one direction of an input; returns whether there was any."""
     pair = pairs[0]
     small = pair.difference(pair.bump)
     if not np.all(np.isfinite(small)):
         notes.warning(
             where,
-            f"With a bump of {pair.bump:.3g} the outputs are not finite.",
-            "It stands on the edge of its range; give a smaller one: Input(…, bump=…).",
+            f"With a bump of {pair.bump:.3g} the outputs are non-finite.",
+            "It is on the edge of its range; specify a smaller one: Input(…, bump=…).",
         )
         return True
     if pair.dead:
@@ -169,14 +238,14 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
         "way, or a derivative written by hand. A parameter of whole-numbered noise that is made in "
-        "prepare or in the step is right in the mean of paths alone: name it, "
+        "prepare or in the step is right only in the mean over paths: name it, "
         f"def in_mean(self): return ({pair.entry.name!r},).",
     )
     return True
 
 
 def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
-    """An input with derivative zero in every run: it does nothing, or its way is cut."""
+    """An input with derivative zero in every run: it has no effect, or its derivative is lost."""
     bump = pairs[0].bump
     for pair in pairs:
         if (small := pair.moves(bump)) is not None:

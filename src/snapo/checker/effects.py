@@ -1,4 +1,4 @@
-"""Actions and noise that change nothing, actions that no derivative reaches, and stopping anew."""
+"""Actions and noise without effect, actions that no derivative reaches, and repeated stopping."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from snapo.problem.actions import Stop
 from snapo.problem.noise import Stored
 from snapo.problem.simulator import Simulator
 
-from .derivatives import locate
+from .bumps import locate
 from .findings import Notes
 from .rollout import ENGINE, CheckedRollout
 
@@ -46,7 +46,7 @@ def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: i
                 "Use it, or make the action set smaller.",
             )
     for component in range(simulator.noise_size):
-        # An error of a reading moves what is observed, and by it the decisions.
+        # A measurement error moves the observations, and through them the decisions.
         matters = (
             _matters(simulator, runs, other_noise, component, held) for held in (True, False)
         )
@@ -68,7 +68,7 @@ def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.n
 
 
 def _numbered(group: list[int], size: int) -> str:
-    """The index of components that move together: none where they are all there are."""
+    """The index of components that move together; empty where they are all."""
     if len(group) == 1:
         return f"[{group[0]}]"
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
@@ -128,5 +128,5 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
             f"It can stop more often than its rights ({action.rights}): where all steps stop, more "
             "of them change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
-            "and pay on what is used.",
+            "and pay on the quantity that is used.",
         )

@@ -2,7 +2,7 @@
 
 Two points of the same step, on either side of a comparison, are brought together until they meet
 at the threshold. There the method is evaluated with the comparison as on the one side, and as on
-the other: of a corner both are the same.
+the other: at a corner both agree.
 """
 
 from typing import Any, NamedTuple
@@ -11,11 +11,11 @@ import jax
 import numpy as np
 
 from .findings import Notes
-from .program.points import SamplePoints
+from .watch import SamplePoints
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 MINIMUM = 1e-4  # a jump, of the largest value of its result
-FLAG = 3  # a state with at most so many values, all whole, is a flag, which stays as it is
+FLAG = 3  # a state with at most so many values, all whole, is a flag, which is unchanged
 
 
 class Jump(NamedTuple):
@@ -27,35 +27,36 @@ class Jump(NamedTuple):
 
 def jumps(notes: Notes, points: SamplePoints) -> None:
     """Comparisons of a step or an end that make an output or the state jump, as warnings."""
-    monitored, summary = points.recorder, set()
-    request = [
+    recorder, reported = points.recorder, set()
+    candidates = [
         k
-        for k, comparison in enumerate(monitored.comparisons)
-        if comparison.line and not comparison.line.user_code
+        for k, comparison in enumerate(recorder.comparisons)
+        if comparison.line and not comparison.line.internal
     ]
-    if points.method.name not in ("step", "terminal") or not request:
+    if points.method.name not in ("step", "terminal") or not candidates:
         return
     observed = points.met
     held = [not moves or _held(x) for x, moves in zip(points.arguments, points.moving)]
-    for number in request:
-        line = monitored.comparisons[number].line
+    for number in candidates:
+        line = recorder.comparisons[number].line
         first, second = _sides(observed.truths[number], points.steps)
-        if not first.size or line in summary:
+        if not first.size or line in reported:
             continue
         largest = _largest(points, number, first, second, held, observed.results)
         if largest is not None and line is not None:
-            summary.add(line)
+            reported.add(line)
             notes.warning(
                 f"{points.method.name}, {line}",
                 f"A comparison makes {largest.name} jump, by {largest.size:.4g} on a path: "
                 f"training and derivatives do not see the jump. In: {line.text}",
-                "Write smooth.indicator(a - b, scale) in place of a > b, or smooth.choose in place "
+                "Write smooth.indicator(a - b, scale) instead of a > b, or smooth.choose in place "
                 "of jnp.where; draw a decision that jumps with snapo.Choice.",
             )
 
 
 def _held(x: Any) -> bool:
-    """Whether an argument stays as it is on the way: whole numbers, and flags kept as floats."""
+    """Whether an argument is unchanged between the two points: whole numbers, and flags kept as
+    floats."""
     x = np.asarray(x)
     if x.dtype.kind != "f":
         return True

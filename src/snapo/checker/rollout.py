@@ -1,7 +1,7 @@
 """Rollouts of a few paths in float64 with smooth limits, and the numbers seen in them.
 
 The first follows a simple random policy; three more stay at low, middle and high actions, because
-one policy may never get to where an input or an action matters.
+one policy may never reach states at which an input or an action matters.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ EPSILONS = 10 * np.finfo(np.float64).eps  # of the largest number on the way to 
 
 
 class _Probe(Policy):
-    """A simple random policy that reacts to everything it sees."""
+    """A simple random policy that depends on every observation."""
 
     offset: Array
     gain: Array
@@ -70,7 +70,7 @@ class CheckedRollout(eqx.Module):
         ).totals
 
     def rounding(self) -> float:
-        """How much an output may be off by rounding alone: a difference of large states, such as
+        """How much an output may be off just by rounding: a difference of large states, such as
         a need that is met, is no more exact than they are."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((self.states, self.totals))]
         finite = (leaf[np.isfinite(leaf)] for leaf in leaves if leaf.dtype.kind == "f")
@@ -96,7 +96,7 @@ def rollouts(
 ) -> list[CheckedRollout]:
     """The random policy's rollout, then those near low, middle and high actions that are finite.
 
-    The first number of the random one that is not finite is an error.
+    The first non-finite number of the random one is an error.
     """
     rng = np.random.default_rng(seed)
     T, K, size = simulator.horizon, simulator.noise_size, simulator.action.size
@@ -148,19 +148,19 @@ def _finite(notes: Notes, out, kinds) -> None:
         where = notes.method("step") if step >= 0 else notes.method("initial")
         notes.error(
             where,
-            f"{name} is not finite, first at step {max(step, 0)} (path {path}).",
+            f"{name} is non-finite, first at step {max(step, 0)} (path {path}).",
             "Look for a division, logarithm, root or power at zero, or for growth without bound.",
         )
     elif not all(np.all(np.isfinite(x)) for x in out.totals.values()):
         names = [n for n, x in out.totals.items() if not np.all(np.isfinite(x))]
         notes.error(
-            notes.method("terminal"), f"The outputs {names} are not finite.", "Look at terminal."
+            notes.method("terminal"), f"The outputs {names} are non-finite.", "Look at terminal."
         )
     notes.stop_on_errors()
 
 
 def observed(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Observations that are not finite or far from order one."""
+    """Observations that are non-finite or far from order one."""
     with jax.enable_x64(True):
         over_paths = jax.vmap(simulator.observe, (None, None, 0))
         visited = jax.jit(jax.vmap(over_paths, (None, 0, 0)))(
@@ -171,7 +171,7 @@ def observed(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
         step, path, feature = (int(i) for i in np.argwhere(~np.isfinite(visited))[0])
         notes.error(
             notes.method("observe"),
-            f"Feature {feature} is not finite at step {step} (path {path}).",
+            f"Feature {feature} is non-finite at step {step} (path {path}).",
             "Look for a division or logarithm at zero.",
         )
         raise StopCheck

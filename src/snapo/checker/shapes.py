@@ -1,5 +1,6 @@
 """Declarations, the schedule, and shapes and types of every method, by abstract evaluation."""
 
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -8,7 +9,8 @@ from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
 from snapo.problem.actions import Actions
-from snapo.problem.prepare import prepare
+from snapo.problem.objective import Limit, Objective, as_constraints
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
 
@@ -20,7 +22,7 @@ ONE = "A vector of one number is no number: the only one of an action, or of noi
 
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
-    """Sizes, the action set and the inputs, as they are declared."""
+    """The declared sizes, action set and inputs."""
     if isinstance(simulator, type):
         name = simulator.__name__
         notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
@@ -74,7 +76,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
                 f"{method}: schedule.steps{jax.tree_util.keystr(path)}",
                 f"Its shape is {leaf.shape}; the horizon is {simulator.horizon}.",
                 f"Give it a leading axis of {simulator.horizon}, one entry a step; "
-                "what holds for the whole horizon belongs in constants.",
+                "numbers for the whole horizon belong in constants.",
             )
     notes.stop_on_errors()
     return schedule
@@ -116,15 +118,15 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
             _same_state(notes, state, after)
             _scalars(notes, "step", outputs)
             with notes.during("terminal"):
-                endpoints = jax.eval_shape(simulator.terminal, constants, state, smooth)
-            _scalars(notes, "terminal", endpoints)
+                final_outputs = jax.eval_shape(simulator.terminal, constants, state, smooth)
+            _scalars(notes, "terminal", final_outputs)
             notes.stop_on_errors()
-            names.append((set(outputs), set(endpoints)))
+            names.append((set(outputs), set(final_outputs)))
     if not names[0][0] | names[0][1]:
         notes.error(
             notes.method("step"),
             "There are no outputs, so there is nothing to value.",
-            'Return them beside the state: return state, {"cash": cash}.',
+            'Return them with the state: return state, {"cash": cash}.',
         )
         raise StopCheck
     if names[0] != names[1]:
@@ -195,9 +197,59 @@ def _declared_outputs(notes: Notes, simulator: Simulator, names: frozenset[str])
 
 
 def _described(x) -> str:
-    """A shape and type in words."""
+    """A shape and type as text."""
     if hasattr(x, "shape") and hasattr(x, "dtype"):
         return f"{x.dtype}{list(x.shape)}"
     if isinstance(x, dict | list | tuple):
         return str(jax.tree.map(_described, x))
     return type(x).__name__
+
+
+class Unknown(NamedTuple):
+    """The mistake in `of`, the objective or a limit: the name or object that it has instead of an
+    output."""
+
+    of: str
+    got: str
+    subject: str
+
+
+def unknown_outputs(
+    objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
+) -> Iterator[Unknown]:
+    """Every named output that does not exist, and every object that is no objective or limit.
+
+    None is an objective that is not known yet.
+    """
+    if objective is None:
+        pass
+    elif not isinstance(objective, Objective):
+        yield Unknown("objective", repr(objective), "It is no objective, such as Mean(output).")
+    else:
+        yield from _missing("objective", objective, outputs)
+    for k, limit in enumerate(as_constraints(constraints)):
+        if not isinstance(limit, Limit):
+            message = "It is no constraint, such as Mean(output) <= level."
+            yield Unknown(f"constraints[{k}]", repr(limit), message)
+        else:
+            yield from _missing(f"constraints[{k}]", limit.measure, outputs)
+
+
+def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[Unknown]:
+    for name in dict.fromkeys(measure.outputs):
+        if name not in outputs:
+            yield Unknown(of, repr(name), f"There is no output {name!r}.")
+
+
+def require(
+    notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
+) -> None:
+    """Reports unknown outputs and other mistakes of this kind, and stops if there are any."""
+    for unknown in unknown_outputs(objective, constraints, outputs):
+        message = (
+            unknown.subject
+            if unknown.got in unknown.subject
+            else f"{unknown.subject[:-1]}: {unknown.got}."
+        )
+        notes.error(unknown.of, message, f"The outputs are {sorted(outputs)}.")
+    notes.stop_on_errors()

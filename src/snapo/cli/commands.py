@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         "schema": _schema,
     }
     try:
-        # stdout is for the answer alone
+        # stdout is only for the answer
         with redirect_stdout(sys.stderr), stoppable():
             answer, text, code = available[options.command](options)
     except CaseError as error:
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """A polite kill (SIGTERM) is an interrupt too: what is done is reported first."""
+    """SIGTERM is treated as an interrupt: finished work is reported first."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -67,7 +67,7 @@ def stoppable() -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """One line for a person, on stderr at once."""
+    """Prints one line for a reader on stderr, without buffering."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -123,7 +123,7 @@ def _solve(options: argparse.Namespace) -> Answer:
 
 
 def by_seed(result: Mapping[str, Any]) -> list[str]:
-    """The table of `--seeds` for a person."""
+    """The table of `--seeds` for a reader."""
     lines = [f"{'seed':>8}{'value':>18}{'below the best':>30}{'seconds':>10}   verdict"]
     for row in result["rows"]:
         below = "the best"
@@ -205,7 +205,7 @@ def _schema(options: argparse.Namespace) -> Answer:
 
 
 def summary(result: Mapping[str, Any]) -> str:
-    """The result for a person: the value, the figures beside it, and the folder of the run."""
+    """The result for a reader: the value, the further figures, and the folder of the run."""
     seeds = by_seed(result["seeds"]) if result.get("seeds") else []
     lines = [*seeds, f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
@@ -235,7 +235,7 @@ def summary(result: Mapping[str, Any]) -> str:
 
 
 def bounds(result: Mapping[str, Any]) -> str:
-    """The bounds for a person: each with its 95 % interval."""
+    """The bounds for a reader: each with its 95 % interval."""
     results = result.get("bound") or {}
     lines = [f"{result.get('kind', '')}: 95 % intervals, {results.get('paths', 0):,} paths"]
     for name in ("lower", "upper", "gap"):
@@ -255,7 +255,7 @@ def _figure(value: float) -> str:
 
 
 def to_json(result: Any) -> str:
-    """One JSON object; numbers that are not finite become null."""
+    """One JSON object; non-finite numbers become null."""
     return json.dumps(_plain(result), allow_nan=False, ensure_ascii=False)
 
 

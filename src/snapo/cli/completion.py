@@ -1,9 +1,9 @@
-"""What completes words elsewhere: commands in a shell, the keys of a case in an editor.
+"""Completion outside of snapo: commands in a shell, the keys of a case in an editor.
 
 `snapo completion SHELL` prints a script for the shell, made from the command's own arguments, and
 `snapo schema KIND` the JSON schema of a kind of case, made from the tables that its reader checks.
-Ranges, words and descriptions are those of the tables; what depends on other keys is left to
-`snapo check`.
+Ranges, options and descriptions are those of the tables; checks that depend on other keys are
+left to `snapo check`.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.A
 
 
 def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
-    """{option: the words that may follow it}."""
+    """{option: the values that may follow it}."""
     return {
         text: [str(choice) for choice in action.choices or ()]
         for action in parser._actions
@@ -42,7 +42,7 @@ def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
 
 
 def _words(parser: argparse.ArgumentParser) -> list[str]:
-    """The words that may stand in the place of an argument."""
+    """The values that an argument may have."""
     results = [
         str(choice)
         for action in parser._actions

@@ -79,7 +79,7 @@ def _add_solve(commands) -> None:
     solve = commands.add_parser("solve", help="train, evaluate and report")
     _add_case(solve)
     solve.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder of the run (default: run, beside the case)"
+        "--out", metavar="DIR", type=Path, help="folder of the run (default: run, next to the case)"
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto")
     solve.add_argument(
@@ -204,7 +204,7 @@ def _add_simulator(parser: argparse.ArgumentParser) -> None:
         "--simulator",
         metavar="MODULE:CLASS",
         type=_simulator,
-        help='the code of a case of kind "own", beside the case or where you are',
+        help='the code of a case of kind "own", next to the case or in the working folder',
     )
 
 

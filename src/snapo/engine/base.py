@@ -1,4 +1,4 @@
-"""What every engine takes and gives."""
+"""Base class of the engines: arguments, results, and checks of both."""
 
 import abc
 import math
@@ -22,7 +22,7 @@ from snapo.problem.simulator import Around, Schedule, Simulator
 
 
 class Uncontrolled(Around):
-    """Without the outputs `left_out`, which are there as control variates alone."""
+    """A simulator without the outputs `left_out`, which serve only as control variates."""
 
     left_out: tuple[str, ...] = eqx.field(static=True)
 
@@ -41,7 +41,7 @@ class Uncontrolled(Around):
 
 
 def uncontrolled(simulator: Simulator, outputs: tuple[str, ...]) -> Simulator:
-    """The simulator without its control variates, but for these outputs; itself without any."""
+    """The simulator without control variates, except these outputs; itself if it has none."""
     left_out = tuple(name for name in simulator.control_variates() if name not in outputs)
     return Uncontrolled(simulator, left_out) if left_out else simulator  # pyright: ignore
 
@@ -61,16 +61,16 @@ class Window(NamedTuple):
         return self.first + self.length == horizon if self.terminal is None else self.terminal
 
 
-# All of a path's course. A record of less is compiled anew, and saves memory alone.
+# Everything about a path. Recording less saves memory but compiles another program.
 TRAJECTORY = ("state", "action", "outputs", "slack")
 
 
 class Rollout(NamedTuple):
-    """What a forward sweep gives.
+    """Result of a forward sweep.
 
     - `totals`: {output: [N]} per path.
     - `state`: the final state, every leaf with a leading axis of paths.
-    - `record`: of the names asked for, each one of `TRAJECTORY`: leaves [T, N, …].
+    - `record`: for every requested name of `TRAJECTORY`: leaves [T, N, …].
     """
 
     totals: dict[str, Float[Array, " N"]]
@@ -79,7 +79,7 @@ class Rollout(NamedTuple):
 
 
 class Adjoint(NamedTuple):
-    """What one adjoint pass gives, for the weights that it was given.
+    """Result of an adjoint pass for given weights.
 
     - `totals`: {output: [N]} of the forward sweep.
     - `policy`, `schedule`, `start`: derivatives of sum over paths and outputs of weight x total,
@@ -95,15 +95,15 @@ class Adjoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Clip:
-    """Bounds and shrinks each path's own adjoint at every backward step, in training only.
+    """Limits and shrinks the adjoint of each path at every backward step, in training only.
 
     - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
-      most this times the path's weight: the bound means the same for any number of paths.
+      most this times the path's weight: it has the same meaning for any number of paths.
     - `keep`: the share of the adjoint that goes on from one step to the one before it, 0 to 1. An
       outcome k steps after a decision then counts keep^k in its derivative, as with a discount;
-      what `terminal` gives counts as part of the last step.
+      outputs of `terminal` count as part of the last step.
 
-    Totals, and all that a decision earns in its own step, are left as they are.
+    Totals, and all that a decision earns in its own step, are unchanged.
 
     >>> snapo.Clip(keep=0.9)
     Clip(norm=inf, keep=0.9)
@@ -122,15 +122,15 @@ class Clip:
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
         """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
-        item = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
-        size = np.concatenate(item).max(0)
+        sizes = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
+        size = np.concatenate(sizes).max(0)
         # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
         bound = np.multiply(size, self.norm, out=np.zeros_like(size), where=size > 0)
         return np.stack([bound, np.full_like(size, self.keep)], axis=-1)
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """What an adjoint of this norm is multiplied by: the share kept, or less, down to the bound."""
+    """The factor on an adjoint of this norm: the share kept, or less where the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 
@@ -166,9 +166,9 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 
 @dataclass(frozen=True)
 class Engine(abc.ABC):
-    """Rolls paths forward, and takes adjoints back along the same road.
+    """Simulates paths, and computes adjoints along the same paths.
 
-    `steady`: a path's totals have the same bits whatever is recorded beside them.
+    `steady`: a path's totals have the same bits whatever else is recorded.
     """
 
     precision: str = "float32"
@@ -183,13 +183,13 @@ class Engine(abc.ABC):
         return jax.enable_x64(True) if self.precision == "float64" else nullcontext()
 
     def leave(self, result: PyTree) -> PyTree:
-        """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
+        """Float64 results become NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
     def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
         """This engine on a problem: its simulator and its schedule.
 
-        `controls`: whether the outputs that are control variates alone are computed too.
+        `controls`: whether outputs that are only control variates are computed too.
         """
         simulator = problem.simulator.on_paths()
         if not controls:
@@ -210,7 +210,7 @@ class Engine(abc.ABC):
         window: Window | None = None,
         start: PyTree = None,
     ) -> Rollout:
-        """Totals of every path. With `actions` [T, N, A] the policy is not asked.
+        """Totals of every path. With `actions` [T, N, A] the policy is not evaluated.
 
         `window` runs part of the horizon from the states `start` (leaves [N, …]).
         """
@@ -233,8 +233,8 @@ class Engine(abc.ABC):
     ) -> Adjoint:
         """One forward and one reverse sweep: derivatives of sum(weights x totals).
 
-        With weights [K, N], the derivatives of K such sums, from one forward sweep. What is not in
-        `wrt` need not be found.
+        With weights [K, N], the derivatives of K such sums, from one forward sweep. Derivatives
+        that are not in `wrt` may be omitted.
         """
 
     def adjoints(
@@ -273,7 +273,7 @@ class Engine(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class BoundEngine:
-    """An engine with the simulator and the schedule that it rolls; each call brings the rest.
+    """An engine with a simulator and its schedule; each call supplies the other arguments.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
     """
@@ -328,7 +328,7 @@ def cast(tree: PyTree, dtype) -> PyTree:
 def checked(
     simulator: Simulator, policy, schedule: Schedule, draws: Draws, actions, window: Window | None
 ) -> Window:
-    """Refuses what does not fit together; the window, the whole horizon where none is given."""
+    """Refuses arguments that do not match; returns the window, by default the whole horizon."""
     check_draws(simulator, draws)
     check_schedule(simulator, schedule)
     check_actions(simulator, policy, actions)
@@ -353,7 +353,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """There are paths, and numbers for each of their steps: a kernel would read past an end."""
+    """There are paths, and noise for each of their steps: else a kernel would read past an end."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Stored):
@@ -370,7 +370,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
 
 
 def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
-    """Every step has its numbers: one must not stand for all, and none may be left over."""
+    """Every step has its numbers: one must not serve for all, and none may be left over."""
     horizon = simulator.horizon
     other = [
         isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] != (horizon,)

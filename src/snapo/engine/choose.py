@@ -30,12 +30,12 @@ EngineName = str | Engine | Engines
 
 
 def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
-    """The engines that are wanted: by name, as one engine, or as a pair that was chosen before.
+    """The requested engines: by name, as one engine, or as a pair that was chosen before.
 
-    "auto" takes the native engine where it can run this problem, beside a GPU too: a gradient of
-    512 paths takes it a tenth of the time, and a GPU is ahead from about 20,000 paths only
-    (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64, whatever
-    its own precision.
+    "auto" takes the native engine where it can run this problem, even if there is a GPU: its
+    gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
+    paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
+    whatever its own precision.
 
     **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
     nothing at all where llvmlite is not installed.

@@ -1,4 +1,4 @@
-"""How large a path's own adjoint is at every step: what shows that a derivative explodes."""
+"""Norm of a path's adjoint at every step, which shows whether derivatives explode."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -14,8 +14,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.quickly import compiled_sooner
 
-from .packing import Packing
-from .totals import add, zero
+from .arrays import Packing, add, zero
 from .xla import Xla, XlaCall
 
 BLOCK = 64  # paths at once
@@ -39,7 +38,7 @@ def adjoint_norms(
     weights: Mapping[str, ArrayLike],
     memory: int | None = None,
 ) -> Norms:
-    """How large each path's adjoint is at every step, of the whole state and of its leaves.
+    """Norm of each path's adjoint at every step, of the whole state and of its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
     weight: the number that `Clip` bounds. By XLA. With a memory the horizon falls into parts of so
@@ -71,7 +70,8 @@ def _norms(engine: Xla, call: XlaCall, weights: dict[str, Array], memory: Array)
 
 
 def _of_path(engine: Xla, call: XlaCall, draws, weights: dict[str, Array], memory: Array):
-    """[T] of one path, and of every leaf: derivatives by a nudge of the state before each step."""
+    """[T] of one path, and of every leaf: derivatives with respect to a perturbation of the state
+    before each step."""
     simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
     initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))
     packing, kinds = Packing(initial, dtype), simulator.totals()

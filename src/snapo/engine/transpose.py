@@ -1,4 +1,4 @@
-"""From derivatives at the schedule back to the inputs: the end of every adjoint's road."""
+"""From derivatives with respect to the schedule to those with respect to the inputs."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -34,7 +34,7 @@ def pull_back(
             cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
             return jax.tree.map(np.asarray, _pull_back(simulator, bare, values, cotangent))
 
-    # One by one: all at once is compiled anew for every number of them, in far more time than the
+    # One by one: all at once would be compiled for every number of them, in far more time than the
     # calls take. The first compiles; the others share the processors.
     moved = [one(item) for item in schedules[:1]]
     if len(schedules) > 1:
@@ -47,9 +47,9 @@ def pull_back(
 def compiled_meanwhile(
     simulator: Simulator, inputs: PyTree, schedule: PyTree
 ) -> AbstractContextManager[None]:
-    """Compiles the transpose for a schedule like this one beside the work of the block.
+    """Compiles the transpose for a schedule like this one while the block runs.
 
-    A failure is silent here: `pull_back` tells of it.
+    A failure is ignored here: `pull_back` reports it.
     """
     nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
     return in_thread(lambda: pull_back(simulator, inputs, [nothing]))
@@ -58,7 +58,7 @@ def compiled_meanwhile(
 @compiled_sooner
 def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangent: PyTree):
     def schedule(values):
-        # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.
+        # Plain numbers next to the inputs are arrays in a prepared schedule, and so here.
         made = jax.tree.map(jnp.asarray, simulator.prepare(inputs_.replace(inputs, values)))
         return eqx.filter(made, eqx.is_inexact_array)
 

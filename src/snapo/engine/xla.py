@@ -23,10 +23,8 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from .arrays import Packing, add, adjoint_without, values_without, with_memory, zero
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
-from .memory import adjoint_without, values_without, with_memory
-from .packing import Packing
-from .totals import add, zero
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 
@@ -104,7 +102,7 @@ class Xla(Engine):
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
-        endpoints = window.is_last(simulator.horizon)
+        is_last = window.is_last(simulator.horizon)
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )
@@ -122,7 +120,7 @@ class Xla(Engine):
             start,
             first,
             window.length,
-            endpoints,
+            is_last,
         )
 
     def traced(self, call: "XlaCall", record: tuple[str, ...] = ()) -> Rollout:
@@ -145,7 +143,8 @@ class XlaCall(eqx.Module):
     has_terminal: bool = eqx.field(static=True)
 
     def compile_context(self) -> AbstractContextManager:
-        """The context of every compiled call: it follows what the user's code reads now."""
+        """The context of every compiled call: it depends on the values that the user's code
+        reads."""
         return read_context(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
     def axes(self) -> "XlaCall":
@@ -181,8 +180,8 @@ def _adjoint(
         return _pulled_back(engine, call, weights, bounds, wrt)
 
     batched = any(weight.ndim == 2 for weight in weights.values())
-    item = jax.tree.map(lambda weight: weight.ndim - 1, weights)
-    axes = call.axes(), item, None if bounds is None else 0
+    weight_axes = jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    axes = call.axes(), weight_axes, None if bounds is None else 0
     out = (0, None, None, int(batched))
     return Adjoint(*_over_devices(engine, some, (call, weights, bounds), axes, out))
 
@@ -190,7 +189,7 @@ def _adjoint(
 def _over_devices(engine: Xla, work, values, axes, out):
     """`work` on every device's share of the paths; results without an axis of paths are summed.
 
-    Each device goes through its own paths alone, and the gradients meet once, at the end: were
+    Each device simulates only its own paths, and the gradients are added once, at the end: were
     the arrays merely laid out over the devices, XLA would add them up at every step.
     """
     size = values[0].draws.size

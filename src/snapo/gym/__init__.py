@@ -1,4 +1,4 @@
-"""Gymnasium both ways: a simulator as an environment, and a policy in anyone's environment.
+"""Gymnasium: a simulator as an environment, and a policy in any environment.
 
     environment = snapo.gym.Environment(problem)          # or VectorEnvironment(problem, 1024)
     played = snapo.gym.play(snapo.gym.Agent(policy), "Pendulum-v1", starts=2000)
@@ -12,10 +12,10 @@ from typing import Any
 
 HOMES = {
     "Agent": "agent",
-    "Environment": "played",
-    "Played": "played",
-    "VectorEnvironment": "vector",
-    "play": "played",
+    "Environment": "environments",
+    "Played": "environments",
+    "VectorEnvironment": "environments",
+    "play": "environments",
 }
 
 

@@ -52,18 +52,19 @@ class Agent:
         return actions if values.ndim > 1 else element(actions, 0)
 
     def reset(self, began: np.ndarray | None = None) -> None:
-        """Forgets: all episodes, or those of N that begin anew, `began` [N] of truth values."""
+        """Resets the memory: of all episodes, or of those of N that restart, `began` [N] of truth
+        values."""
         if began is None or self.memory is None:
             self.memory = None
         else:
             self.memory = np.where(np.asarray(began, bool)[:, None], 0.0, self.memory)
 
     def on(self, space: Any) -> "Agent":
-        """One like it without a memory yet, for these actions unless it was made for some."""
+        """A copy with an empty memory, for these actions unless it already has an action set."""
         return Agent(self.policy, self._features, space if self._given is None else self._given)
 
     def _decide(self, observed: np.ndarray) -> np.ndarray:
-        """[N, size] decisions, which move the memory on."""
+        """[N, size] decisions; updates the memory."""
         size = remembered(self.policy)
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
@@ -84,7 +85,8 @@ def _decided(policy: Policy, observed):
 
 
 def _writer(policy: Policy, values: Any) -> AgentMap:
-    """From decisions to elements of the space given, of the set given, or of the policy's set."""
+    """The function from decisions to elements of the given space, given set, or the policy's
+    set."""
     action = values if isinstance(values, Actions) else set_of(policy)
     if values is not None and values is not action:
         return writer(values, action)
@@ -94,7 +96,7 @@ def _writer(policy: Policy, values: Any) -> AgentMap:
 
 
 def set_of(policy: Policy) -> Actions | None:
-    """The set that a policy decides in; None where it does not say."""
+    """The action set of a policy; None where it has none."""
     if isinstance(policy, LastObservations):
         return set_of(policy.policy)
     action = getattr(policy, "action", None)

@@ -1,4 +1,4 @@
-"""Sets of actions as Gymnasium's spaces, and the ways between both.
+"""Sets of actions as Gymnasium's spaces, and the conversions between both.
 
 Elements of a space come N at a time, as vectorised environments have them: an array [N, …], or of a
 `Dict` one for each name.
@@ -11,7 +11,12 @@ import numpy as np
 
 from snapo.problem.actions import Actions, Box, Choice, Integers, Product, Simplex, Stop
 
-from .installed import gymnasium
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError(
+        "snapo.gym needs Gymnasium, which is not installed: pip install 'snapo[gym]'."
+    ) from error
 
 Space = Any  # of Gymnasium, which has no types of its own for all of them
 Elements = Any  # N of a space
@@ -57,8 +62,8 @@ def writer(space: Space, action: Actions | None = None) -> Writer:
 
     - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from its
       start; `MultiDiscrete` and `MultiBinary` take whole numbers.
-    - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers as they are.
-    - `action`: the set, where it is known; without it the number of decisions tells.
+    - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers unchanged.
+    - `action`: the set, where it is known; otherwise the number of decisions decides.
 
     **Raises:** `ValueError` where the set and the space have nothing in common.
     """

@@ -14,3 +14,11 @@ which a function passes through them (imports go from the later to the earlier):
 
 Without llvmlite all rooms but `machine` can be imported and used as far as they need no processor.
 """
+
+
+class Unsupported(Exception):
+    """A thing that cannot be compiled, with the primitive and the line of user code."""
+
+
+# An error while an operation is emitted is a reason to take another engine, no accident.
+ACCIDENTS = (LookupError, AssertionError, TypeError, ValueError, NotImplementedError)

@@ -1,1 +1,1 @@
-"""The live page: inputs of a run are moved, and its trained policy is valued anew."""
+"""The live page: inputs of a run are moved, and its trained policy is valued again."""

@@ -1,21 +1,158 @@
-"""What every run on the page has, with a policy or without: inputs that move, and their files."""
+"""Moved inputs and choices of a run on the page, with a policy or without, and their files.
+
+Choices are keys of a case with a list of allowed texts, or switches; the table of a key declares
+the list. Every option is tried; one that the case cannot have with its other keys is not offered.
+"""
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.table import keys_of, recorded_tables
 from snapo.problem.inputs import Input
-from snapo.study.study import Study
+from snapo.solver import statistics
+from snapo.study.study import Recalculated, Study
 
-from .case.choices import MenuChoice, choices
-from .case.choices import case_with as put
-from .case.files import Files
-from .case.places import ChangedCase, InputPositions
-from .terms import described
+from .files import Files, Key
+from .positions import ChangedCase, InputPositions, tables
+from .terms import described, handles
+
+OWN = ("title", "name", "label")  # keys by which the row of a table names itself
+
+
+def title(tables: Mapping[str, Any], key: Key) -> str:
+    """("parameters", 0, "distribution", "kind") as "Granule size: distribution", where the first
+    row of `parameters` has this name; ("units", "mill", "kind") as "Mill: kind".
+    """
+    rows = [i for i, part in enumerate(key) if isinstance(part, int)]
+    if rows:
+        at = rows[-1]
+        user, rest = _row(tables, key[: at + 1]), key[at + 1 :]
+    elif len(key) > 1:
+        at = 1 if len(key) > 2 and _family(tables.get(str(key[0]))) else 0
+        user, rest = capital(_spaced(key[at])), key[at + 1 :]
+    else:
+        user, rest = "", key
+    if len(rest) > 1 and rest[-1] == "kind":
+        rest = rest[:-1]
+    metadata = ", ".join(map(_spaced, rest))
+    return f"{user}: {metadata}" if user else capital(metadata)
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _spaced(part: str | int) -> str:
+    return str(part).replace("_", " ")
+
+
+def _row(tables: Any, path: Key) -> str:
+    """The name that a row of an array of tables gives itself, else "Parameter 2"."""
+    for part in path:
+        tables = tables[part]
+    by_name = [tables[key] for key in OWN if isinstance(tables.get(key), str) and tables[key]]
+    *_, table, position = path
+    return (
+        by_name[0]
+        if by_name
+        else f"{capital(_spaced(table)).removesuffix('s')} {int(position) + 1}"
+    )
+
+
+def _family(table: Any) -> bool:
+    """Whether a table has nothing but named tables, as [units] with its units."""
+    return isinstance(table, Mapping) and all(isinstance(x, Mapping) for x in table.values())
+
+
+Tried = Callable[[Files], Any]
+LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
+MAX_KEYS, MAX_WORDS = 60, 12
+
+
+class MenuChoice(NamedTuple):
+    """A key, its value in the run (where the case has none, the default), and all allowed ones.
+
+    `title`: the key for people, "Granule size: distribution".
+    """
+
+    name: str
+    key: Key
+    value: str | bool
+    allowed: Sequence[str | bool]
+    title: str
+
+
+def choices(files: Files, bumped: Tried) -> list[MenuChoice]:
+    """Every key of the case that has more than one value; `bumped` reads a case, or raises
+    `CaseError`."""
+    menus = []
+    options = _options(files, bumped)
+    stated = [key for key in _keys(files) if key in options]
+    for key in [*stated, *(key for key in options if key not in stated)][:MAX_KEYS]:
+        value, text = options[key]
+        others = [word for word in text if word != value and _holds(files, key, word, bumped)]
+        if others:
+            name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
+            menus.append(MenuChoice(name, key, value, [value, *others], title(files.tables, key)))
+    return menus
+
+
+def case_with(files: Files, available: Sequence[MenuChoice], requested: Mapping[str, Any]) -> Files:
+    """The case with other values of these keys.
+
+    **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.
+    """
+    by_name = {item.name: item for item in available}
+    for name, value in requested.items():
+        choice = by_name.get(name)
+        if choice is None:
+            raise CaseError(name, "", None, "there is no such choice")
+        if not any(type(entry) is type(value) and entry == value for entry in choice.allowed):
+            message = f"allowed is {' or '.join(map(str, choice.allowed))}"
+            raise CaseError(name, "", value, message)
+        files = files.with_value(choice.key, value)
+    return files
+
+
+def _keys(files: Files) -> Iterator[Key]:
+    """All keys of the case, in its order."""
+    for path, table in tables(files.tables, ()):
+        yield from ((*path, key) for key in table)
+
+
+def _options(files: Files, bumped: Tried) -> dict[Key, tuple[str | bool, list[str | bool]]]:
+    """{key: its value, or its default where the case leaves it out, and all that it may have}."""
+    with recorded_tables() as read:
+        bumped(files)
+    paths = {id(table): key_path for key_path, table in tables(files.tables, ())}
+    ways = set(paths.values())
+    menus: dict[Key, tuple[str | bool, list[str | bool]]] = {}
+    for table in read:
+        path = paths.get(id(table.data), keys_of(table.name))  # a reader may hand on a copy
+        left_out = table.data == {} and len(path) == 1 and path[0] not in files.tables
+        if not (path in ways or left_out) or (path and path[0] in LEFT):
+            continue
+        for key, options in table.options.items():
+            default = table.fields[key].default if key in table.fields else None
+            value = table.data.get(key, default)
+            text = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MAX_WORDS]
+            if value in text and len(text) > 1 and (path or key not in LEFT):
+                menus[(*path, key)] = value, text
+    return menus
+
+
+def _holds(files: Files, key: Key, value: str | bool, bumped: Tried) -> bool:
+    try:
+        bumped(files.with_value(key, value))
+    except CaseError:
+        return False
+    return True
+
 
 InputValues = Mapping[str, np.ndarray]
 SelectedChoices = Mapping[str, str | bool]  # {key: another value}
@@ -26,7 +163,7 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: of the run; `anew`: makes that of another case.
+    - `study`: of the run; `rebuild`: makes that of another case.
     - `slopes`: {input: d value / d number, flat}; empty where none are known.
     """
 
@@ -45,13 +182,13 @@ class WhatIf:
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another, of what is shown at these numbers and choices.
+        """(name, table) one after another, of the page's tables at these numbers and choices.
 
         **Raises:** `CaseError` where the case's own reader refuses them.
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """(name, table) of what can wait until the hand rests, after all of `stages`."""
+        """(name, table) of the tables that can wait until the hand rests, after all of `stages`."""
         yield from ()
 
     @cached_property
@@ -61,16 +198,16 @@ class WhatIf:
 
     def case_at(self, values: InputValues, selected: SelectedChoices = NONE) -> ChangedCase:
         """The case with these numbers and choices."""
-        files = put(self.positions.files, self.choices, selected) if selected else None
+        files = case_with(self.positions.files, self.choices, selected) if selected else None
         return self.positions.case_at(self.changed(values), files)
 
     @abstractmethod
     def counted(self) -> dict[str, int]:
-        """Numbers of paths: of the "value", and what else there is."""
+        """Numbers of paths: of the "value", and of other tables."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Keys of `[evaluation]` with which `snapo solve` finds what is shown."""
+        """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
     def source(self, name: str) -> str:
         """Where the run's reported derivative comes from; "" where it does not say."""
@@ -94,7 +231,7 @@ class WhatIf:
 
         **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
         """
-        news = {}
+        changes = {}
         for name, value in values.items():
             inputs = self.inputs_by_name.get(name)
             if inputs is None:
@@ -105,11 +242,78 @@ class WhatIf:
                 raise CaseError(name, "", None, message)
             new = new.reshape(inputs.value.shape)
             if not np.array_equal(new, inputs.value):
-                news[name] = new
-        return news
+                changes[name] = new
+        return changes
 
     def files(self, values: InputValues, selected: SelectedChoices = NONE) -> Files:
-        """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
+        """The files of the case with these numbers, so that `snapo solve` reproduces the page."""
         files = self.case_at(values, selected).files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {})) | self.settings()
         return files.with_value(("evaluation",), table)
+
+
+EXACT = {"low": None, "high": None}  # a derivative without noise has no interval
+
+
+class Recalculation(WhatIf):
+    """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
+
+    def __init__(
+        self, study: Study, values: Recalculated, positions: InputPositions, rebuilt: Rebuild
+    ):
+        super().__init__(study, values.inputs_by_name, positions, rebuilt)
+        self.values, self.paths = values, 0
+        self._variants: dict[str, Recalculated] = {}
+        self._base: np.ndarray | None = None
+
+    def counted(self) -> dict[str, int]:
+        return {"value": self.paths}
+
+    def settings(self) -> dict[str, Any]:
+        return {}
+
+    def stages(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> Iterator[tuple[str, Any]]:
+        """Those of the domain, the value with its change against the run."""
+        if self._base is None and (values or selected):
+            next(self.stages({}))
+        changed, case = self.changed(values), self.case_at(values, selected).case
+        for name, table in self._of(case, selected).stages(case):
+            if name == "value":
+                yield name, self._value(table, bool(changed or selected))
+            elif name == "deltas":
+                yield name, [self._by_handle(row) for row in table]
+            else:
+                yield name, table
+
+    def _of(self, case: Any, selected: SelectedChoices) -> Recalculated:
+        """What calculates at these choices: made once for each."""
+        if not selected:
+            return self.values
+        key = repr(sorted(selected.items()))
+        if key not in self._variants:
+            made = self.rebuild(case).recalculated
+            assert made is not None
+            self._variants[key] = made()
+        return self._variants[key]
+
+    def _value(self, table: dict[str, Any], changed: bool) -> dict[str, Any]:
+        """The value, and how it differs from the run's on the same paths."""
+        selected = np.asarray(table.pop("kept"))
+        self._base = selected if self._base is None else self._base
+        self.paths = table["paths"]
+        change = statistics.mean(selected - self._base)
+        return table | {
+            "change": change.value if changed else 0.0,
+            "change_error": change.standard_error if changed else 0.0,
+        }
+
+    def _by_handle(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Derivatives with respect to numbers that move together."""
+        numbers = [item["value"] for item in row["rows"]]
+        rows = [
+            {"label": label, "value": sum(numbers[i] for i in at), **EXACT}
+            for label, at in handles(self.inputs_by_name[row["input"]])
+        ]
+        return row | {"rows": rows}

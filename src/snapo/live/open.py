@@ -3,17 +3,15 @@
 import asyncio
 import sys
 import webbrowser
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.study import run_folder
-from snapo.study.choice import no_policy
 from snapo.study.commands import domain_of_run
-
-ProgressCallback = Callable[[str], None]
+from snapo.study.study import ProgressCallback
+from snapo.study.training import no_policy
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
@@ -78,7 +76,7 @@ def open_page(
             subject = f"this machine cannot be listened to there ({error.strerror})"
             raise CaseError("--port", "", port, subject) from None
         progress(f"the page is at {server.address}")
-        progress("it is for this machine alone; Ctrl-C ends it")
+        progress("it is for this machine only; Ctrl-C ends it")
         if browser:
             webbrowser.open(server.address)
         try:

@@ -1,21 +1,97 @@
-"""Named scenarios: kept in the run folder, so that they outlive page, worker and server.
+"""Named scenarios, kept in the run folder, and their export as CSV, TOML or a workbook.
 
-scenarios/NAME/scenario.json    the moved inputs, and what they are worth
+scenarios/NAME/scenario.json    the moved inputs, and their values
 scenarios/NAME/case/            the case, as `snapo solve` takes it
 """
 
+import csv
 import datetime
+import io
 import json
 import re
 import shutil
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from snapo.solver.files import write_text
+from snapo.solver.tables import write_text
 
-from .export import csv_of, page_rows, zipped
+HEADER = ("what", "input", "label", "number", "standard_error", "low", "high")
+
+
+def csv_of(rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as CSV; a text that a spreadsheet would take for a formula is marked as text."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for row in rows:
+        writer.writerow([_cell(item) for item in row])
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return value
+
+
+def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """Everything that the page shows, one number in each row, under `HEADER`.
+
+    `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen". A derivative
+    has the limits of its interval instead of a standard error.
+    """
+    yield HEADER
+    for row in _numbers(tables):
+        yield (*row, *(None,) * (len(HEADER) - len(row)))
+
+
+def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """The rows, without the columns that end them empty."""
+    table = tables.get("value") or {}
+    yield ("value", "", "", table.get("value"), table.get("standard_error"))
+    yield ("change", "", "", table.get("change"), table.get("change_error"))
+    for name, value in (tables.get("chosen") or {}).items():
+        yield ("chosen", name, str(value), None, None)
+    for name, numbers in (tables.get("values") or {}).items():
+        for i, number in enumerate(numbers):
+            yield ("moved", name, str(i + 1), number, None)
+    yield from _sections(tables)
+    for item in tables.get("deltas") or []:
+        of = f"{item['of']} by {item['input']}" if "of" in item else item["input"]
+        yield ("move", of, "", item["effect"], None, item["low"], item["high"])
+        for row in item["rows"]:
+            yield ("delta", of, row["label"], row["value"], None, row["low"], row["high"])
+    for item in tables.get("fans") or []:
+        for key in ("mean", "p05", "p25", "p75", "p95"):
+            for i, number in enumerate(item[key]):
+                yield (f"{key} over time", item["name"], str(i), number, None)
+
+
+def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """Today's decision and the domain's own sections: every number with its column's name."""
+    today = tables.get("today") or {}
+    for name, number, unit in today.get("facts", ()):
+        yield ("today", name, unit, number, None)
+    for item in tables.get("sections") or []:
+        names = [f"{name}, {unit}" if unit else name for name, unit in item["columns"]]
+        for row in item["rows"]:
+            for name, cell in zip(names[1:], row[1:], strict=True):
+                number = cell if isinstance(cell, int | float) else None
+                label = name if number is not None or cell is None else f"{name}: {cell}"
+                yield (item["title"], str(row[0]), label, number, None)
+
+
+def zipped(folder: Path, name: str) -> bytes:
+    """The files of a folder in a zip, in a folder `name`; links are left out."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
+        for file in sorted(folder.iterdir()):
+            if file.is_file() and not file.is_symlink():
+                packed.write(file, f"{name}/{file.name}")
+    return out.getvalue()
+
 
 FOLDER, FILE, CASE = "scenarios", "scenario.json", "case"
 LONGEST, MAXIMUM = 60, 200  # letters of a name; scenarios of a run
@@ -23,7 +99,7 @@ KEPT = ("chosen", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
-    """Something that the page asked for and does not get; the message says why."""
+    """Something that the page asked for and does not get; the message has the reason."""
 
 
 class SavedScenarios:
@@ -38,7 +114,7 @@ class SavedScenarios:
         return sorted((item for item in results if item), key=lambda entry: entry["made"])
 
     def keep(self, name: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
-        """Keeps a scenario under a name, in place of one of the same name; returns its id.
+        """Keeps a scenario under a name, instead of one of the same name; returns its id.
 
         **Raises:** `Refused` for a name that is none.
         """
@@ -62,7 +138,7 @@ class SavedScenarios:
     def folder_of(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
-        **Raises:** `Refused` for an id that is none: no path leads out of the run.
+        **Raises:** `Refused` for an id that is none: no path is outside the run.
         """
         if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")
@@ -83,7 +159,7 @@ class SavedScenarios:
         return csv_of(page_rows(record))
 
     def table(self) -> str:
-        """All scenarios side by side as CSV: values, changes, and what was moved."""
+        """All scenarios side by side as CSV: values, changes, and the moved inputs."""
         return csv_of(_compared(self.all()))
 
 

@@ -1,9 +1,11 @@
-"""The server of the page: files, one socket for each page, and scenarios to take away."""
+"""The server of the page: files, one socket for each page, and downloads."""
 
+import asyncio
 import hmac
 import json
 import math
 import secrets
+import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from importlib.resources import files
 from itertools import count
@@ -12,9 +14,109 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from .crew import WorkerProcess
-from .downloads import Downloads
-from .scenarios import CASE, Refused, SavedScenarios
+from snapo.study.run_folder import REPORT
+
+from .process import WorkerProcess
+from .scenarios import CASE, Refused, SavedScenarios, csv_of, page_rows, zipped
+
+PATIENCE = 120  # seconds that a download waits for the worker
+XLSX = "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"
+
+Last = Callable[[str, int], Mapping[str, Any] | None]
+
+
+class Downloads:
+    """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
+
+    def __init__(self, run: Path, scenarios: SavedScenarios, workers: WorkerProcess, last: Last):
+        self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last
+        self._numbers = count(1)
+        self._writing: dict[int, asyncio.Future] = {}  # those that wait for the worker
+
+    def route(self, app: web.Application) -> None:
+        """Adds the addresses."""
+        app.router.add_get("/{token}/scenarios.csv", self.table)
+        app.router.add_get("/{token}/scenario/{id}.zip", self.case)
+        app.router.add_get("/{token}/scenario/{id}.csv", self.scenario)
+        app.router.add_get("/{token}/report.html", self.report)
+        app.router.add_get("/{token}/shown/{at:run|p[0-9]+-[0-9]+}.csv", self.shown)
+        app.router.add_get("/{token}/case/{at:run|p[0-9]+-[0-9]+}.{kind:zip|xlsx}", self.carried)
+
+    def hear(self, message: Mapping[str, Any]) -> None:
+        """The worker's answer to one that waits."""
+        waiting = self._writing.get(message["n"])
+        if waiting is not None and not waiting.done():
+            waiting.set_result(message)
+
+    async def table(self, request: web.Request) -> web.Response:
+        return _download(self.scenarios.table().encode(), "text/csv", "scenarios.csv")
+
+    async def case(self, request: web.Request) -> web.Response:
+        result = request.match_info["id"]
+        try:
+            body = self.scenarios.zipped(result)
+        except Refused as error:
+            raise web.HTTPNotFound(text=str(error)) from None
+        return _download(body, "application/zip", f"{result}.zip")
+
+    async def scenario(self, request: web.Request) -> web.Response:
+        result = request.match_info["id"]
+        try:
+            body = self.scenarios.one(result).encode()
+        except Refused as error:
+            raise web.HTTPNotFound(text=str(error)) from None
+        return _download(body, "text/csv", f"{result}.csv")
+
+    async def report(self, request: web.Request) -> web.Response:
+        file = self.run / REPORT
+        if not file.is_file() or file.is_symlink():
+            raise web.HTTPNotFound(text="This run has no report: snapo report makes one.")
+        return _download(file.read_bytes(), "text/html", REPORT)
+
+    async def shown(self, request: web.Request) -> web.Response:
+        """Everything that a page shows, as CSV."""
+        at, tables = self._asked(request)
+        return _download(csv_of(page_rows(tables)).encode(), "text/csv", f"shown-{at}.csv")
+
+    async def carried(self, request: web.Request) -> web.Response:
+        """The case that a page shows: its files in a zip, or a workbook."""
+        _, tables = self._asked(request)
+        book = request.match_info["kind"] == "xlsx"
+        order = {"do": "write", "page": "", "n": next(self._numbers), "workbook": book}
+        order |= {"values": tables.get("values", {}), "chosen": tables.get("chosen", {})}
+        done = asyncio.get_running_loop().create_future()
+        with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
+            self._writing[order["n"]] = done
+            try:
+                await self.workers.ask(order | {"folder": made})
+                message = await asyncio.wait_for(done, PATIENCE)
+            except TimeoutError:
+                message = {"stage": "refused", "message": "the calculation is busy; try again"}
+            finally:
+                self._writing.pop(order["n"], None)
+            if message["stage"] != "written":
+                raise web.HTTPConflict(text=message["message"])
+            written = list(Path(made).iterdir())
+            if book and len(written) == 1:
+                return _download(written[0].read_bytes(), XLSX, "case.xlsx")
+            return _download(zipped(Path(made), "case"), "application/zip", "case.zip")
+
+    def _asked(self, request: web.Request) -> tuple[str, Mapping[str, Any]]:
+        """The place in an address, and its document."""
+        at = request.match_info["at"]
+        if at == "run":
+            return at, self.workers.state.get("base") or {}
+        page, _, n = at.partition("-")
+        result = self.last(page, int(n))
+        if result is None:
+            raise web.HTTPNotFound(text="These numbers are not shown any more.")
+        return at, result
+
+
+def _download(body: bytes, kind: str, name: str) -> web.Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return web.Response(body=body, content_type=kind, headers=headers)
+
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
@@ -27,18 +129,18 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def new_token() -> str:
-    """256 random bits, as they stand in an address."""
+    """256 random bits, as text for an address."""
     return secrets.token_urlsafe(32)
 
 
 def guard(token: str, port: Callable[[], int]):
-    """The middleware that refuses everybody else, and tells the browser what the page may do."""
+    """The middleware that refuses everybody else, and sends the browser the page's permissions."""
 
     @web.middleware
     async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
         names = [f"{name}:{port()}" for name in NAMES]
         if request.headers.get("Host") not in names:
-            raise web.HTTPForbidden(text="This server is for this machine alone.")
+            raise web.HTTPForbidden(text="This server is for this machine only.")
         first = request.path.lstrip("/").partition("/")[0]
         if not hmac.compare_digest(first.encode(), token.encode()):
             raise web.HTTPForbidden(text="The address has no token, or a wrong one.")
@@ -72,7 +174,7 @@ ASKED = ("values", "chosen")
 class Server:
     """One run, one worker, any number of pages.
 
-    - `about`: the run as its files tell it; `worker`: the command that starts the calculation.
+    - `about`: the run, from its files; `worker`: the command that starts the calculation.
     """
 
     def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
@@ -91,7 +193,7 @@ class Server:
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Listens on this machine alone. **Raises:** `OSError` where the port is taken."""
+        """Listens on this machine only. **Raises:** `OSError` where the port is taken."""
         checked, harden = guard(self.token, lambda: self.port)
         app = web.Application(middlewares=[checked], client_max_size=LONGEST)
         app.on_response_prepare.append(harden)
@@ -129,7 +231,7 @@ class Server:
     # Pages.
 
     async def socket(self, request: web.Request) -> web.WebSocketResponse:
-        """One page, as long as it is open."""
+        """One page, while it is open."""
         socket = web.WebSocketResponse(max_msg_size=LONGEST, heartbeat=30)
         await socket.prepare(request)
         name = f"p{next(self._numbers)}"
@@ -150,7 +252,7 @@ class Server:
         return socket
 
     async def _order(self, page: str, text: str) -> None:
-        """One wish of a page; one that is none is answered, and harms nobody."""
+        """One wish of a page; one that is none is answered, and has no effect."""
         n = -1
         try:
             order = json.loads(text)
@@ -234,7 +336,7 @@ class Server:
 
 
 def _values(inputs: Any) -> dict[str, list[float]]:
-    """{input: numbers} of a message; whether they suit the case, the case's reader says."""
+    """{input: numbers} of a message; the case's reader decides whether they suit the case."""
     if not isinstance(inputs, dict):
         raise Refused("a move is a table of inputs")
     values, size = {}, 0
@@ -254,9 +356,9 @@ def _values(inputs: Any) -> dict[str, list[float]]:
 
 
 def _chosen(values: Any) -> dict[str, str | bool]:
-    """{key: another value} of a message; whether the case can have it, its reader says."""
+    """{key: another value} of a message; its reader decides whether the case can have it."""
     if not isinstance(values, dict) or len(values) > MAX_CHOICES:
-        raise Refused("choices are a table of words and switches")
+        raise Refused("choices are a table of texts and switches")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
             raise Refused(f"{name[:60]}: a choice is a word or a switch")

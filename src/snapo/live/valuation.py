@@ -1,8 +1,8 @@
-"""The trained policy of a run, valued at other inputs: what the page shows.
+"""The trained policy of a run, valued at other inputs, for the page.
 
 The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
 paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case. The derivatives are those that the run reports, and what the held ones change by.
+new case. The derivatives are those that the run reports, and the change of the held ones.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -17,10 +17,10 @@ from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
+from snapo.solver.adjoint import finite
 from snapo.solver.bound import bound
-from snapo.solver.by_block.passes import DerivativePass
+from snapo.solver.derivatives.by_block import DerivativePass
 from snapo.solver.evaluate import Value, estimate, finite_totals, value_of_groups
-from snapo.solver.finite_paths import finite
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate
@@ -28,15 +28,13 @@ from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
 from snapo.study.study import PathTotals, Setup, Study
 
-from .case.places import InputPositions
-from .case.refusals import MAXIMUM, no_value
-from .counts import PathCounts
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
-from .rolled import Simulated, simulate, totals_of
-from .terms import Deltas, derivatives, slopes
+from .positions import InputPositions
+from .rollout import PathCounts, Simulated, simulate, totals_of
+from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
 
 HEALTH_PATHS, BOUND_PATHS = 1024, 512
-TOLD = 12  # times that a training tells how far it is
+TOLD = 12  # progress reports of one training
 
 
 class Valuation(WhatIf):
@@ -104,10 +102,10 @@ class Valuation(WhatIf):
         summary: Callable[[int, int], None],
         selected: SelectedChoices = NONE,
     ) -> dict[str, Any]:
-        """The policy trained on at these inputs, and what that gains on the same paths.
+        """The policy trained on at these inputs, and its gain on the same paths.
 
         It starts from the run's policy, which stays the one that the page values. `summary` hears
-        of the steps done and of all; what it raises ends the training.
+        of the steps done and of all; an exception in it ends the training.
         """
         setup, policy = self._at(values, selected)[1], self.solution.policy
         assert policy is not None
@@ -139,7 +137,7 @@ class Valuation(WhatIf):
     def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
         """The value between two bounds at these inputs: how much the best policy could gain.
 
-        **Raises:** `CaseError` where the domain has no bound here; it says why.
+        **Raises:** `CaseError` where the domain has no bound here, with the reason.
         """
         policy, (_, setup) = self.solution.policy, self._at(values, selected)
         assert policy is not None
@@ -177,7 +175,8 @@ class Valuation(WhatIf):
         return self._variants[key]
 
     def _no_value(self, changed: InputValues, selected: SelectedChoices, invalid: int) -> CaseError:
-        """The refusal of numbers without a value; of several, those that have none alone."""
+        """The refusal of numbers without a value; of several, those that have none by
+        themselves."""
         wrong, policy = dict(changed), self.solution.policy
         assert policy is not None
         if 1 < len(changed) <= MAXIMUM:
@@ -282,7 +281,7 @@ def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _too_many(setup: Setup, totals: Totals) -> int:
-    """The number of paths that are not finite, where that leaves no value; else 0."""
+    """The number of non-finite paths, where that leaves no value; else 0."""
     objective = setup.problem.objective
     available = len(finite_totals(objective, totals)[objective.outputs[0]])
     return 0 if available else int(np.sum(~finite(totals, objective.outputs)))

@@ -1,7 +1,7 @@
 """The process that computes: moves come in as lines of JSON, tables go out as lines of JSON.
 
 It is apart from the server, so that a page answers while it works, and outlives it. Of the moves of
-one page only the newest is worth an answer: a newer one ends the work on the one before.
+one page only the newest is answered: a newer one ends the work on the one before.
 """
 
 import argparse
@@ -19,19 +19,17 @@ from typing import Any, TextIO
 
 from snapo.case.error import CaseError
 from snapo.solver.solution import Solution
-from snapo.study.again import case_of_run, options_of_run
 from snapo.study.commands import domain_of_run
 from snapo.study.domain import Options
+from snapo.study.prepare import case_of_run, options_of_run
 from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
 
-from .case.files import read_files
-from .case.places import InputPositions
-from .case.refusals import stopped
-from .counts import PathCounts
-from .moves import WhatIf
-from .recalculation import Recalculation
-from .rolled import numbers_of_a_path
+from .files import read_files
+from .moves import Recalculation, WhatIf
+from .positions import InputPositions
+from .rollout import PathCounts, numbers_of_a_path
+from .terms import stopped
 from .valuation import Valuation
 
 
@@ -73,7 +71,7 @@ def open_run(
     return Valuation(study, solution, positions, counts, rebuild)
 
 
-REST = 0.4  # seconds without an order, after which what can wait is computed
+REST = 0.4  # seconds without an order, after which the delayed tables are computed
 
 
 class Post:
@@ -166,7 +164,7 @@ def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
     if not order.get("workbook"):
         files.write(Path(folder))
         return
-    from snapo.case.workbook.write import write_workbook
+    from snapo.case.workbook import write_workbook
 
     with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
         files.write(Path(made))
@@ -198,7 +196,7 @@ def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any
 
 
 def in_words(error: CaseError) -> str:
-    """A refusal for the page: the case was written to a folder that its owner has not seen."""
+    """A refusal for the page: the case was written to a folder that its user does not know."""
     return " ".join(_short(item) for item in (error, *error.others))
 
 
@@ -215,11 +213,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--paths", type=int)
     options = parser.parse_args(arguments)
-    # What a user's code prints must not stand between the lines of the answers.
+    # Output of a user's code must not appear between the lines of the answers.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     post = Post(out)
-    from snapo.study.solving.prepare import use_every_core
+    from snapo.study.prepare import use_every_core
 
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None

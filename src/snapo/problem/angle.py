@@ -1,4 +1,4 @@
-"""Angles: the state counts turns, and what is paid and seen repeats with every turn.
+"""Angles: the state counts turns, and rewards and observations repeat with every turn.
 
 A state that jumps from pi to -pi has no derivative there. So the state keeps the angle as it comes,
 turns included; costs and observations are periodic functions of it.

@@ -1,7 +1,7 @@
 """Stages with different state, horizon and outputs, as ONE simulator.
 
 A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map turns the
-final state of one into the first state of the next.
+final state of one into the initial state of the next.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +29,7 @@ class Chain(Simulator):
       numbers of an action, and where its own bounds are narrower, the action is clipped to them.
       Of the noise too a stage reads the first numbers.
     - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` turns the final
-      state of stage i into the first state of stage i + 1, whose own `initial` is not asked.
+      state of stage i into the initial state of stage i + 1, whose own `initial` is not asked.
     - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
       name are totalled together.
 

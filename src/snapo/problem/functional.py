@@ -21,7 +21,7 @@ AGREEMENT = 1e-9  # relative: a formula under weights against itself on repeated
 
 @lru_cache(maxsize=64)
 def compiled(objective, version: Version) -> tuple[Callable, Callable]:
-    """The compiled formula of an objective, and the derivative by every path total."""
+    """The compiled formula of an objective, and the derivative with respect to every path total."""
     both = jax.jit(objective.formula), jax.jit(jax.grad(objective.formula))
     return followed(both[0], version), followed(both[1], version)
 
@@ -61,7 +61,7 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
     totals, size = dict(totals), len(next(iter(totals.values())))
     centre = value(objective, totals)
     if size == 1:
-        # One path has no sampling error, and a formula need not exist for it alone.
+        # One path has no sampling error, and the formula need not exist for a single path.
         return np.array([centre if np.isfinite(centre) else 0.0])
     with jax.enable_x64(True):
         mass = _by_mass(objective, totals, size)
@@ -71,7 +71,7 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _by_mass(objective, totals, size: int) -> np.ndarray | None:
-    """Derivatives by the paths' masses, times N; None where masses do not stand for paths."""
+    """Derivatives by the paths' masses, times N; None where masses do not represent paths."""
     version = of_formula(objective, totals)
     weighted, slopes = _massed_formula(objective, tuple(totals), size, version)
     # A mass of two must be the same as a path twice.
@@ -87,7 +87,7 @@ def _by_mass(objective, totals, size: int) -> np.ndarray | None:
 def _massed_formula(
     objective, names: tuple[str, ...], size: int, version: Version
 ) -> tuple[Callable, Callable]:
-    """The compiled formula of masses and totals, and its derivative by the masses."""
+    """The compiled formula of masses and totals, and its derivative with respect to the masses."""
     shape = jax.ShapeDtypeStruct((size,), np.float64)
     with read_context(version):
         closed = jax.make_jaxpr(objective.formula)(dict.fromkeys(names, shape))

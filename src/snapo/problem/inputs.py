@@ -33,7 +33,7 @@ class Input(eqx.Module):
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number's own size (see `step`).
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a share of itself.
-    - `display_unit`, `display_factor`: the unit in which its owner thinks, and how many of them
+    - `display_unit`, `display_factor`: the unit in which the user thinks, and how many of them
       make one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
     - `group`: the family of risk it belongs to, such as "price", "volatility" or "contract".
     - `meaning`: its meaning, in one phrase.
@@ -86,7 +86,7 @@ class Input(eqx.Module):
         size = np.abs(self.value)
         largest = np.max(size, initial=0.0)
         if largest == 0:
-            # A move is about a hundredth of the number.
+            # A move is about 1 % of the number.
             minimum = 1e-5 if not self.move else 1e-3 * abs(self.move)
             return np.full(self.value.shape, minimum)
         return RELATIVE_STEP * np.where(size > NOTHING * largest, size, largest)
@@ -113,7 +113,7 @@ def is_input(x: Any) -> bool:
 
 
 def plain(inputs: PyTree) -> PyTree:
-    """The same module with plain arrays in place of every `Input`, as `prepare` receives it."""
+    """The same module with plain arrays instead of every `Input`, as `prepare` receives it."""
     return jax.tree.map(lambda x: x.value if is_input(x) else x, inputs, is_leaf=is_input)
 
 
@@ -135,7 +135,7 @@ def values(inputs: PyTree) -> list[np.ndarray]:
 
 
 def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
-    """The plain module with `new` values in place of the inputs, in the order of `named_inputs`.
+    """The plain module with `new` values instead of the inputs, in the order of `named_inputs`.
 
     Unlike `plain`, it takes traced values, so that `prepare` can be differentiated.
     """

@@ -1,4 +1,4 @@
-"""The problem that a call means: a `Problem`, or a simulator with all that belongs beside it.
+"""The problem that a call means: a `Problem`, or a simulator with all that belongs to it.
 
 Every public function of a problem takes either, in one order of arguments::
 
@@ -15,10 +15,10 @@ from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
 import jax
 import jax.numpy as jnp
 
-from .actions.base import count
+from .actions.sets import count
 from .code.version import reading_once
 from .objective import Limit, Mean, Objective
-from .policies.plain import NEEDED
+from .policies.composed import NEEDED
 from .problem import Problem
 from .scenarios import Scenarios, Sources
 from .simulator import Simulator, at
@@ -100,11 +100,12 @@ def problem_of(
     seed: int = 0,
     needs: bool = True,
 ) -> Problem:
-    """The problem that a caller means: the one given, or that of a simulator with all beside it.
+    """The problem that a caller means: the one given, or that of a simulator with all that belongs
+    to it.
 
     **Arguments:** `sources`: where no scenarios are given; `needs`: an objective.
 
-    **Raises:** `ValueError` where a `Problem` has any of it beside it, for what is neither, and for
+    **Raises:** `ValueError` where a `Problem` has any of it as well, for what is neither, and for
     sizes, scenarios or constraints that are none.
     """
     if isinstance(problem, type):
@@ -153,7 +154,7 @@ def outputs_of(problem: Problem) -> list[str]:
 
 
 def _only_output(verb: str, names: list[str]) -> str:
-    """The only output, when there is but one, and nothing says that it shall be small."""
+    """The only output, when there is but one, and nothing shows that it should be small."""
     if len(names) != 1:
         raise ValueError(
             f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "

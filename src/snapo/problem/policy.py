@@ -1,4 +1,4 @@
-"""Policies: from an observation to an action. Networks, residuals and classical rules.
+"""Policies: from an observation to an action. Networks and residuals.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
 simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that plug in
@@ -20,6 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from .actions import Actions
+from .carry.save import load, reduced, save
 from .inputs import Frozen
 from .quickly import compiled_sooner
 from .simulator import Interface
@@ -42,7 +43,7 @@ class Policy(eqx.Module):
     def for_problem(self, interface: Interface, key) -> "Policy":
         """The policy for this set of actions and number of features: itself, unless it is a recipe.
 
-        `interface` is `simulator.interface(schedule)`; first weights are drawn with `key`.
+        `interface` is `simulator.interface(schedule)`; initial weights are drawn with `key`.
         """
         return self
 
@@ -51,13 +52,9 @@ class Policy(eqx.Module):
 
         **Raises:** `PolicyFileError`, a `ValueError`, for a class of your own: a file has no code.
         """
-        from .carry.save import save
-
-        save(self, file)
+        save(self, file, features(self))
 
     def __reduce__(self):
-        from .carry.pickling import reduced
-
         return reduced(self)
 
 
@@ -84,8 +81,6 @@ class Network(eqx.Module):
         self.activation = activation
 
     def __reduce__(self):
-        from .carry.pickling import reduced
-
         return reduced(self)
 
     def __call__(self, x: Float[Array, " features"]) -> Float[Array, " outputs"]:
@@ -255,113 +250,6 @@ def _fitting(policy, network: Network, interface: Interface):
     return policy
 
 
-class Constant(Policy):
-    """Always the same action; `Constant()` starts in the middle of the action set.
-
-    With `action`, as `Constant()` has, it is settled in that set: rounded, or the best option.
-    """
-
-    value: Array | None
-    action: Actions | None
-
-    def __init__(self, value: ArrayLike | None = None, action: Actions | None = None):
-        self.value = None if value is None else jnp.asarray(value)
-        self.action = action
-
-    def __call__(self, observation, smooth=EXACT):
-        observation = as_observation(observation)
-        if self.value is None:
-            raise ValueError("Constant: this is a recipe without numbers; give it a value.")
-        value = self.value.astype(observation.dtype)
-        return value if self.action is None else self.action.settle(value, smooth)
-
-    def for_problem(self, interface: Interface, key) -> "Constant":
-        return Constant(_middle(interface), interface.action) if self.value is None else self
-
-
-class Linear(Policy):
-    """Linear feedback: gain @ observation + offset; with `action`, kept inside that set.
-
-    `Linear()` starts with a gain of zero [size, features] in the middle of the action set, and is
-    kept inside it.
-
-    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(0.0, 3.0))
-    >>> [rule(seen).tolist() for seen in ([0.5, 0.5], [2.0, 0.0])]
-    [[1.0], [3.0]]
-    """
-
-    gain: Array | None
-    offset: Array
-    action: Actions | None
-
-    def __init__(
-        self,
-        gain: ArrayLike | None = None,
-        offset: ArrayLike = 0.0,
-        action: Actions | None = None,
-    ):
-        self.gain = None if gain is None else jnp.asarray(gain)
-        self.offset, self.action = jnp.asarray(offset), action
-
-    def __call__(self, observation, smooth=EXACT):
-        observation = as_observation(observation)
-        if self.gain is None:
-            raise ValueError("Linear: this is a recipe without numbers; give it a gain.")
-        feedback = self.gain @ observation
-        if self.action is None:
-            return feedback + self.offset
-        return self.action.near(self.offset, feedback, smooth)
-
-    def for_problem(self, interface: Interface, key) -> "Linear":
-        if self.gain is not None:
-            return self
-        gain = jnp.zeros((interface.action.size, interface.features), jnp.float32)
-        return Linear(gain, _middle(interface), interface.action)
-
-
-def _middle(interface: Interface) -> Float[Array, " size"]:
-    """The action that a network without weights would take."""
-    nothing = jnp.zeros(interface.action.size, jnp.float32)
-    # Smooth, as in training: the exact middle may be an end.
-    return interface.action.squash(nothing, Smooth(np.float32(0.02)))
-
-
-class BaseStock(Policy):
-    """Order up to a level: max(level - position, 0), the position being one observed number.
-
-    >>> snapo.BaseStock(12.0)([5.0]).tolist()
-    [7.0]
-    """
-
-    level: Array = eqx.field(converter=jnp.asarray)
-    position: int = eqx.field(static=True, default=0)
-    scale: float = eqx.field(static=True, default=1.0)
-
-    def __call__(self, observation, smooth=EXACT):
-        observation = as_observation(observation)
-        return smooth.positive_part(self.level - observation[self.position], self.scale)[None]
-
-
-class Threshold(Policy):
-    """`above` when the observed number exceeds the threshold, else `below`.
-
-    >>> rule = snapo.Threshold(30.0, [0.0], [1.0])
-    >>> [rule([price]).tolist() for price in (29.0, 31.0)]
-    [[0.0], [1.0]]
-    """
-
-    threshold: Array = eqx.field(converter=jnp.asarray)
-    below: Array = eqx.field(converter=jnp.asarray)
-    above: Array = eqx.field(converter=jnp.asarray)
-    feature: int = eqx.field(static=True, default=0)
-    scale: float = eqx.field(static=True, default=1.0)
-
-    def __call__(self, observation, smooth=EXACT):
-        observation = as_observation(observation)
-        on = smooth.indicator(observation[self.feature] - self.threshold, self.scale)
-        return self.below + on * (self.above - self.below)
-
-
 def trainable(policy: Policy) -> tuple[Policy, Policy]:
     """Splits a policy into the trained numbers and the rest (integers, `Frozen` tables)."""
     marks = jax.tree.map(
@@ -376,3 +264,24 @@ def parameters(policy: Policy) -> np.ndarray:
     """All trained numbers of a policy in one vector."""
     leaves = jax.tree.leaves(trainable(policy)[0])
     return np.concatenate([np.ravel(leaf) for leaf in leaves]) if leaves else np.zeros(0)
+
+
+def load_policy(file: Path | str) -> Policy:
+    """The policy that `policy.save(file)` wrote; its shape need not be known, nothing is executed.
+
+    **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
+    weights whose sizes do not fit each other.
+    """
+    return load(file, Policy)
+
+
+def features(policy: Policy) -> int | None:
+    """The number of features that a policy observes, as its weights have it; None if unknown."""
+    gain = getattr(policy, "gain", None)
+    if gain is not None:
+        return int(gain.shape[1])
+    network = getattr(policy, "network", None)
+    if not isinstance(network, Network):
+        return None
+    # A head of a domain takes the first numbers of the observation for itself.
+    return int(network.weights[0].shape[1]) + getattr(policy, "head", 0)

@@ -16,10 +16,34 @@ from .code.version import Version, of_preparation, of_rollout, read_context, rea
 from .form import form_of
 from .noise import base as noise
 from .objective import Limit, Objective, as_constraints, as_objective, priced
-from .prepare import prepare
+from .quickly import compiled_sooner
 from .scenarios import Sources
 from .simulator import Interface, Schedule, Simulator
 from .unseen import partly_observed
+
+
+def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
+    """The schedule in float64 NumPy."""
+    with jax.enable_x64(True), read_context(of_preparation(simulator, inputs)):
+        part, completed = simulator.prepared_apart()
+        schedule = _prepare(part, inputs_.plain(inputs))
+        return jax.tree.map(np.asarray, completed(schedule))
+
+
+def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
+    """The versions of all of a simulator's code; one of its own where it cannot be run."""
+    try:
+        schedule = prepare(simulator, inputs)
+        versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)
+    except Exception:  # who runs it reports why
+        return object()
+    return None if versions == (None, None) else versions
+
+
+@compiled_sooner
+def _prepare(simulator: Simulator, plain: PyTree):
+    return simulator.prepare(plain)
+
 
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -46,17 +70,17 @@ class Converted(Generic[_In, _Out]):
         return self.default
 
 
-KEPT = ("schedule", "interface", "lost", "partly_observed")  # what no scenarios change
+KEPT = ("schedule", "interface", "lost", "partly_observed")  # scenarios do not change these
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A simulator with its inputs, the objective to make large, and the scenarios.
+    """A simulator with its inputs, the objective to maximise, and the scenarios.
 
     The schedule is prepared once, when it is first asked for, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
-    - `objective`: of the path totals; made as large as possible. The name of an output means its
+    - `objective`: of the path totals; maximised. The name of an output means its
       mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
       where nothing is random (see `EqualPaths`).
@@ -99,7 +123,7 @@ class Problem:
 
     @property
     def version(self) -> Version:
-        """The version of the simulator's code, from the first state on."""
+        """The version of the simulator's code, from the initial state on."""
         return of_rollout(self.simulator, None, self.schedule)
 
     def _kept(self, name: str, version: Any, make: Callable[[], Any]) -> Any:
@@ -116,10 +140,10 @@ class Problem:
 
     @property
     def partly_observed(self) -> tuple[str, ...]:
-        """The names of state numbers that matter and that the observation does not tell.
+        """The names of state numbers that matter and that are not observed.
 
-        Empty where the observation is all that a decision needs, as far as paths tell
-        (`problem.unseen`). It compiles a step where the observation does not tell all.
+        Empty where the observation is all that a decision needs, as far as paths show
+        (`problem.unseen`). It compiles a step where the observation is not complete.
         """
         if self.simulator.fully_observed:
             return ()
@@ -180,7 +204,7 @@ class Problem:
 
     @property
     def in_mean(self) -> tuple[str, ...]:
-        """The inputs whose derivative is right in the mean of many paths alone."""
+        """The inputs whose derivative is right only in the mean of many paths."""
         return in_mean(self.simulator, self.inputs)
 
     @property
@@ -208,7 +232,7 @@ class Problem:
 
     def at_values(self, values: dict[str, Any]) -> "Problem":
         """The problem at other values of the inputs named, with all that was computed from them
-        computed again; the policy of a solution can be valued there as it is.
+        computed again; the policy of a solution can be valued there unchanged.
 
         **Raises:** `KeyError` for a name that is no input's.
         """
@@ -229,7 +253,7 @@ class Problem:
 
 
 def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
-    """The inputs whose derivative is right in the mean of many paths alone: those that the
+    """The inputs whose derivative is right only in the mean of many paths: those that the
     simulator names, and the parameters of every noise whose draws are separate values."""
     values = {*simulator.in_mean(), *noise.in_mean(inputs)}
     return tuple(entry.name for entry in inputs_.named_inputs(inputs) if entry.name in values)

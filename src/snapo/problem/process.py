@@ -42,7 +42,7 @@ class Process(eqx.Module):
 
     @abc.abstractmethod
     def prepare(self, inputs: PyTree) -> Schedule:
-        """Constants and per-step arrays from the inputs (plain arrays in place of `Input`)."""
+        """Constants and per-step arrays from the inputs (plain arrays instead of `Input`)."""
 
     @abc.abstractmethod
     def initial(self, constants: PyTree, noise: Float[Array, " initial_noise"]) -> State:
@@ -58,7 +58,7 @@ class Process(eqx.Module):
 
     @abc.abstractmethod
     def forward(self, constants: PyTree, now: PyTree) -> Float[Array, "..."]:
-        """The level of this step as it is expected today; exact for a `martingale`."""
+        """The level of this step expected today; exact for a `martingale`."""
 
     @abc.abstractmethod
     def observe(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, " features"]:
@@ -76,7 +76,7 @@ class Process(eqx.Module):
 
     def in_mean(self) -> tuple[str, ...]:
         """Names of the inputs that set the probabilities of such draws: their derivative is right
-        in the mean of many paths alone."""
+        only in the mean of many paths."""
         return ()
 
     def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
@@ -149,7 +149,7 @@ class FactorPrice(Process):
     S(t) = F(t) exp(sum_i s_i(t) f_i(t) - variance(t) / 2), df_i = -a_i f_i dt + dW_i, f_i = 0
     today, dW_i dW_j = rho_ij dt, so that E[S(t)] = F(t). Transitions are exact over any interval:
     Cov(f_i, f_j) = rho_ij (1 - exp(-(a_i + a_j) t)) / (a_i + a_j). The state is f [F].
-    A subclass says which numbers of the inputs these are.
+    A subclass states which numbers of the inputs these are.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""Scenarios: the noise of every path, a function of (seed, path, step, component) alone.
+"""Scenarios: the noise of every path, a function only of (seed, path, step, component).
 
 Path p is therefore the same whatever the number of paths, chunks, devices or windows, and
 nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
@@ -106,7 +106,7 @@ class Sobol(Scenarios):
 
     Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
     scrambles. The bridge is built per component over equal steps: its leading coefficients take
-    the leading Sobol dimensions, the rest (past what Sobol offers) is pseudo-random.
+    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random.
     """
 
     seed: int = 0
@@ -138,13 +138,13 @@ class Sobol(Scenarios):
         sobol = qmc.Sobol(
             min(width, SOBOL_DIMENSIONS), rng=np.random.default_rng([self.seed, scramble])
         )
-        # Point 0 alone: scipy cannot skip nothing, and warns of a number that is no power of 2.
+        # Only point 0: scipy cannot skip nothing, and warns of a number that is no power of 2.
         zeroth, start = sobol.random(1), max(1, int(points[0]))
         if start > 1:
             sobol.fast_forward(start - 1)
         later = sobol.random(max(1, int(points[-1]) - start + 1))
         drawn = np.concatenate([zeroth, later])[np.where(points == 0, 0, points - start + 1)]
-        # Points lie on a grid of 2^-30 that holds 0: the middle of a cell stands for the cell.
+        # Points lie on a grid of 2^-30 that holds 0: the middle of a cell represents the cell.
         z = special.ndtri(drawn + 2.0**-31)
         if width == z.shape[1]:
             return z
@@ -155,7 +155,7 @@ class Sobol(Scenarios):
 
 @dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
-    """Scenarios of one's own in place of normals.
+    """Scenarios of one's own instead of normals.
 
     - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are taken to be
       independent.
@@ -219,7 +219,7 @@ class Supplied(Scenarios):
 class EqualPaths(Scenarios):
     """Those of a problem in which nothing is random: every path is the same.
 
-    Two are taken whatever is asked for, since one alone has no standard error: theirs is zero.
+    At least two are taken, since a single one has no standard error: theirs is zero.
     """
 
     inner: Scenarios
@@ -260,7 +260,7 @@ class Sources:
 
     @classmethod
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
-        """The sources that a caller means: fresh normals of `seed` where nothing else is said.
+        """The sources that a caller means: fresh normals of `seed` by default.
 
         Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
@@ -291,7 +291,7 @@ class Sources:
     def roles(
         self, training: int, validation: int, evaluation: int, sensitivities: int
     ) -> dict[str, str]:
-        """{role: which paths it has} for these numbers of paths, in words."""
+        """{role: which paths it has} for these numbers of paths, as text."""
         return {
             "training": f"{self.training.batch_words(training)}; other ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",

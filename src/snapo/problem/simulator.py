@@ -59,7 +59,7 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
-    - `fully_observed`: declared by an author who knows that the observation tells all of the state
+    - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
     """
 
@@ -76,12 +76,12 @@ class Simulator(eqx.Module):
 
     @abc.abstractmethod
     def prepare(self, inputs: PyTree) -> Schedule:
-        """Turns inputs into the schedule. `inputs` holds plain arrays in place of every `Input`."""
+        """Turns inputs into the schedule. `inputs` holds plain arrays instead of every `Input`."""
 
     def prepared_apart(self) -> tuple["Simulator", Callable[[Schedule], Schedule]]:
         """A simulator that prepares a part of the schedule, and what adds the rest to it.
 
-        The rest are arrays of this simulator that `prepare` hands on as they are, such as a fitted
+        The rest are arrays of this simulator that `prepare` hands on unchanged, such as a fitted
         guide: the compiled `prepare` of the part serves before the guide is fitted, and after.
         """
         return self, lambda schedule: schedule
@@ -138,7 +138,7 @@ class Simulator(eqx.Module):
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` that says what is missing where it sets what is no field."""
+    """An `__init__` that reports what is missing where it sets what is no field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 
 
 class Constraints(eqx.Module):
-    """The vocabulary of limits; `Smooth` and `Exact` differ in few of its words."""
+    """The operations of limits; `Smooth` and `Exact` differ in few of them."""
 
     @abc.abstractmethod
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:

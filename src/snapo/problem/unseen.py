@@ -1,17 +1,17 @@
-"""Numbers of the state that matter and that the observation does not tell: partial observation.
+"""Numbers of the state that matter and that are not observed: partial observation.
 
 Paths are rolled with drawn decisions, the same on all of them up to the state that is looked at.
 A number of the state is named if
 
 - noise moves it, decisions held, and so that the observation stays the same to first order: it
-  then differs between paths that look alike. Numbers that follow from those seen, and from time,
+  then differs between paths that look the same. Numbers that follow from those seen, and from time,
   do not;
 - what is paid later depends on it, by an amount, and by a factor, that depends on the decisions.
   Of a number that only adds up what was paid the amount is the same for all decisions, and of
   wealth that is invested in shares the factor: no decision would be another if it were seen.
 
 A number in steps, such as the state of a chain, has no derivative: it is named if the observation
-does not read it, and paths that look most alike differ in it.
+does not read it, and paths that look most similar differ in it.
 """
 
 from collections.abc import Iterator
@@ -35,13 +35,13 @@ PATHS, LOCAL, BEFORE = (
 )  # paths; those with derivatives; steps before the state looked at, at most
 MOVED, SEEN = 1e-9, 1e-6  # relative: a direction that is moved; one that is seen
 LARGE = 0.2  # share of a number in a direction, all being in units of their deviation
-ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is told
+ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is determined
 MATTERS = 0.02  # of what another state moves
 MAXIMUM = 12  # numbers whose effect is tried
 
 
 def partly_observed(problem: Any) -> tuple[str, ...]:
-    """The names of state numbers that matter and are not told by the observation; see above."""
+    """The names of state numbers that matter and are not observed; see above."""
     simulator = problem.simulator
     if not problem.is_random or simulator.horizon < 2:
         return ()
@@ -90,7 +90,7 @@ def _start(problem: Any) -> dict[str, Any]:
 
 
 def _all_told(problem: Any, first: dict[str, Any]) -> bool:
-    """Whether the observation tells every number of a state by itself: nothing is hidden."""
+    """Whether the observation determines every number of a state by itself: nothing is hidden."""
     simulator, schedule = problem.simulator, problem.schedule
     start = jax.vmap(partial(simulator.initial, schedule.constants))
     states = start(jnp.asarray(first["early"][:LOCAL], float))
@@ -171,7 +171,7 @@ def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.nd
 
 
 def _in_steps(problem: Any, states: PyTree, observed: np.ndarray, t: int, moves: np.ndarray):
-    """[n] whether a number moves in steps, is not read, and differs where paths look alike."""
+    """[n] whether a number moves in steps, is not read, and differs where paths look the same."""
     numbers, steps = _flat(states), np.zeros(_flat(states).shape[1], bool)
     still = ~np.any(moves != 0, axis=(0, 2))
     look = (observed - observed.mean(0)) / np.where(observed.std(0) > 0, observed.std(0), 1.0)
@@ -186,7 +186,8 @@ def _in_steps(problem: Any, states: PyTree, observed: np.ndarray, t: int, moves:
 
 
 def _observed(problem: Any, states: PyTree, t: int):
-    """[N, features] the observations, [N, features, n] their derivatives by the state."""
+    """[N, features] the observations, [N, features, n] their derivatives with respect to the
+    state."""
     constants, now = problem.schedule.constants, at(problem.schedule.steps, t)
     return _seen(problem.simulator, constants, now, states)
 

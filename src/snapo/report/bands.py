@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .axes import number_axis
-from .drawing import WIDTH, legend_above, unit_above
-from .theme import LIGHT
+from .drawing import LIGHT, WIDTH, legend_above, number_axis, unit_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +55,7 @@ def heat(
 ) -> None:
     """Shares from 0 to 1 in a grid [rows, columns], the first row at the bottom.
 
-    Darker is more, and the number stands in the cell as a percentage; a cell without a number
+    Darker is more, and the number is in the cell as a percentage; a cell without a number
     stays empty.
     """
     from matplotlib.patches import Rectangle
@@ -148,7 +146,7 @@ def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
 def _room(swings: Sequence[Swing], reach: float) -> tuple[float, float]:
     """Limits of the horizontal axis that leave room for the numbers at the ends of the bars."""
     names = max((len(item.name) for item in swings), default=0)
-    points = max(200.0, WIDTH - LETTER * names - 24.0)  # of the plot, beside the names
+    points = max(200.0, WIDTH - LETTER * names - 24.0)  # of the plot, next to the names
     low, high = -0.04 * reach, 0.04 * reach
     for _ in range(40):  # a wider axis has wider texts: their share of it is below a half
         each_point = (high - low) / points
@@ -204,7 +202,7 @@ def stack(axes: "Axes", years: np.ndarray, layers: Sequence[Layer], unit: str) -
 
 
 def scatter(axes: "Axes", points: Sequence[tuple[str, float, float, bool]], units) -> None:
-    """Named points (name, x, y, strong) with their names beside them."""
+    """Named points (name, x, y, strong) with their names next to them."""
     for _, x, y, strong in points:
         colour = LIGHT["main"] if strong else LIGHT["other"]
         axes.plot(x, y, "o", color=colour, markersize=9 if strong else 7)

@@ -9,10 +9,8 @@ import numpy as np
 from snapo.problem.scenarios import BLOCKS
 from snapo.solver.statistics import critical
 
-from .axes import date_axis, number_axis
-from .drawing import legend_above, unit_above
+from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
 from .quantity import number
-from .theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,7 +167,7 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
     axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
     axes.set_xticks(position, labels)
     axes.tick_params(axis="x", length=0)
-    adjacent = max(0.0, (6 - len(values)) / 2)  # a bar alone would fill the page
+    adjacent = max(0.0, (6 - len(values)) / 2)  # a single bar would fill the page
     axes.set_xlim(-0.6 - adjacent, len(values) - 0.4 + adjacent)
     axes.margins(y=0.06)
     number_axis(axes.yaxis, 8)

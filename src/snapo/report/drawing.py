@@ -1,17 +1,141 @@
-"""From matplotlib to SVG that may stand inside a page: small, reproducible, themed, offline."""
+"""Drawings of a report: SVG by matplotlib that is small, reproducible, themed and needs no network.
 
+Colours have names by meaning, for light and for dark paper; axes show dates by month or by day and
+numbers with separators.
+"""
+
+import datetime
 import io
 import re
 from collections.abc import Callable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from markupsafe import Markup
 
-from .theme import LIGHT, by_variable
+from .quantity import MAXIMUM, MONTHS, TINY, decimals, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+
+LIGHT = {
+    "ink": "#17212b",
+    "muted": "#55616e",
+    "rule": "#dde3e9",
+    "paper": "#fefefe",
+    "panel": "#f5f7f9",
+    "main": "#1d3f72",
+    "main-soft": "#c6d5ea",
+    "inject": "#0072b2",
+    "inject-soft": "#b8d9ec",
+    "withdraw": "#d55e00",
+    "withdraw-soft": "#f5cfb1",
+    "other": "#7a8692",
+    "reach": "#eaeef2",
+    "limit": "#8d2f6b",
+    "good": "#00704e",
+    "bad": "#b3261e",
+}
+DARK = {
+    "ink": "#e8edf2",
+    "muted": "#a3afbb",
+    "rule": "#323d49",
+    "paper": "#12181f",
+    "panel": "#1a222b",
+    "main": "#8fb4ec",
+    "main-soft": "#2b4163",
+    "inject": "#56b4e9",
+    "inject-soft": "#1f4459",
+    "withdraw": "#f0883e",
+    "withdraw-soft": "#5a3315",
+    "other": "#8996a3",
+    "reach": "#202a34",
+    "limit": "#d889b9",
+    "good": "#4cc49a",
+    "bad": "#ff8a80",
+}
+
+
+def variables(colours: dict[str, str]) -> str:
+    """CSS custom properties, `--ink: #17212b; …`."""
+    return " ".join(f"--{name}: {colour};" for name, colour in colours.items())
+
+
+def by_variable(svg: str) -> str:
+    """The same drawing with every colour of the light theme as `var(--name)`."""
+    for name, colour in LIGHT.items():
+        svg = svg.replace(colour, f"var(--{name})")
+    return svg
+
+
+def days(values: Sequence[str]) -> np.ndarray:
+    """ISO dates [T] as numbers of a date axis [T]."""
+    from matplotlib import dates as mdates
+
+    return np.array([mdates.date2num(datetime.date.fromisoformat(day)) for day in values])
+
+
+def date_axis(axes: "Axes", first: float, last: float) -> None:
+    """Ticks at month starts, the year under each January and the first; at days when short."""
+    from matplotlib import dates as mdates
+
+    axes.set_xlim(first, max(last, first + 1))
+    span = last - first
+    if span > 75:
+        step = next((step for step in (1, 2, 3, 6, 12) if span / 30.4 / step <= 14), 24)
+        ticks = [
+            month_start
+            for month_start in _month_starts(first, last)
+            if month_start.month % step == 1 % step
+        ]
+        texts = [_month_text(tick, i == 0) for i, tick in enumerate(ticks)]
+    else:
+        every = max(1, round(span / 12))
+        ticks = [mdates.num2date(day) for day in np.arange(first, last + 0.5, every)]
+        texts = [_day_text(item, i == 0) for i, item in enumerate(ticks)]
+    axes.set_xticks([float(mdates.date2num(entry)) for entry in ticks], texts)
+
+
+def _month_starts(first: float, last: float) -> list[datetime.date]:
+    from matplotlib import dates as mdates
+
+    start, end = mdates.num2date(first).date(), mdates.num2date(last).date()
+    count = (end.year - start.year) * 12 + end.month - start.month + 1
+    months = [start.year * 12 + start.month - 1 + i for i in range(count)]
+    starts = [datetime.date(month // 12, month % 12 + 1, 1) for month in months]
+    return [item for item in starts if start <= item <= end]
+
+
+def _month_text(item: datetime.date, first: bool) -> str:
+    month = MONTHS.split()[item.month - 1][:3]
+    return f"{month}\n{item.year}" if first or item.month == 1 else month
+
+
+def _day_text(item: datetime.datetime, first: bool) -> str:
+    month = MONTHS.split()[item.month - 1][:3]
+    return f"{item.day}\n{month} {item.year}" if first else f"{item.day}\n{month}"
+
+
+def number_axis(axis: "Axis", count: int = 6) -> None:
+    """Round numbers with thousands separators, as many decimals as their spacing needs."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
+
+    def text(value: float, position: int | None) -> str:
+        ticks = axis.get_majorticklocs()
+        gap = abs(ticks[1] - ticks[0]) if len(ticks) > 1 else 1.0
+        digits = decimals([gap], 1)
+        if abs(gap * 10**digits - round(gap * 10**digits)) > 1e-6:
+            digits += 1  # a spacing of 2.5 or 0.25
+        if 0 < np.abs(ticks).max() < TINY:
+            digits = max(digits, MAXIMUM + 1)  # all of them as powers of ten
+        return number(value, digits)
+
+    axis.set_major_formatter(FuncFormatter(text))
+
 
 WIDTH = 720.0  # points; the page shows a chart 960 pixels wide, so 9 points are 12 pixels
 SANS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -74,7 +198,7 @@ def draw(
     **Arguments:**
 
     - `name`: unique on the page.
-    - `alt`: the chart in words, for a reader who does not see it.
+    - `alt`: a description of the chart, for a reader who does not see it.
     - `paint`: called with one `Axes` per row.
     - `height`: points; the width is always 720.
     - `rows`: relative heights of panels that share the horizontal axis.
@@ -86,7 +210,7 @@ def draw(
 def draw_alone(
     title: str, paint: Callable[..., None], size: tuple[float, float], columns: Sequence[float]
 ) -> str:
-    """A picture that stands alone, on white: one `Axes` per column; `size` in points."""
+    """A separate picture, on white: one `Axes` per column; `size` in points."""
     svg = _svg(paint, size, {"ncols": len(columns), "width_ratios": columns}, LIGHT["paper"])
     svg = _inline(svg, "picture", title).replace("var(--sans)", SANS)
     return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)

@@ -1,15 +1,18 @@
-"""What every run with a trained policy shows as evidence: its training, its checks, its making."""
+"""The evidence of a run: its training, its checks, its making, and the spread between its seeds."""
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from snapo.solver.learning.conditioning import PATHS, Growth
+
 from . import charts
-from .drawing import draw
+from .drawing import LIGHT, draw, unit_above
 from .folder import RunFiles
-from .page import Chart, Facts, Mark, Missing, Section, Table, Text
-from .quantity import MINUS, finite, number, seconds
+from .page import Block, Chart, Facts, Mark, Missing, Section, Table, Text
+from .quantity import MINUS, decimals, finite, measured, number, readable, seconds
 
 HISTORY = (
     ("objective", "Smooth objective, training paths", "other", 0.8),
@@ -23,7 +26,7 @@ BELOW = (
 TOTAL = "of all parts, before this page"
 
 
-def history(run: RunFiles, unit: str) -> Section:
+def training_history(run: RunFiles, unit: str) -> Section:
     """The objective, in its `unit`, and the gradient norm over the steps of training."""
     title, short = "Training history", "Training"
     steps = run.column("history", "step")
@@ -54,13 +57,13 @@ def history(run: RunFiles, unit: str) -> Section:
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
         "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths left out because a number was not finite: {number(count, 0)}."
+        f" last. Paths left out because of a non-finite number: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
 
 def notes(run: RunFiles) -> list[Text]:
-    """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
+    """Sentences that a reader of the value must know: paths left out, ruin, unused controls."""
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
         for item in run.result.get("notes") or ()
@@ -78,7 +81,7 @@ def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
 
 
 def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried") -> Mark | str:
-    """A mark with its word; a check that was not made says so."""
+    """A mark with its text; `undecided` for a check that was not made."""
     return undecided if passed is None else Mark(bool(passed), valid if passed else invalid)
 
 
@@ -118,3 +121,175 @@ def made_with(run: RunFiles) -> Table | Missing:
     if not rows:
         return Missing("Engine, seed and versions are not in this run.")
     return Table([], rows, "How to get these numbers again", 2)
+
+
+PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and their lines
+
+
+def history(run: RunFiles) -> Section:
+    """The objective and the gradient norm over the steps of training, and adjoints by step."""
+    result = training_history(run, run.unit)
+    return replace(result, blocks=[*result.blocks, *_adjoints(run)])
+
+
+def _adjoints(run: RunFiles) -> list[Block]:
+    """The norms of adjoints by step and part of the state, where training measured them."""
+    steps = run.column("adjoints", "step")
+    if steps is None or steps.size < 2:
+        return []
+    available = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
+    leaves = [name for name in run.adjoints if name not in ("step", "usual", "largest")]
+    available += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
+    lines = []
+    for position, (name, label, colour) in enumerate(available):
+        values = run.column("adjoints", name)
+        if values is not None and (values > 0).any():
+            style = STYLES[(position - 2) % len(STYLES)] if position > 1 else "-"
+            displayed = np.where(values > 0, values, np.nan)
+            lines.append(charts.Line(label, displayed, colour, style))
+    if not lines:
+        return []
+
+    def paint(axes, _=None):
+        charts.trace(axes, steps, lines, "log scale", log=True)
+        axes.set_xlabel(str(run.get("step", "step")).capitalize())
+
+    maximum = float(np.nanmax(lines[-1].values if len(lines) < 2 else lines[1].values))
+    alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
+    svg = draw("adjoints", alt, paint, 230)
+    caption = (
+        f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
+        "it was last in doubt whether the whole horizon can be differentiated, or of the trained "
+        "policy where the case says how to go back: the parts of the state are root mean squares "
+        "over these paths. All are in adjoints.csv."
+    )
+    return [Chart(svg, caption), Text(_growth(run, leaves))]
+
+
+def _growth(run: RunFiles, leaves: list[str]) -> str:
+    """By how much the adjoints grow, and how training went back."""
+    names = ("usual", "largest", *leaves)
+    columns = (run.column("adjoints", name) for name in names)
+    usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
+    summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
+    window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
+    if window is not None:
+        summary += f" Training went back through windows of {window} steps."
+    if clip is not None:
+        summary += f" At its end training bounded each path's own adjoint at {number(clip)}."
+    if keep is not None and keep < 1:
+        summary += f" A share of {number(keep)} of it went on at every step back."
+    return summary
+
+
+def making(run: RunFiles) -> Section:
+    """The state of every part, times, engine, seed and versions."""
+    blocks: list[Block] = [_parts(run), *_times(run), made_with(run)]
+    return Section("making", "Parts, times and versions", "Versions", blocks)
+
+
+def _times(run: RunFiles) -> list[Facts]:
+    """The stages of the training and the total; the parts have theirs in their table."""
+    results = [
+        (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
+        for name, item in spent(run).items()
+        if name not in run.parts
+    ]
+    return [Facts(results)] if results else []
+
+
+def _parts(run: RunFiles) -> Table:
+    rows = [
+        (
+            readable(name),
+            verdict(state.get("state") == "done", "done", str(state.get("state"))),
+            str(state.get("note") or ""),
+            seconds(state.get("seconds")),
+        )
+        for name, state in run.parts.items()
+    ]
+    head = [("Part", ""), ("", ""), ("Note", ""), ("Time", "")]
+    return Table(head, rows, "Parts of this run", 3)
+
+
+MAX_SEEDS = 40  # seeds in the picture; the table has all
+
+
+def seeds(run: RunFiles) -> Section:
+    """The value of every seed with its interval, and the spread next to the Monte Carlo error."""
+    result = run.get("by_seed")
+    errors = [finite(result.get(name)) for name in ("standard_error", "deviation")]
+    values = [row["value"] for row in result["rows"]]
+    digits = decimals([error for error in errors if error] or values, 2)
+    table = _table(result, digits)
+    displayed = [row for row in result["rows"] if finite(row["value"]) is not None][:MAX_SEEDS]
+    blocks: list[Any] = [Text(_sentence(result, run.unit, digits)), table]
+    if len(displayed) > 1:
+        blocks.insert(1, _picture(result, displayed, run.unit, digits))
+    return Section("seeds", "Between seeds", "Seeds", blocks)
+
+
+def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
+    mean, worst, best = (number(result[name], digits) for name in ("mean", "worst", "highest"))
+    spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
+    paths = number(result["paths"], 0)
+    text = (
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
+        f"share they earn {mean} {unit} on average, {worst} at worst and {best} at best"
+    ).replace("  ", " ")
+    if finite(result["deviation"]) is not None:
+        text += (
+            f"; their standard deviation is {spread}, and the Monte Carlo error of these paths, "
+            f"the same for all, {error}"
+        )
+    return f"{text}. This page is the run of seed {result['best']}."
+
+
+def _picture(
+    result: dict[str, Any], displayed: list[dict[str, Any]], unit: str, digits: int
+) -> Chart:
+    """Differences to the best, which are known far better than the values themselves."""
+    names = [str(row["seed"]) for row in displayed]
+    below = [-row["below_best"] for row in displayed]
+    errors = [charts.INTERVAL * (finite(row["below_best_error"]) or 0.0) for row in displayed]
+
+    def paint(axes, _=None):
+        line = {"ecolor": LIGHT["withdraw"], "elinewidth": 1.6, "capsize": 4.0}
+        axes.errorbar(
+            range(len(displayed)), below, yerr=errors, fmt="o", color=LIGHT["main"], **line
+        )
+        axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
+        axes.set_xticks(range(len(displayed)), names)
+        axes.set_xlim(-0.6, len(displayed) - 0.4)
+        axes.set_xlabel("Seed")
+        unit_above(axes, unit)
+
+    summary = "; ".join(f"seed {name} {number(item, digits)}" for name, item in zip(names, below))
+    caption = (
+        "Differences between the policy of each seed and the best, path by path on common "
+        "paths, with 95 % intervals."
+    )
+    return Chart(draw("seeds-picture", f"Difference to the best: {summary}.", paint, 220), caption)
+
+
+def _table(result: dict[str, Any], digits: int) -> Table:
+    head = [
+        ("Seed", ""), ("Verdict", ""), ("Value", ""), ("", ""), ("Below the best", ""), ("", ""),
+        ("Time", ""),
+    ]  # fmt: skip
+    rows = []
+    for row in result["rows"]:
+        best = row["seed"] == result["best"]
+        verdict = [row["status"], row["convergence"], "" if row["within"] else "breaks a limit"]
+        below = ("the best", "") if best else (row["below_best"], row["below_best_error"])
+        rows.append(
+            (
+                str(row["seed"]),
+                ", ".join(filter(None, verdict)),
+                *measured(row["value"], row["standard_error"], digits),
+                *(below if best else measured(*below, digits)),
+                seconds(row["seconds"]),
+            )
+        )
+    selected = frozenset(i for i, row in enumerate(result["rows"]) if row["seed"] == result["best"])
+    return Table(head, rows, "Seeds on common paths", 2, selected)

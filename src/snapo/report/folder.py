@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from .checksums import changed_files
 from .quantity import array, finite, money, plus_minus
-from .whole import changed_files
 
 RESULT = "result.json"
-PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in what is known of a run
+PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in the `about` of a run
 SENSITIVITIES = (
     "input", "label", "unit", "source", "value", "low", "high", "sampling", "policy", "held",
     "held_error", "smooth", "smooth_error", "moved", "moved_error",
@@ -151,7 +151,7 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
 
 
 def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
-    """{part: its files that are not what it wrote}; result.json under its own name."""
+    """{part: its files that were changed}; result.json has an entry of its own."""
     states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
     if "result" in record:
         states[RESULT] = {RESULT: record["result"]}

@@ -1,14 +1,19 @@
-"""The page of a report: sections of blocks, rendered into one file that needs nothing else."""
+"""The page of a report: sections of blocks, rendered into one file, and its PDF by a browser."""
 
+import os
 import re
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 from markupsafe import Markup, escape
 
+from .drawing import DARK, LIGHT, variables
 from .quantity import SPACE, unit_words
-from .theme import DARK, LIGHT, variables
 
 LONG = 22  # letters of a cell above which its column is kept from growing narrow
 
@@ -32,7 +37,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing with the caption that says how to read it."""
+    """A drawing with a caption on how to read it."""
 
     kind: ClassVar[str] = "chart"
     svg: Markup
@@ -41,7 +46,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text; the columns after the first `texts` are numbers and stand to the right.
+    """Rows of text; the columns after the first `texts` are numbers and are aligned to the right.
 
     Where texts and numbers alternate, `texts` is the set of the columns of texts.
 
@@ -51,7 +56,7 @@ class Table:
     - `head`: (name, unit) of every column; empty for a table without a header.
     - `rows`: cells, written out; a cell may be a `Mark`.
     - `strong`: rows to set apart.
-    - `folded`: the words to click before the table shows; it is open in print.
+    - `folded`: the text to click before the table shows; it is open in print.
     """
 
     kind: ClassVar[str] = "table"
@@ -71,7 +76,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict: never by colour alone."""
+    """A verdict, never by colour only."""
 
     good: bool
     text: str
@@ -94,7 +99,7 @@ class Headline:
     value: str
     error: str
     note: str
-    action: str = ""  # inject, withdraw or hold, in the domain's words
+    action: str = ""  # inject, withdraw or hold, as the domain calls it
     sentence: str = ""
     when: str = "What to do today"
     tone: str = "main"  # a colour of the theme
@@ -130,7 +135,8 @@ Block = Text | Missing | Chart | Table | Facts | Headline | Sliders
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page; `name` is its anchor, `title` its heading, `short` stands in the menu."""
+    """A part of the page; `name` is its anchor, `title` its heading, `short` is its entry in the
+    menu."""
 
     name: str
     title: str
@@ -177,7 +183,7 @@ def render(page: Page) -> str:
 
 
 def coded(text: str) -> Markup:
-    """A text, escaped: what stands between backticks is set as code, and no line ends in ±."""
+    """A text, escaped: text between backticks is set as code, and no line ends in ±."""
     selected = str(escape(text)).replace("± ", f"±{SPACE}")
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", selected))
 
@@ -205,3 +211,47 @@ def _filled(table: Table) -> Table:
 
 def _moving(page: Page) -> bool:
     return any(block.kind == "sliders" for section in page.sections for block in section.blocks)
+
+
+VARIABLE = "SNAPO_BROWSER"  # of the environment: a browser to take before all others
+BROWSERS = (
+    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome",
+    "microsoft-edge", "msedge", "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+)  # fmt: skip
+SECONDS = 120  # after which a browser is given up
+
+
+def browser() -> str | None:
+    """The path of a browser that can print without a window, None where there is none."""
+    by_name = os.environ.get(VARIABLE)
+    names = (by_name,) if by_name else BROWSERS
+    return next((path for name in names if (path := shutil.which(name))), None)
+
+
+def print_page(page: Path, file: Path, browser: str) -> None:
+    """Prints an HTML `page` to the PDF `file`; styles are those of the page for print.
+
+    The page is a file and names nothing outside of itself, so nothing is sent.
+
+    **Raises:** `OSError` where the browser fails or takes too long.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "page.pdf"
+        command = [
+            browser, "--headless", "--disable-gpu", "--no-first-run", "--disable-sync",
+            "--disable-background-networking", "--disable-component-update",
+            f"--user-data-dir={folder}/profile", "--no-pdf-header-footer",
+            "--print-to-pdf-no-header", f"--print-to-pdf={made}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            command.insert(1, "--no-sandbox")  # which a browser refuses to have as root
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=SECONDS, check=False)
+        except subprocess.TimeoutExpired:
+            raise OSError(f"{browser} has not printed within {SECONDS} s") from None
+        if not made.exists() or not made.read_bytes().startswith(b"%PDF"):
+            metadata = done.stderr.decode(errors="replace").strip().splitlines()
+            raise OSError(
+                f"{browser} ended with {done.returncode}: {metadata[-1] if metadata else ''}"
+            )
+        file.write_bytes(made.read_bytes())

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 MINUS = "\N{MINUS SIGN}"
-NONE = "\N{EN DASH}"  # stands where there is no number
+NONE = "\N{EN DASH}"  # where there is no number
 SPACE = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-12  # relative, of sums in double precision
 TINY, MAXIMUM = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
@@ -21,7 +21,7 @@ MONTHS = "January February March April May June July August September October No
 
 
 def finite(value: Any) -> float | None:
-    """The number as a float, or None where there is none or it is not finite."""
+    """The number as a float, or None where there is none or it is non-finite."""
     if value is None or isinstance(value, str | bool):
         return None
     number = float(value)
@@ -31,7 +31,7 @@ def finite(value: Any) -> float | None:
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
     """Decimals that give the largest of `values` this many significant digits, 0 at least.
 
-    One count for a whole column, so that its decimal points stand under one another.
+    One count for a whole column, so that its decimal points are aligned.
     """
     sizes = [abs(number) for value in values if (number := finite(value)) is not None]
     largest = max(sizes, default=0.0)
@@ -41,9 +41,9 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
 
 
 def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
-    """`-1234.5` as "−1,234.5"; `digits` decimals, or what four significant digits need.
+    """`-1234.5` as "−1,234.5"; `digits` decimals, or as many as four significant digits need.
 
-    A number that would be mostly noughts stands as a power of ten: "1.578 × 10⁻⁶".
+    A number that would be mostly zeros is a power of ten: "1.578 × 10⁻⁶".
     """
     available = finite(value)
     if available is None:
@@ -107,7 +107,7 @@ def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[s
 
 
 def rough(value: Any) -> str:
-    """A number of which the size alone matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
+    """A number of which only the size matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
     available = finite(value)
     if available is None or available == 0:
         return number(available, 0)
@@ -139,14 +139,14 @@ def part_of(share: Any, digits: int = 2) -> str:
 
 
 def unit_words(unit: str) -> str:
-    """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
+    """A unit in handwritten form: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
     text = POWER.sub(lambda result: result[1] + raised(result[2]), unit)
     text = re.sub(r"\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b", r"√\1\2", text)
     return re.sub(r"\bum\b", "µm", text).replace("*", "·").replace("^k", "ᵏ")
 
 
 def derivative_unit(value: str, unit: str) -> str:
-    """The unit of a derivative: that of a value per unit of an input, without what cancels.
+    """The unit of a derivative: that of a value per unit of an input, with common units cancelled.
 
     >>> [derivative_unit("EUR", unit) for unit in ("EUR/MWh", "1", "MWh", "1/year", "EUR")]
     ['MWh', 'EUR', 'EUR/MWh', 'EUR·year', '1']
@@ -168,7 +168,7 @@ def derivative_unit(value: str, unit: str) -> str:
 
 
 def readable(name: str) -> str:
-    """A name of code in words: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
+    """A name of code as text: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
     text = name.replace("_", " ").replace(".", " ")
     return text[:1].upper() + text[1:]
 
@@ -194,7 +194,7 @@ def power(value: Any, decimal_places: int = 1) -> str:
 
 
 def long_date(day: Any) -> str:
-    """`2021-04-25` as "25 April 2021"; anything else as it stands."""
+    """`2021-04-25` as "25 April 2021"; anything else unchanged."""
     try:
         date = datetime.date.fromisoformat(str(day))
     except ValueError:
@@ -203,7 +203,7 @@ def long_date(day: Any) -> str:
 
 
 def long_month(month: Any) -> str:
-    """`2021-04`, or any day of that month, as "Apr 2021"; anything else as it stands."""
+    """`2021-04`, or any day of that month, as "Apr 2021"; anything else unchanged."""
     try:
         date = datetime.date.fromisoformat(f"{str(month)[:7]}-01")
     except ValueError:

@@ -71,7 +71,7 @@ def table(
 
     - `decimal_places`: decimals of all its numbers; `by_row`: whether each row has its own number
       of them.
-    - `folded`: the words to click before the table is shown.
+    - `folded`: the text to click before the table is shown.
     """
     values = [column.values(records) for column in columns]
     all_places = None if decimal_places is None else [decimal_places] * len(records)
@@ -100,10 +100,10 @@ class Bar(NamedTuple):
 def ladder(anchor: str, bars: Sequence[Bar], caption: str, digits: int | None = None) -> Chart:
     """Horizontal bars with their numbers, the first on top, with their description."""
     digits = decimals([bar.value for bar in bars], 5) if digits is None else digits
-    rungs = [
+    rows = [
         charts.LadderBar(bar.name, bar.value, number(bar.value, digits), bar.error, bar.strong)
         for bar in bars
     ]
-    alt = "; ".join(f"{rung.name} {rung.text}" for rung in rungs)
-    svg = draw(anchor, alt, lambda axes: charts.ladder(axes, rungs), 40 + 34 * len(rungs))
+    alt = "; ".join(f"{bar.name} {bar.text}" for bar in rows)
+    svg = draw(anchor, alt, lambda axes: charts.ladder(axes, rows), 40 + 34 * len(rows))
     return Chart(svg, caption)

@@ -3,9 +3,17 @@
     inputs → prepare → schedule → rollout → totals → objective
     inputs ← prepare's transpose ← d schedule ← engine.adjoint ← weights
 
-Training and sensitivities both read what this file gives.
+Both training and sensitivities use these functions.
+
+The adjoint over the paths that are finite: one bad path must not cost a whole run.
+
+A path is bad where a total that the objective uses, or the path's own adjoint, is non-finite. Bad
+paths are counted wherever they are left out, and of all paths at most `DROPPED` may be: what is
+left out may be what matters. A path of ruin, whose total is finite, is never left out: it has the
+utility that it has, minus infinity.
 """
 
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -17,7 +25,8 @@ from snapo.engine import Adjoint, BoundEngine, Engine, Xla
 from snapo.engine.transpose import pull_back as pull_back
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Weights
+from snapo.problem.noise.counter import only
+from snapo.problem.objective import Objective, Totals, Weights
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import EXACT, Exact, Smooth
@@ -104,3 +113,110 @@ def flat_weights(objective: Objective, paths: int) -> Weights:
 def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
     """Path totals as float64 NumPy, so that sums over paths lose nothing."""
     return {name: np.asarray(total, np.float64) for name, total in totals.items()}
+
+
+DROPPED = 1e-3  # the largest share of the paths that may be left out
+
+
+def finite(totals: Totals, names: Iterable[str]) -> np.ndarray:
+    """[N] booleans: the paths whose totals of these names are finite."""
+    return np.logical_and.reduce([np.isfinite(totals[name]) for name in names])
+
+
+def adjoint_of_finite_paths(
+    bound_engine: BoundEngine, policy, draws: Draws, smooth, objective: Objective, **options
+) -> tuple[float, Adjoint, int]:
+    """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
+
+    Where no path is finite, or the objective is not a number on paths that all are, that number is
+    of all paths.
+    """
+    value, result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, **options)
+    if not np.isnan(value) and all_finite(result, objective.outputs):
+        return value, result, 0
+    valid = _good(bound_engine, policy, draws, smooth, objective.outputs, options)
+    invalid = int(np.sum(~valid))
+    if invalid == 0 or invalid == valid.size:
+        return value, result, valid.size
+    draws, options = _replaced(valid, draws, options)
+    window = {key: options[key] for key in ("window", "start") if key in options}
+    totals = float64(bound_engine.values(policy, draws, smooth, **window).totals)
+    selected = {name: total[valid] for name, total in totals.items()}
+    weights = _spread(objective.climb(selected), valid)
+    result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
+    return objective.value(selected), result, invalid
+
+
+def adjoint_of_good_weights(
+    bound_engine: BoundEngine, policy, draws: Draws, smooth, weights: Weights, **options
+) -> tuple[Adjoint, int]:
+    """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
+
+    Those count for nothing; the weights of the others stay unchanged.
+    """
+    result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
+    if all_finite(result, weights) or not _finite_leaves(weights):
+        return result, 0
+    valid = _good(bound_engine, policy, draws, smooth, tuple(weights), options)
+    if valid.all() or not valid.any():
+        return result, valid.size
+    draws, options = _replaced(valid, draws, options)
+    weights = _spread(
+        {name: np.asarray(weight)[..., valid] for name, weight in weights.items()}, valid
+    )
+    return bound_engine.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~valid))
+
+
+def _good(bound_engine: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
+    """Which paths have a finite value and a finite adjoint.
+
+    A forward sweep finds most of the others; only where the adjoint of the rest is non-finite
+    too, each path is looked at by itself.
+    """
+    values = {key: options[key] for key in ("window", "start", "actions") if key in options}
+    valid = finite(float64(bound_engine.values(policy, draws, smooth, **values).totals), names)
+    if not valid.all() and valid.any():
+        rest, values = _replaced(valid, draws, options)
+        weights = {name: np.ones(valid.size) for name in names}
+        if all_finite(bound_engine.adjoint(policy, rest, smooth, weights, **values), names):
+            return valid
+    weights = {name: np.ones(1) for name in names}
+    for path in np.flatnonzero(valid):
+        alone, values = _only(np.array([path]), draws, options)
+        valid[path] = all_finite(
+            bound_engine.adjoint(policy, alone, smooth, weights, **values), names
+        )
+    return valid
+
+
+def _replaced(valid: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
+    """Bad paths become copies of a good one: zero weight would not silence them (0 x inf)."""
+    return _only(np.where(valid, np.arange(valid.size), np.argmax(valid)), draws, options)
+
+
+def _spread(weights: Mapping[str, np.ndarray], valid: np.ndarray) -> Weights:
+    """Weights of the good paths, and zeros for the others."""
+    spread = {name: np.zeros((*weight.shape[:-1], valid.size)) for name, weight in weights.items()}
+    for name, weight in weights.items():
+        spread[name][..., valid] = weight
+    return spread
+
+
+def _only(selected: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
+    """The noise, the starting states and the recorded actions of chosen paths only."""
+    values = dict(options)
+    if options.get("start") is not None:
+        values["start"] = jax.tree.map(lambda leaf: leaf[selected], options["start"])
+    if options.get("actions") is not None:
+        values["actions"] = options["actions"][:, selected]
+    return only(draws, selected), values
+
+
+def all_finite(result: Adjoint, names: Iterable[str]) -> bool:
+    """Whether an adjoint, and the totals of these names, are finite."""
+    totals = [result.totals[name] for name in names]
+    return _finite_leaves((result.policy, result.schedule, totals))
+
+
+def _finite_leaves(tree: PyTree) -> bool:
+    return all(bool(np.all(np.isfinite(np.asarray(leaf)))) for leaf in jax.tree.leaves(tree))

@@ -1,14 +1,17 @@
-"""A bound from above: what the best decisions of each path would earn with hindsight, penalised.
+"""A bound from above: what the best decisions of each path would earn with perfect foresight,
+penalised.
 
     value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
 
 for every penalty whose mean is zero under every policy that does not see the future (Rogers 2002;
 Haugh and Kogan 2004; Brown, Smith and Sun, Operations Research 58, 2010). A penalty charges each
-decision with the surprise that it profits from: V(next state) - E[V(next state) | now], for some V.
-Whatever V is, the bound holds; with the exact value function it is the exact value on every path.
+decision with the innovation that it profits from: V(next state) - E[V(next state) | now], for some
+V. Whatever V is, the bound holds; with the exact value function it is the exact value on every
+path.
 
 The same penalty along the policy's own path has mean zero, so it is taken from the policy's
-earnings as a control variate, and the gap of a path, hindsight less policy, is never negative.
+earnings as a control variate, and the gap of a path, perfect foresight less policy, is never
+negative.
 """
 
 from collections.abc import Callable
@@ -27,14 +30,14 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64
-from .relaxations.known import Relaxation, relaxation_of
-from .show import html
+from .relaxations.stop import Relaxation, relaxation_of
 from .statistics import critical, independent, mean, skewed_mean, with_error
+from .tables import paragraph, table
 
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
 TRAINED, BOUND = 256, 257  # streams: of the paths that train a penalty, and of the bound's
-MAX_GAP, MAX_ERROR = 0.02, 0.005  # of the value: above, a bound says little
+MAX_GAP, MAX_ERROR = 0.02, 0.005  # of the value: above, a bound is too wide
 SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
 
 
@@ -57,8 +60,9 @@ class Bound:
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
     - `gap`: upper less lower, paired path by path.
     - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
-    - `sure`: the sure totals that are worth lower and upper, where the objective is a utility.
-    - `few`: whether a few paths of great hindsight decide the gap, whose interval is wider then.
+    - `sure`: the certainty equivalents of lower and upper, where the objective is a utility.
+    - `few`: whether a few paths that gain much by foresight decide the gap, whose interval is wider
+      then.
     """
 
     lower: Between
@@ -80,7 +84,7 @@ class Bound:
             return ""
         summary = f"a gap of {gap:,.3g} ± {error:,.2g}"
         share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
-        few = ", which a few paths of great hindsight decide" if self.few else ""
+        few = ", which a few paths that gain much by foresight decide" if self.few else ""
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
@@ -115,8 +119,8 @@ class Bound:
             for name, item in self._named().items()
         ]  # fmt: skip
         small = f"It {self.says_little}. " if self.says_little else ""
-        below = html.paragraph(f"{small}{self.paths} paths; penalty: {self.words}")
-        return html.table(("", "value", "", "95 % from", "to"), rows) + below
+        below = paragraph(f"{small}{self.paths} paths; penalty: {self.words}")
+        return table(("", "value", "", "95 % from", "to"), rows) + below
 
     def _named(self) -> dict[str, Between]:
         return {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}
@@ -152,7 +156,7 @@ def bound(
 
     - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or of
       stopping where `Stop` is the only decision.
-    - `penalty`: "none" is perfect foresight; "value" the approximate value function as it is;
+    - `penalty`: "none" is perfect foresight; "value" the approximate value function itself;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
     - `source`: scenarios, by default ones that nothing else uses.
 
@@ -161,7 +165,7 @@ def bound(
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
-        message = "only a mean of what each path is worth is bounded from above"
+        message = "only a mean of the values of paths is bounded from above"
         raise ValueError(f"bound: the objective is {kind}; {message}.")
     if relaxation is None:
         relaxation = relaxation_of(problem)

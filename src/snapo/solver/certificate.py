@@ -1,4 +1,4 @@
-"""Why believe the number: the adjoint against bumps on the same paths, and every limit kept."""
+"""Evidence for the number: the adjoint against bumps on the same paths, and every limit kept."""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
@@ -22,19 +22,19 @@ from .derivatives.verdict import Verdict
 
 TOLERANCE = 1e-6  # of the family's largest derivative
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step
-CROWDED = 0.5  # share of paths at a kink above which the others say little
+CROWDED = 0.5  # share of paths at a kink above which the others are no evidence
 NUDGE = 1e-3  # of each number: larger than any step, small against the number itself
 
 
 class Bump(NamedTuple):
-    """One derivative by the adjoint and by differences on the same paths.
+    """One derivative from the adjoint and from differences on the same paths.
 
     - `direction`: the label bumped, or "random direction" over all of the input's entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
     - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
     - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
     - `crossing`: the share of paths that meet a kink within the step; where the adjoint is
-      neither side, it and the differences are those of the other paths alone. Where all paths meet
+      neither side, it and the differences are those of the other paths only. Where all paths meet
       one, the adjoint has to lie between the sides.
     - `judged`: whether it decides. Where all paths meet several kinks at once, an adjoint that is
       right may lie outside of both sides; the same derivative nearby decides then.
@@ -93,7 +93,7 @@ class Feasibility(NamedTuple):
 def nudged(problem: Problem, seed: int = 0) -> Problem:
     """The problem with each number of its inputs moved by a random thousandth of itself at most.
 
-    Round numbers tie: a store that fills in exactly eight days stands on a kink of its limits,
+    Round numbers tie: a store that fills in exactly eight days is on a kink of its limits,
     where every path has two derivatives. Nearby, hardly any path has. A number that is zero is
     moved upwards, by up to its input's `move`; without one it stays zero.
     """
@@ -136,7 +136,7 @@ def certify_derivatives(
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
     """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the reported derivative against
-    a move of all their numbers by a hundredth, in four standard errors of the difference.
+    a move of all their numbers by 1 %, in four standard errors of the difference.
 
     A bump that is reported itself, where it refutes the held derivative, has no difference."""
     results = []

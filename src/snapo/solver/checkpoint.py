@@ -11,14 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.carry import archive
-from snapo.problem.carry.describe import described, difference
+from snapo.problem.carry.save import described, difference, read_arrays, write_arrays
 
+from .learning.conditioning import Growth
 from .learning.features import FeatureScale
-from .learning.growth import Growth
 from .learning.progress import Progress, Record, Round
-from .limits.dual import Dual
-from .windows.critic import blank
+from .learning.windows import blank
+from .limits import Dual
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")
@@ -86,14 +85,15 @@ def _with_critic(file: Path, like: Progress) -> Progress:
     try:
         features = _load(file)[1]["header"]["features"]
     except (KeyError, TypeError):
-        return like  # what is wrong with the file shows where it is read
+        return like  # a fault of the file shows where it is read
     if like.critic is not None or not isinstance(features, int):
         return like
     return replace(like, critic=blank(features))
 
 
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
-    """All array leaves of a tree with a JSON header, through a temporary file beside the target."""
+    """All array leaves of a tree with a JSON header, through a temporary file next to the
+    target."""
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
     arrays = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     _save(file, arrays, {"header": header, "described": described(_policies(tree))})
@@ -124,7 +124,7 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:
-    """Arrays under names of several words, with a JSON header."""
+    """Arrays with names of several parts, with a JSON header."""
     names = [list(name) for name in arrays]
     numbered = {f"leaf_{i}": np.asarray(array) for i, array in enumerate(arrays.values())}
     _save(file, numbered, {"names": names, "header": dict(header)})
@@ -143,7 +143,7 @@ def _policies(tree: PyTree) -> PyTree:
 
 
 def _two(file: Path, both: Any, *keys: str) -> list[Any]:
-    """Two entries of what was stored beside the arrays."""
+    """Two entries that were stored with the arrays."""
     try:
         return [both[key] for key in keys]
     except (KeyError, TypeError, IndexError):
@@ -151,12 +151,12 @@ def _two(file: Path, both: Any, *keys: str) -> list[Any]:
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
-    archive.write(file, arrays, header)
+    write_arrays(file, arrays, header)
 
 
 def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays in their order and the header, whatever may be wrong with the file."""
     try:
-        return archive.read(file)
+        return read_arrays(file)
     except ValueError as error:
         raise CheckpointError(str(error)) from None

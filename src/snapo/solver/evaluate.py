@@ -1,9 +1,14 @@
-"""What a policy is worth: path totals on fresh scenarios, and the value with its standard error."""
+"""The value of a policy: path totals on fresh scenarios, and the value with its standard error.
+
+Paths of a policy as whole trajectories: states, decisions and outputs of every step.
+"""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from snapo.engine import Engine, Rollout, Xla
 from snapo.problem.code.version import reading_once
@@ -15,8 +20,8 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from . import statistics
-from .adjoint import float64
-from .finite_paths import DROPPED, finite
+from .adjoint import DROPPED, finite, float64
+from .tables import frame
 
 DECIDED = ("action",)  # recorded where decisions are held
 MAX_BYTES = 2**28  # of decisions that are kept
@@ -26,7 +31,7 @@ class Value(NamedTuple):
     """An estimate, its standard error, and how much the control variates explained.
 
     - `control`: the share of the variance that they removed (0 without any).
-    - `dropped`: the paths left out, since they are not finite.
+    - `dropped`: the paths left out, since they are non-finite.
     - `refused`: controls whose mean is not zero, and which therefore were not used.
     """
 
@@ -76,7 +81,7 @@ def path_totals(
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
-    `controls`: with the outputs that are control variates alone.
+    `controls`: with only the outputs that are control variates.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source = source or problem.sources.evaluation
@@ -135,7 +140,7 @@ def estimate(
     """The objective on these totals, with the controls' known mean of zero taken out.
 
     Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
-    are not finite are left out and counted; more than a thousandth of them make the value NaN.
+    are non-finite are left out and counted; more than a thousandth of them make the value NaN.
     """
     _, false, result = _controlled(objective, totals, scenarios, controls)
     plain = statistics.of_shares(shares_of(objective, totals, scenarios))
@@ -170,7 +175,7 @@ def value_of(objective: Objective, totals: Totals) -> float:
 
 
 def ruined(objective: Objective, totals: Totals) -> int:
-    """The number of paths whose totals are finite, and whose worth is minus infinity."""
+    """The number of paths whose totals are finite, and whose value is minus infinity."""
     left = finite_totals(objective, totals)
     if not len(left[objective.outputs[0]]):
         return 0
@@ -203,3 +208,86 @@ def of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values
 
 
 CHUNK = 8192  # paths in one call of an engine
+
+
+Series = dict[str, np.ndarray]
+
+
+class Simulation(NamedTuple):
+    """N paths of T steps, in float64; a state of several numbers is "name.0", "name.1", …
+
+    - `totals`: {output: [N]}, as the objective takes them.
+    - `states`: {name: [T + 1, N]}, before every step and at the end.
+    - `actions`, `outputs`: {name: [T, N]} of every step.
+    """
+
+    totals: Series
+    states: Series
+    actions: Series
+    outputs: Series
+
+    def frame(self, backend: str = "pandas") -> Any:
+        """A data frame, a row for every path and step: "path", "step", states, actions, outputs.
+
+        **Raises:** `ModuleNotFoundError` where the package of `backend` is missing.
+        """
+        steps, paths = next(iter((self.outputs or self.actions).values())).shape
+        columns: dict[str, Any] = {
+            "path": np.repeat(np.arange(paths), steps),
+            "step": np.tile(np.arange(steps), paths),
+        }
+        for series in (self.states, self.actions, self.outputs):
+            for name, values in series.items():
+                # An output may have the name of a state.
+                free = name if name not in columns else f"{name} (output)"
+                columns[free] = values[:steps].T.ravel()
+        return frame(columns, backend)
+
+
+@takes_problem(objective=False)
+def simulate(
+    problem: Problem,
+    policy: Policy,
+    *,
+    paths: int = 1024,
+    smooth: Smooth | Exact = EXACT,
+    engine: Engine | None = None,
+) -> Simulation:
+    """The trajectories of the first `paths` paths of the problem's evaluation, on which its value
+    is.
+
+        paths = snapo.simulate(solution.problem, solution.policy, paths=256)
+        paths.states["water"].mean(1)
+
+    **Arguments:**
+
+    - `smooth`: `Smooth(temperature)` plays the simulator of training.
+    - `engine`: by default XLA in float64.
+    """
+    source = problem.sources.evaluation
+    draws = source.draws(np.arange(source.available(paths)), problem.simulator)
+    bound = (engine or Xla("float64")).bind(problem)
+    result = bound.values(policy, draws, smooth, record=("state", "action", "outputs"))
+    states = _series(result.record["state"], "state")
+    endpoints = _series(jax.tree.map(lambda leaf: np.asarray(leaf)[None], result.state), "state")
+    states = {
+        name: state
+        if len(state) > problem.simulator.horizon
+        else np.concatenate([state, endpoints[name]])
+        for name, state in states.items()
+    }
+    actions, outputs = (_series(result.record[kind], kind) for kind in ("action", "outputs"))
+    return Simulation(float64(result.totals), states, actions, outputs)
+
+
+def _series(tree: PyTree, kind: str) -> Series:
+    """{name: [T, N]} of every number of a tree of arrays [T, N, …]."""
+    series: Series = {}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in path)
+        values = np.asarray(leaf, np.float64)
+        values = values.reshape(*values.shape[:2], -1)
+        for i in range(values.shape[2]):
+            full = f"{name or kind}.{i}" if values.shape[2] > 1 else name or kind
+            series[full] = values[:, :, i]
+    return series

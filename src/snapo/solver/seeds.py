@@ -1,4 +1,4 @@
-"""The same problem with several seeds: how much of a result is the luck of one training."""
+"""The same problem with several seeds: how much of a result is variation between trainings."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ from .solve import Evaluation, in_order, solve
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Solutions by seed, all valued on the same paths: they differ by their policies alone.
+    """Solutions by seed, all valued on the same paths: they differ only by their policies.
 
     - `solutions`: {seed: solution}, in the order in which they were asked for.
     - `best`: the seed with the highest value. It is the best of several on the paths of its value:
@@ -83,12 +83,12 @@ def solve_seeds(
     evaluation: Evaluation | None = None,
     **more: Any,
 ) -> Seeds:
-    """`solve`, once for every seed; what is compiled for the first one serves all.
+    """`solve`, once for every seed; programs compiled for the first one serve all.
 
         found = snapo.solve_seeds(Reservoir(), inputs, objective="cash", seeds=5)
         print(found)
 
-    A seed draws first weights, and the scenarios of training and validation, but for `Supplied`
+    A seed draws initial weights, and the scenarios of training and validation, but for `Supplied`
     ones; those of the evaluation are the same for all, of the problem or of the first seed.
 
     **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others

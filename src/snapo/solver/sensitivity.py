@@ -1,10 +1,10 @@
-"""Sensitivities: the worth of one unit more of every input, with an interval.
+"""Sensitivities: the effect of one unit more of every input, with an interval.
 
 Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
 recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
 jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, what training follows. The reported one is the held one, unless a
-bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
+through the policy's reaction, the one that training uses. The reported one is the held one, unless
+a bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
 error of the policy (`derivatives.margin`).
 """
 
@@ -30,13 +30,12 @@ from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
-from .by_block.passes import DerivativePass
 from .derivatives.bump import FEWEST, one_percent
+from .derivatives.by_block import DerivativePass
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
-from .show import html
-from .show.frame import frame
 from .statistics import Estimate
+from .tables import frame, table
 
 
 class SensitivityRow(NamedTuple):
@@ -74,8 +73,8 @@ class Sensitivities(NamedTuple):
     - `moved`: how far `held` moved since an earlier policy, or None.
     - `policy_gradient`: norm of the policy's gradient at this policy, without that of the noise
       in it, which comes second.
-    - `dropped`: the paths of either table that were left out, since they are not finite.
-    - `verdicts`: what a bump of the input said, {input: Verdict}.
+    - `dropped`: the paths of either table that were left out, since they are non-finite.
+    - `verdicts`: the verdict of a bump of the input, {input: Verdict}.
     - `reported`: the derivative that is reported, with its interval, {input: Reported}; where None,
       it is the held one with its sampling error.
     """
@@ -171,7 +170,7 @@ class Sensitivities(NamedTuple):
 
     def _repr_html_(self) -> str:
         """The same table in a notebook."""
-        return html.table(HEAD, (line for name in self.inputs for line in self._lines(name)), LEFT)
+        return table(HEAD, (line for name in self.inputs for line in self._lines(name)), LEFT)
 
     def _lines(self, name: str) -> list[tuple[str, ...]]:
         """One input as lines of cells."""
@@ -197,13 +196,14 @@ HEAD = (
     "smooth", "",
 )  # fmt: skip
 SHOWN = 12  # numbers of one input that are printed
-LEFT = (0, 1, 5, 6)  # columns of words
+LEFT = (0, 1, 5, 6)  # columns of text
 MINIMUM, MAXIMUM = 256, 64  # paths of a block where there are more than 32; blocks at most
 DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
 def _columns(estimates: Mapping[str, Estimate] | None, name: str) -> tuple:
-    """The derivatives by one input and their errors, flat; None where there are none."""
+    """The derivatives with respect to one input and their errors, flat; None where there are
+    none."""
     if estimates is None:
         return None, None
     return estimates[name].value.ravel(), estimates[name].standard_error.ravel()
@@ -240,7 +240,7 @@ def sensitivities(
 
     On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
     paths. `earlier` is a policy from halfway through training: its held derivatives on the first
-    of the same paths tell how far they still moved. `actions` [T, paths, A] are the policy's
+    of the same paths show how far they still moved. `actions` [T, paths, A] are the policy's
     decisions on these paths, and `totals` {output: [paths]} their totals, where they were recorded
     before.
     """
@@ -274,7 +274,7 @@ def sensitivities_and_totals(
     ).derivatives(blocks)
     moved = None
     if earlier is not None:
-        # Paired, so that a few blocks tell; the weights of another objective are those of all.
+        # Paired, so that a few blocks suffice; the weights of another objective are those of all.
         few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
         before = DerivativePass(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
         moved = {
@@ -346,7 +346,7 @@ def second_order(
 ) -> list[dict[str, np.ndarray]]:
     """How the held derivatives change along chosen directions of the inputs (forward over reverse).
 
-    The decisions respond through the smooth policy: with decisions held alone, a value that is
+    The decisions respond through the smooth policy: with only held decisions, a value that is
     linear in prices has no second derivative. A direction is {input: array}, zero where not named.
     `smooth`: `Smooth(0.005)` by default. Each result is {input: array}: d (held derivative) / d
     direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.

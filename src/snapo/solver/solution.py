@@ -15,17 +15,24 @@ from snapo.problem.problem import Problem
 from . import checkpoint
 from .derivatives.interval import Curvature, Reported
 from .derivatives.verdict import COLUMNS, Verdict
-from .files import write_csv, write_text
-from .learning.growth import Growth
+from .figures import Figures
+from .learning.conditioning import Growth
 from .learning.progress import Record
-from .limits.found import LimitFound
+from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .show import html
-from .show.figures import Figures
-from .show.frame import frame
-from .show.tables import tables_of
-from .show.workbook import write_tables
 from .statistics import Estimate
+from .tables import (
+    TRAINING,
+    SheetTable,
+    flat,
+    frame,
+    histogram,
+    paragraph,
+    sensitivities_chart,
+    write_csv,
+    write_tables,
+    write_text,
+)
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
@@ -47,7 +54,7 @@ class Solution:
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
-    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are not finite; a
+    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite; a
       note says where); of the others "ruined" where the value is minus infinity, "not finite" where
       it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
@@ -58,11 +65,12 @@ class Solution:
     - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
       `clip` and `keep`: the length of the windows that it went back through at its end, the bound
       on each path's own adjoint (None: none of them), and the share that went on at each step.
-    - `problem`: what was solved, None in one that was loaded: figures over time need it.
+    - `problem`: the problem that was solved, None in one that was loaded: figures over time need
+      it.
     - `constraints`: each of the problem's on fresh paths, with its shadow price.
-    - `maximised`: the objective in words, "mean of cash"; empty in one that was saved without it.
-    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
-      `notes`: sentences on what a reader of the value must know.
+    - `maximised`: the objective as text, "mean of cash"; empty in one that was saved without it.
+    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are non-finite;
+      `notes`: remarks for a reader of the value.
     """
 
     value: float
@@ -106,14 +114,14 @@ class Solution:
     def _repr_html_(self) -> str:
         """The same in a notebook."""
         sensitivities = self.sensitivities
-        text = "".join(map(html.paragraph, self.lines()))
+        text = "".join(map(paragraph, self.lines()))
         return text if sensitivities is None else text + sensitivities._repr_html_()
 
     @property
     def plot(self) -> Figures:
         """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`,
         `plot.fan(name)`, `plot.policy(state)`."""
-        return Figures(self)
+        return Figures(self.sensitivities, self.totals, self.history, self.policy, self.problem)
 
     def frame(self, table: str = "totals", backend: str = "pandas") -> Any:
         """A table as a data frame of "pandas", "polars" or "pyarrow".
@@ -141,7 +149,15 @@ class Solution:
         file = Path(file)
         if file.suffix.lower() != ".xlsx":
             raise ValueError(f"write_table: {file.name!r}; allowed is a name that ends in .xlsx.")
-        write_tables(file, tables_of(self))
+        tables = {"result": SheetTable(("what", "value"), list(flat(self.summary())))}
+        if self.sensitivities is not None:
+            rows = list(self.sensitivities.rows())
+            chart = sensitivities_chart(rows)
+            tables["sensitivities"] = SheetTable(SensitivityRow._fields, rows, chart)
+        if self.history:
+            tables["training"] = SheetTable(Record._fields, self.history, TRAINING)
+        tables |= {f"total {name}": histogram(total) for name, total in self.totals.items()}
+        write_tables(file, tables)
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""
@@ -152,7 +168,7 @@ class Solution:
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
-            *([f"made as large as possible: {self.maximised}"] if self.maximised else []),
+            *([f"maximised: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
             *map(str, self.constraints),
@@ -274,7 +290,7 @@ KINDS = ("held", "smooth")
 
 
 def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
-    """All that is said about every input, without its numbers."""
+    """All metadata of every input, without its numbers."""
     return {
         name: {
             item.name: getattr(values, item.name) for item in fields(values) if item.name != "value"
@@ -316,7 +332,7 @@ def _about(result: Mapping[str, Reported] | None) -> dict[str, Any] | None:
 
 
 def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
-    """The inverse of `_about` and of the arrays beside it."""
+    """The inverse of `_about` and of the arrays stored with it."""
     if stored is None:
         return None
     table = {}

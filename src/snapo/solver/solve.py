@@ -12,28 +12,26 @@ import equinox as eqx
 import jax
 from jaxtyping import PyTree
 
+from snapo.checker.check import problem_mistakes, simulator_mistakes
 from snapo.checker.findings import Findings
-from snapo.checker.first import problem_mistakes, simulator_mistakes
 from snapo.engine import Engine, EngineName, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import problem_of
 from snapo.problem.objective import Limit, Objective
-from snapo.problem.policies.plain import as_policy
+from snapo.problem.policies.composed import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
 from .learning.features import scale_of, to_be_drawn, undrawn
-from .learning.following import resolve_auto
-from .learning.settings import TrainingPlan
+from .learning.log import recorded
+from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import others, race
-from .learning.told import recorded
 from .measure.measure import MeasuredRun, measure
-from .measure.settings import Evaluation as Evaluation
-from .provenance.clock import Clock
-from .provenance.versions import versions
+from .measure.selection import Evaluation as Evaluation
+from .provenance import Clock, versions
 from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 
@@ -56,26 +54,27 @@ def solve(
     progress: Progress | None = None,
     check: bool = True,
 ) -> Solution:
-    """Trains a policy and returns its value, with the derivative by every input.
+    """Trains a policy and returns its value, with the derivative with respect to every input.
 
     **Arguments:**
 
     - `problem`: a `Problem`, and then the policy; or a simulator, with `inputs`, `objective` and
-      `scenarios` beside it.
+      `scenarios` next to it.
     - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
       itself; by default an `MLP` with two hidden layers of 32, and of more where more than eight
       numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
-      on from where it stands. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
+      on from where it is. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
       as `network(observation)`, whose numbers are squashed into the action set.
-    - `objective`: made as large as possible; the name of an output means its mean. By default the
-      mean of the only output there is, unless its name says that it shall be small, as "cost" does.
+    - `objective`: maximised; the name of an output means its mean. By default the
+      mean of the only output there is, unless its name shows that it should be small, as "cost"
+      does.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
-      ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
+      ones of `training.seed`. Only `Supplied` ones serve all roles, each with paths of its own.
     - `constraints`: one or several, of means, probabilities or other numbers of all paths, such as
       `[Mean("unserved") <= 0.05]`: an augmented Lagrangian finds their prices in training, and the
-      derivatives by inputs are those of the best value within them.
+      derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
-    - `callbacks`: told the `Progress` at every validation, the last line of whose history is
+    - `callbacks`: called with the `Progress` at every validation, the last line of whose history is
       `progress.record`; one that returns True stops the training. `progress`: one to go on from.
     - `check`: looks for mistakes that tracing shows, in tenths of a second.
 
@@ -158,7 +157,7 @@ def _begun(
 ) -> Progress:
     """The start, or the best of several after the rounds in which the others fell out.
 
-    Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
+    Networks that are `fresh`, made here from a recipe, are drawn for the unscaled features.
     """
     starts = others(policy, training.starts, training.seed)
     scale = scale_of(policy, problem) if fresh else None
@@ -174,13 +173,13 @@ def _begun(
 
 
 def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:
-    """Starts that no race has had: for a training that has to begin anew."""
+    """Starts that no race has had: for a training that has to restart."""
     first = 1 + training.starts
     return lambda number: others(policy, first + number, training.seed)[-1]
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:
-    """The transpose for the sensitivities, compiled beside the program of the training."""
+    """The transpose for the sensitivities, compiled while the training's program is compiled."""
     if not min(evaluation.sensitivity_paths, evaluation.paths):
         return nullcontext()
     return compiled_meanwhile(problem.simulator, problem.inputs, problem.schedule)

@@ -1,4 +1,4 @@
-"""Every standard error of the package: what is independent, and how far an estimate may be off.
+"""Every standard error of the package: independent groups, and how far an estimate may be off.
 
 Paths are independent in groups only: an antithetic pair is one draw, and so is a Sobol scramble
 (`Scenarios.groups`). Numbers [N] of paths become `shares`, one of each group, whose mean is the
@@ -18,7 +18,7 @@ from scipy import stats
 from snapo.problem.objective import CVaR
 
 SHOWN = 3  # numbers of an array that are printed
-LEVEL = 0.95  # of an interval, where nothing else is said
+LEVEL = 0.95  # of an interval, by default
 
 
 def with_error(value: float, error: float) -> str:
@@ -171,7 +171,7 @@ def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
     """The mean over paths of numbers that a few large ones may dominate.
 
     Up to a skewness of 3 Student's interval of 32 block means. Above, where that is too short,
-    the bootstrap-t: t-values of resampled means in place of Student's (Efron and Tibshirani, An
+    the bootstrap-t: t-values of resampled means instead of Student's (Efron and Tibshirani, An
     Introduction to the Bootstrap, 1993, section 12.5).
     """
     block_means = shares(values, groups)

@@ -22,25 +22,37 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
-from .adjoint import float64
+from .adjoint import DROPPED, adjoint_of_finite_paths, float64
 from .evaluate import estimate, value_of
-from .finite_paths import DROPPED, adjoint_of_finite_paths
-from .learning import clipping, horizon
-from .learning.following import resolve_auto
-from .learning.growth import Growth
+from .learning.conditioning import (
+    EARLY,
+    FIRST,
+    Growth,
+    clip_level,
+    due,
+    fell_for_good,
+    grows,
+    has_fallen,
+    has_leapt,
+    is_chaotic,
+    is_held_down,
+    sampled_norms,
+    share_kept,
+    short_memory_norms,
+    window_length,
+)
 from .learning.optimiser import initial_state, memory, restarted, updater
 from .learning.practice import perturbed_problem
 from .learning.progress import Progress, Record, begin_again, go_slower, marks, may_be_slower
 from .learning.progress import initial_progress as initial_progress
 from .learning.settings import Training as Training
-from .learning.settings import TrainingPlan
-from .limits.dual import Dual
-from .limits.dual import updated_prices as moved_prices
-from .verdict import idle
-from .windows.critic import Learner, has_worth_ahead, learner
-from .windows.window import UPDATES, sweep, window_adjoint
+from .learning.settings import TrainingPlan, resolve_auto
+from .learning.windows import UPDATES, Learner, has_worth_ahead, learner, sweep, window_adjoint
+from .limits import Dual
+from .limits import updated_prices as moved_prices
+from .verdict.constant import caught, equal_on_all_paths, exploring
 
-DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
+DIVERGED_SHARE = 0.05  # more than this share of a step's paths non-finite: the run has diverged
 
 Callback = Callable[[Progress], object]  # one that returns True stops the training
 
@@ -48,8 +60,8 @@ Callback = Callable[[Progress], object]  # one that returns True stops the train
 class TrainingLoop(NamedTuple):
     """All that one step of training needs; `update` is the compiled step of the optimiser.
 
-    - `problem`, `bound_engine`: what a step climbs on; with a `spread` or `exploration` they
-      practise more than the problem itself, which is `inner`, and `exact` rolls it.
+    - `problem`, `bound_engine`: the objective of a step; with a `spread` or `exploration` they
+      are perturbed; the problem itself is `inner`, which `exact` rolls.
     """
 
     problem: Problem
@@ -71,12 +83,12 @@ def train(
     until: int | None = None,
     fresh: Callable[[int], Policy] | None = None,
 ) -> Progress:
-    """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
+    """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can go on from there. A training that does
-    nothing begins anew, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
-    It stops early where a callback returns True. On Ctrl-C they are told once more, and the
+    It stops early where a callback returns True. On Ctrl-C they are called once more, and the
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
@@ -97,11 +109,11 @@ def train(
             due = _due(moved, plan) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
-            if due and fresh is not None and idle.caught(moved, plan):
+            if due and fresh is not None and caught(moved, plan):
                 moved = begin_again(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
-            # Each is told, also after one that stops the training.
+            # Each is called, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
                 progress = stopped(progress)
     except KeyboardInterrupt:
@@ -112,10 +124,11 @@ def train(
 
 
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> TrainingLoop:
-    """That of a training as it stands: one that did nothing draws a part of its decisions."""
+    """That of a training in its present state: one that did nothing draws a part of its
+    decisions."""
     local = remembering(problem, progress.policy)
     perturbed = perturbed_problem(
-        problem, idle.exploring(plan, problem.action) if progress.redrawn else plan
+        problem, exploring(plan, problem.action) if progress.redrawn else plan
     )
     observed = local if perturbed is problem else remembering(perturbed, progress.policy)
     bound = engine.bind(observed, controls=False)
@@ -246,7 +259,7 @@ def _options(progress: Progress) -> dict:
 
 
 def most_dropped(training: TrainingPlan) -> float:
-    """How many paths of a whole run may be not finite, and are left out, before it diverges."""
+    """How many paths of a whole run may be non-finite, and are left out, before it diverges."""
     return DROPPED * training.steps * training.paths
 
 
@@ -257,28 +270,28 @@ def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step, since = loop.training, progress.step, progress.since
     auto, paths = training.clip == "auto", training.paths
-    # The price of a limit may lead to a bound of the decisions, where gradients are tiny, any time.
-    first = training.steps if progress.dual.prices else clipping.FIRST
-    fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
-    held_down = clipping.held_down(norms, since, memory(progress.scale))
-    # A bound that an early leap has brought hides chaos: the steps before it tell.
+    # The dual variable of a limit may lead to a bound of the decisions, where gradients are tiny.
+    first = training.steps if progress.dual.prices else EARLY
+    fell, leapt = has_fallen(norms, since, first), has_leapt(norms, since)
+    held_down = is_held_down(norms, since, memory(progress.scale))
+    # A bound that an early leap has brought hides chaos: the steps before it count.
     free = [record.gradient_norm for record in progress.history if not record.clip]
     local = since if progress.clip is None else 0
-    wild = step == horizon.FIRST and horizon.wild(free[local:], paths)
+    wild = step == FIRST and is_chaotic(free[local:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
-        measured = clipping.measured(loop.problem, progress.best, smooth, step)
+        measured = sampled_norms(loop.problem, progress.best, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
-        if may_window and (length := horizon.window(measured.total)):
+        if may_window and (length := window_length(measured.total)):
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
-        wild = wild and horizon.grows(measured.total)
+        wild = wild and grows(measured.total)
         # Nor is a share of the adjoints kept back where training leaves what was wild by itself.
-        if wild and training.keep == "auto" and not horizon.fell(norms):
-            progress = replace(progress, keep=horizon.share(measured.total))
-    if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
+        if wild and training.keep == "auto" and not fell_for_good(norms):
+            progress = replace(progress, keep=share_kept(measured.total))
+    if auto and (leapt or wild or (progress.clip is not None and due(step))):
         progress = _clipped(loop, progress, smooth)
     if not auto or not (fell or leapt or wild or held_down):
         return progress
@@ -295,30 +308,30 @@ def _may_window(
         return False
     # Where the whole horizon has taught something, a leap is no reason to leave it.
     gained = progress.stale < progress.step // loop.training.validation_every
-    doubtful = wild or (apart and not gained and progress.step > horizon.FIRST)
-    return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
+    doubtful = wild or (apart and not gained and progress.step > FIRST)
+    return doubtful and not fell_for_good(norms)  # or a plant would be left that is unstable
 
 
 def _clipped(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
     """With a bound as adjoints are now, or without one where they grow no more."""
     step = progress.step
     if progress.growth is None or progress.clip is not None:
-        measured = clipping.measured(loop.problem, progress.policy, smooth, step)
+        measured = sampled_norms(loop.problem, progress.policy, smooth, step)
         if progress.growth is None:
             progress = replace(progress, growth=Growth.of(measured, step))
-        elif not horizon.grows(measured.total):
+        elif not grows(measured.total):
             return replace(progress, clip=None)
-    norms = clipping.short(loop.problem, progress.policy, smooth, step)
-    return replace(progress, clip=clipping.clip_level(norms) or progress.clip)
+    norms = short_memory_norms(loop.problem, progress.policy, smooth, step)
+    return replace(progress, clip=clip_level(norms) or progress.clip)
 
 
 def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
     """On windows of a length from here on, with a critic that knows nothing yet."""
     training = loop.training
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
-    if progress.step <= horizon.FIRST:
+    if progress.step <= FIRST:
         # The first steps were led by chaos: back to the average of the first few of them, and
-        # slowly up again. At the full rate a critic that knows little leads to where no action
+        # slowly up again. At the full rate a critic that is not yet fitted leads to where no action
         # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)
@@ -357,7 +370,7 @@ def _validate(loop: TrainingLoop, progress: Progress) -> Progress:
         available = {"exact": value, "best": best_value, "exact_error": error}
         history = (*history[:-1], history[-1]._replace(**available))
     stale = 0 if better else progress.stale + 1
-    same = progress.unchanged + 1 if idle.equal_on_all_paths(problem, totals) else 0
+    same = progress.unchanged + 1 if equal_on_all_paths(problem, totals) else 0
     table = {"best": best, "best_value": best_value, "stale": stale, "unchanged": same}
     return replace(progress, history=history, **table)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from snapo.case.error import CaseError, Unquoted, nearest
-from snapo.case.table import DEEPEST, TOO_DEEP, is_deep
+from snapo.case.load import DEEPEST, TOO_DEEP, is_deep
 
 OPTION = "--set"
 
@@ -15,9 +15,9 @@ def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict,
     """A copy of the tables of a case with each "path=value" put in; and the paths.
 
     A path is made of keys; an element of an array is meant by its number from 0, or by its `name`.
-    A value is written as in TOML. Whether a new key may stand there, the domain says.
+    A value is written as in TOML. The domain decides whether a new key is allowed.
 
-    **Raises:** `CaseError` for a path that leads nowhere, and for a value that is not TOML.
+    **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.
     """
     changed, paths = copy.deepcopy(dict(data)), set()
     for text in assignments:

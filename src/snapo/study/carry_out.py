@@ -1,4 +1,4 @@
-"""A study carried out into a folder: part by part, whatever fails, and again from where it was."""
+"""A study carried out into a folder, part by part, resumable, and the report of the folder."""
 
 import json
 import time
@@ -9,18 +9,47 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.code.version import reading_once
-from snapo.report.whole import changed_files, checksum, stamps, written_since
+from snapo.report.checksums import changed_files, checksum, stamps, written_since
+from snapo.report.evidence import seeds
+from snapo.report.page import Page, render
 from snapo.solver.bound import Penalty
-from snapo.solver.files import write_text
 from snapo.solver.solution import POLICY, SOLUTION
+from snapo.solver.tables import write_text
 
 from . import run_folder
 from .chapters.bound import BOUND, measure
-from .choice import no_policy
 from .domain import GOOD, Domain
-from .report import write_report
+from .run_folder import REPORT
 from .study import Part, ProgressCallback, Study, StudyRun
-from .training import TRAINING
+from .training import TRAINING, no_policy
+
+
+def write_report(domain: Domain, folder: Path) -> Path:
+    """Writes `report.html` into a run folder and returns its path.
+
+    Where a file or a key is missing, the section has a sentence on it. The same files give the
+    same page, byte for byte.
+    """
+    summary = domain.report()
+    run = summary.folder.read(folder)
+    sections = [section(run) for section in summary.sections]
+    if run.get("by_seed"):
+        sections.insert(1, seeds(run))
+    page = Page(
+        title=str(run.get("title") or summary.title),
+        about=[(name, value) for name, value in summary.about(run) if value],
+        sections=sections,
+        footer=_footer(run.get("versions.snapo")),
+    )
+    write_text(folder / REPORT, render(page))
+    return folder / REPORT
+
+
+def _footer(version: str | None) -> str:
+    available = version and version[:1].isdigit()  # else a text: it is not installed
+    made = f"Made by snapo {version}" if available else "Made by snapo"
+    return f"{made} from the files of one run folder; the page needs and sends nothing."
+
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
 # A report is written before the end where the work since took so many times its own time, and no
@@ -40,7 +69,7 @@ def carry_out(
     preparing: float = 0.0,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Does the parts of a study one after another, and returns what result.json says.
+    """Does the parts of a study one after another; returns the content of result.json.
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name. A part that fails leaves a note and a status; parts that need
@@ -72,7 +101,8 @@ def certify(
     paths: int,
     penalty: Penalty,
 ) -> dict[str, Any]:
-    """The bounds of a run that was carried out, kept with it: what its result.json says now.
+    """The bounds of a run that was carried out, saved with it; returns the new content of its
+    result.json.
 
     **Raises:** `CaseError` where the study has no bound, or the run no policy.
     """
@@ -179,7 +209,7 @@ class _Writer:
 
 
 def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
-    """Adds to the time that a run took beside its parts, in this session and in earlier ones."""
+    """Adds to the time that a run took outside its parts, in this session and in earlier ones."""
     adjacent = record.setdefault("beside", {})
     adjacent[name] = adjacent.get(name, 0.0) + seconds
 
@@ -195,7 +225,7 @@ def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What result.json says: the study's own words, and the state of its parts.
+    """The content of result.json: the study's result, and the state of its parts.
 
     "notes" ends with those on the case, which were known before any work.
 
@@ -216,7 +246,7 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     todo = [part.name for part in run.study.parts if part.name not in states]
     status = result.get("status", "ok")
     if failed:
-        # What was skipped follows from what failed, of which the study may know more.
+        # Parts are skipped because of a failed one, of which the study may know more.
         why = "" if status in GOOD else f": {status}"
         status = f"{', '.join(broken or failed)} failed{why}"
     elif todo:

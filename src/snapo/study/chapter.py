@@ -1,6 +1,6 @@
 """A chapter: one question to a run, from its measurement to its section of the report.
 
-    BASELINES = Chapter("rivals", "Beside classical rules", Baselines, measure, show)
+    BASELINES = Chapter("baselines", "Classical rules", Baselines, measure, show)
 
 `BASELINES.part` is a part of a study, and `BASELINES` a section of its report. `measure` returns a
 frozen dataclass, which is saved as JSON and read back as the same type: a reader writes
@@ -17,8 +17,8 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationError
 
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Section
-from snapo.report.sections.lacking import why_missing
 
 from .study import Part, StudyRun
 from .training import TRAINING
@@ -37,7 +37,7 @@ def floats() -> Any:
 class Chapter(Generic[Result]):
     """One question to a run.
 
-    - `name`: in words; of its part, its file and the anchor of its section.
+    - `name`: a text; of its part, its file and the anchor of its section.
     - `title`: of the section, or a function of the files of the run; `short`: in the menu, the name
       where it is empty; `anchor`: where it is not made of the name.
     - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
@@ -67,7 +67,7 @@ class Chapter(Generic[Result]):
         return Part(self.name, lambda run: self.data(self.measure(run)), self.needs)
 
     def data(self, result: Result) -> dict[str, Any]:
-        """The result by the keys of the file of the part, arrays as they are."""
+        """The result by the keys of the file of the part, arrays unchanged."""
         plain: Any = asdict  # of a type that is a dataclass, which no type variable can express
         if isinstance(result, tuple):
             return {self.key: [plain(record) for record in result]}
@@ -79,7 +79,7 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
-            # A field that the file lacks has its default; a number without one is null.
+            # A field missing in the file has its default; a number without one is null.
             values = {name: run.get(name) for name in self._defaults}
             entries = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
             entries = None if all(x is None for x in values.values()) else entries

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
-    """(kind, its words, its sizes) of every domain that is installed and can be loaded."""
+    """(kind, description, sizes) of every domain that is installed and can be loaded."""
     rows = []
     for kind in installed():
         try:
@@ -35,8 +35,8 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
     """
     from tempfile import TemporaryDirectory
 
-    from snapo.case.table import load as load_tables
-    from snapo.case.workbook.write import write_workbook
+    from snapo.case.load import load as load_tables
+    from snapo.case.workbook import write_workbook
 
     with TemporaryDirectory() as made:
         written = new(kind, Path(made), size)
@@ -108,20 +108,20 @@ def solve(
     policy: Path | None = None,
     seeds: int | Sequence[int] | None = None,
 ) -> dict[str, Any]:
-    """Carries out the study of a case into the folder `out`, by default `run` beside the case.
+    """Carries out the study of a case into the folder `out`, by default `run` next to the case.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
-    Returns what result.json says. On Ctrl-C the parts that are done are reported, and
+    Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` goes on to the caller.
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
-    from .solving.prepare import Wanted, carried_out, made_ready, output_folder
+    from .prepare import Wanted, carried_out, made_ready, output_folder
 
     began, requested = time.perf_counter(), Wanted(engine, reference, resume, policy)
     if seeds is not None:
-        from .solving.seeds import solve_seeds
+        from .seeds import solve_seeds
 
         return solve_seeds(request, progress, out, requested, seeds)
     loaded = load(request)
@@ -141,13 +141,13 @@ def certify(
     engine: str = "auto",
     simulator: tuple[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Bounds the value of a run from both sides; returns what its result.json says now.
+    """Bounds the value of a run from both sides; returns the new content of its result.json.
 
-    **Raises:** `CaseError` where there is no such run, or nothing bounds its value; it says why.
+    **Raises:** `CaseError` where there is no such run, or nothing bounds its value, with the
+    reason.
     """
     from . import run_folder
-    from .again import case_of_run, options_of_run
-    from .solving.prepare import use_every_core
+    from .prepare import case_of_run, options_of_run, use_every_core
 
     record = run_folder.read(run)
     domain = domain_of_run(run, record, simulator)
@@ -167,14 +167,14 @@ def domain_of_run(
 ) -> Domain:
     """The domain of a run, with the simulator that the command line names again.
 
-    **Raises:** `CaseError` where the run's simulator is code of its owner, and is not named.
+    **Raises:** `CaseError` where the run's simulator is code of its user, and is not named.
     """
     from . import run_folder
 
     domain = find(record.get("kind"), str(run / run_folder.RUN))
     code = record["decides"].get("options", {}).get("simulator")
     if simulator is None and code:
-        message = f"the run's simulator is code of its owner; name it again: --simulator {code}"
+        message = f"the run's simulator is code of its user; name it again: --simulator {code}"
         raise CaseError(str(run), "", None, message)
     if simulator is not None and isinstance(domain, RunsCode):
         return domain.with_simulator(*simulator)
@@ -184,7 +184,7 @@ def domain_of_run(
 def report(run: Path) -> Path:
     """Writes the report of a run again, from the files of its folder; returns its path."""
     from . import run_folder
-    from .report import write_report
+    from .carry_out import write_report
 
     record = run_folder.read(run)
     domain = find(record.get("kind"), str(run / run_folder.RUN))
@@ -196,11 +196,11 @@ def report(run: Path) -> Path:
 
 
 def printed(run: Path) -> Path:
-    """Prints the report of a run as a PDF beside it; returns its path.
+    """Prints the report of a run as a PDF next to it; returns its path.
 
     **Raises:** `CaseError` where no browser of this machine can.
     """
-    from snapo.report.pdf import BROWSERS, VARIABLE, browser, print_page
+    from snapo.report.page import BROWSERS, VARIABLE, browser, print_page
 
     from . import run_folder
 
@@ -217,7 +217,7 @@ def printed(run: Path) -> Path:
 
 
 def tables(run: Path) -> Path:
-    """Writes the tables of a run as a workbook beside its report; returns its path.
+    """Writes the tables of a run as a workbook next to its report; returns its path.
 
     **Raises:** `CaseError` where openpyxl is missing, or the folder cannot be written.
     """
@@ -239,7 +239,7 @@ def bench(kind: str | None, engine: str, progress: "ProgressCallback") -> dict[s
 
     **Raises:** `CaseError` where the kind that was asked for has nothing to time.
     """
-    from .solving.prepare import use_every_core
+    from .prepare import use_every_core
 
     requested: Sequence[str] = list(installed()) if kind is None else [kind]
     table = {}

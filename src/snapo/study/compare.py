@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.report.whole import changed_files
+from snapo.report.checksums import changed_files
 from snapo.solver import checkpoint, statistics
 from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.solution import SOLUTION, Solution
@@ -164,7 +164,7 @@ def _result(run: Path) -> dict[str, Any]:
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
-    """Differences of what each group of paths is worth, where the scenarios are the same."""
+    """Differences between the values of each group of paths, where the scenarios are the same."""
     try:
         results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
     except checkpoint.CheckpointError:

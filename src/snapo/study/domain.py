@@ -1,8 +1,8 @@
-"""A domain: how a file becomes a study in its owner's terms, and a case that is read with it.
+"""A domain: how a file becomes a study in its user's terms, and a case that is read with it.
 
-Domains are found by the entry-point group `snapo.domains`, those of this package and anyone's
-alike. An entry point names an object with the attributes of `Domain`; its module imports nothing
-heavy, so that `snapo new` answers at once.
+Domains are found by the entry-point group `snapo.domains`, those of this package and of
+any other. An entry point names an object with the attributes of `Domain`; its module imports
+nothing heavy, so that `snapo new` answers at once.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -27,7 +27,7 @@ GOOD = ("ok", "trained", "stopped early")  # statuses of a run whose numbers are
 
 
 class Options(NamedTuple):
-    """What a command asks for beside the case.
+    """The options of a command other than the case.
 
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
@@ -40,7 +40,7 @@ class Options(NamedTuple):
 
 
 class Case(Protocol):
-    """A case that was read: its file, and remarks that its owner sees."""
+    """A case that was read: its file, and remarks for its user."""
 
     @property
     def file(self) -> Path: ...
@@ -51,7 +51,7 @@ class Case(Protocol):
 
 @dataclass(frozen=True)
 class Report:
-    """How a run is told, from the files of its folder alone.
+    """How a run is reported, from the files of its folder only.
 
     - `title`: where the run has none.
     - `folder`: reads the run; a domain's own class adds its units.
@@ -92,7 +92,7 @@ class Domain(Protocol):
         ...
 
     def report(self) -> Report:
-        """How a run is told."""
+        """How a run is reported."""
         ...
 
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
@@ -137,7 +137,7 @@ def installed() -> dict[str, EntryPoint]:
 
 
 def find(kind: Any, file: str, where: str = "kind") -> Domain:
-    """The domain of a kind, which stands in `file` under the key `where`."""
+    """The domain of a kind, the entry `where` of `file`."""
     available = installed()
     if not available:
         message = "no kind of case is installed: install snapo with pip"
@@ -187,7 +187,7 @@ class Loaded(NamedTuple):
 
 def load(request: CaseRequest) -> Loaded:
     """Reads a case with the domain that its `kind` names."""
-    from snapo.case.table import load as load_tables
+    from snapo.case.load import load as load_tables
 
     from .assign import OPTION, assigned
 
@@ -214,7 +214,7 @@ def load(request: CaseRequest) -> Loaded:
 def remarks(
     notes: Iterable[str], progress: "ProgressCallback", ignored: Collection[str] = ()
 ) -> None:
-    """Prints the remarks that the owner of a case should see, without those `ignored` already."""
+    """Prints the remarks for the user of a case, without those `ignored` already."""
     for note in notes:
         if note not in ignored:
             progress(f"note: {note}")

@@ -10,13 +10,12 @@ import jax.numpy as jnp
 from snapo.case.error import CaseError
 from snapo.engine import EngineName, Engines, choose
 from snapo.problem import inputs as inputs_
-from snapo.problem.code.program import ProgramText, text
-from snapo.problem.code.version import of_preparation
+from snapo.problem.code.version import ProgramText, of_preparation, text
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator, at
 from snapo.problem.smooth import Exact
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 
@@ -26,7 +25,7 @@ PROGRAM = "_program"  # under which a problem keeps its own
 
 
 def same_program(problem: Problem, other: Simulator) -> bool:
-    """Whether `other`, in place of the problem's simulator, computes the same functions.
+    """Whether `other`, instead of the problem's simulator, computes the same functions.
 
     Both are traced at the problem's inputs; nothing is compiled. The problem keeps its own program:
     a page asks again at every move.
@@ -62,7 +61,7 @@ def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
 def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
-    **Raises:** `CaseError` where the wanted one cannot take the problem; it says why.
+    **Raises:** `CaseError` where the requested one cannot take the problem, with the reason.
     """
     try:
         return choose(requested, problem, policy)
@@ -74,8 +73,8 @@ def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engi
 def with_auto(
     engine: EngineName, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
 ) -> Setup:
-    """The setup of a general policy, in which all that is not given follows the problem, as it
-    does in `snapo.solve`.
+    """The setup of a general policy, in which all defaults are chosen from the problem, as
+    in `snapo.solve`.
 
     **Raises:** `CaseError` where the engine cannot take the problem.
     """

@@ -1,4 +1,4 @@
-"""The folder of a run: what decides its numbers, its parts, and files written whole or not at all.
+"""The folder of a run: its settings, its parts, and files written whole or not at all.
 
 run.json            layout, kind, everything that decides the numbers, the state of every part, with
                     checksums of its files and of result.json; and its own
@@ -7,7 +7,7 @@ case/               a copy of the case
 parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
 adjoints.csv        how adjoints grow by step, where training measured them
-groups.npz          what independent groups of paths are worth, by which runs are compared
+groups.npz          values of independent groups of paths, by which runs are compared
 start.npz           the policy with which training began, where one was given
 seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
 report.html
@@ -26,10 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.report.whole import changed_files, checksum, is_sealed, sealed
-from snapo.solver.files import write_text
-from snapo.solver.provenance.versions import versions
+from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
+from snapo.solver.provenance import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
+from snapo.solver.tables import write_text
 
 from .study import Part
 
@@ -50,31 +50,29 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 def check_writable(out: Path) -> None:
     """An unwritable folder or a full disk is found before training, not after."""
-    position = out
-    while (
-        not os.path.lexists(position) and position != position.parent
-    ):  # a link to nowhere is no folder
-        position = position.parent
-    if not position.is_dir():
-        raise CaseError(str(out), "", None, f"{position} is not a folder")
+    folder = out
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():  # nor is a link to nowhere
+        raise CaseError(str(out), "", None, f"{folder} is not a folder")
     try:
-        with tempfile.TemporaryFile(dir=position):
+        with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
-    free = shutil.disk_usage(position).free
+    free = shutil.disk_usage(folder).free
     if free < ENOUGH_SPACE:
         message = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
         raise CaseError(str(out), "", None, message)
 
 
 def case_files(folder: Path) -> list[Path]:
-    """The files beside a case that may belong to it."""
+    """The files next to a case that may belong to it."""
     return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in CASE_FILES)
 
 
 def copy_case(file: Path, out: Path) -> None:
-    """A copy of the case beside its results, with the files that may belong to it."""
+    """A copy of the case next to its results, with the files that may belong to it."""
     target = out / CASE
     target.mkdir(parents=True, exist_ok=True)
     for case_file in case_files(file.parent):
@@ -85,7 +83,7 @@ def copy_case(file: Path, out: Path) -> None:
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Everything that decides the numbers of a run: a resumed one must have the same.
 
-    The keys of the case as they were read (with `--set`), the bytes of the files beside it, the
+    The keys of the case as they were read (with `--set`), the bytes of the files next to it, the
     options of the command, the versions of the libraries and the machine.
     """
     files = {
@@ -179,7 +177,7 @@ def read(out: Path) -> dict[str, Any]:
 
 
 def _check_record(record: Mapping[str, Any]) -> None:
-    """**Raises:** `ValueError` where a record of this layout lacks something, or was changed."""
+    """**Raises:** `ValueError` where a record of this layout is incomplete, or was changed."""
     states = record["parts"]
     plain = (record["kind"], str), (record["decides"], dict), (record.get("about", {}), dict)
     if not all(isinstance(item, kind) for item, kind in (*plain, (states, dict))):
@@ -207,7 +205,7 @@ def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) -> None:
-    """**Raises:** `CaseError` where one of these files of the run is not what was written."""
+    """**Raises:** `CaseError` where one of these files of the run was changed."""
     files = {name: item for state in record["parts"].values() for name, item in files_of(state)}
     requested = {name: files[name] for name in names if name in files}
     for name in changed_files(out, requested):
@@ -241,7 +239,7 @@ class Difference(NamedTuple):
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
-    """All settings that differ between two tables of what decides a run."""
+    """All settings that differ between two tables of settings that decide a run."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(key for key in new if key not in old)]:
             name = f"{where}.{key}" if where else key
@@ -262,7 +260,7 @@ def changed(old: Any, new: Any) -> str:
 
 
 def in_words(value: Any) -> str:
-    """A setting as it stands in a case, cut short where it is long."""
+    """A setting as in a case, cut short where it is long."""
     text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -289,7 +287,7 @@ def read_table(file: Path) -> dict[str, Any] | None:
 
 
 def plain_json(value: Any) -> Any:
-    """Plain JSON data: NumPy becomes lists, numbers that are not finite become null."""
+    """Plain JSON data: NumPy becomes lists, non-finite numbers become null."""
     if isinstance(value, Mapping):
         return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -16,11 +16,11 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver import statistics
-from snapo.solver.files import write_csv
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.relaxations.known import Relaxation
+from snapo.solver.relaxations.stop import Relaxation
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
+from snapo.solver.tables import write_csv
 
 ProgressCallback = Callable[[str], None]
 
@@ -29,7 +29,7 @@ class Setup(NamedTuple):
     """All that training takes, settled: the arguments of `snapo.solve`.
 
     `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
-    None: training begins from `policy` as it is.
+    None: training begins from `policy` itself.
     `case`: the one that was made ready, where the problem's simulator does not hold it.
     """
 
@@ -43,9 +43,9 @@ class Setup(NamedTuple):
 
 
 class Today(NamedTuple):
-    """The decision of today in the words of its domain.
+    """The decision of today in the terms of its domain.
 
-    - `description`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) beside it.
+    - `description`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) next to it.
     - `columns`: (name, unit) of the table, and its `rows`.
     """
 
@@ -108,7 +108,8 @@ class Recalculated(Protocol):
 class Part(NamedTuple):
     """One piece of a run.
 
-    - `name`: in words, "sensitivity matrix"; its tables are kept as parts/sensitivity-matrix.json.
+    - `name`: a text such as "sensitivity matrix"; its tables are kept as
+      parts/sensitivity-matrix.json.
     - `work`: takes the `StudyRun` and returns {key: table} in plain data or NumPy: the keys under
       which reports find them (`run.get("key")`). No two parts give the same key.
     - `needs`: the parts without which it cannot be done; where one failed, it is skipped.
@@ -131,14 +132,16 @@ class Study:
     - `kind`: of the domain.
     - `about`: known before any work: title, currency, dates, notes …, for the report.
     - `parts`: in the order in which they are done.
-    - `result`: what result.json says, from the run so far: "value", "standard_error", "status" …
-    - `setup`: gives what training takes, the same object every time; None where nothing trains.
-    - `relaxation`: gives the inner problem of the bound from above; or says why there is none.
-    - `setup_at`: gives the setup at a case that differs in the numbers of its inputs alone, as fast
+    - `result`: the content of result.json, from the run so far: "value", "standard_error",
+      "status" …
+    - `setup`: gives the arguments of training, the same object every time; None where nothing
+      trains.
+    - `relaxation`: gives the inner problem of the bound from above; or a text: why there is none.
+    - `setup_at`: gives the setup at a case that differs in the numbers of its inputs only, as fast
       as it can: with code that is compiled already. None: its inputs cannot be moved.
     - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
       written without them.
-    - `today`: says the decision of today: of a setup and a policy, the rows of a table.
+    - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
     - `live_tables`: gives the domain's own sections of the live page.
     - `recalculated`: gives the calculation at other inputs of a study that trains nothing.
@@ -170,12 +173,12 @@ class Study:
 
 @dataclass(eq=False)
 class StudyRun:
-    """A study while it runs: what its parts read, and where they write.
+    """A study while it runs: the results that its parts read, and the folder that they write.
 
     - `folder`: of the run; `resume`: whether to go on from its checkpoint.
     - `progress`: takes one line of progress.
     - `results`: the tables of all finished parts by key, as they come back from JSON.
-    - `troubles`: what could not be written.
+    - `troubles`: errors of writing files.
     - `mark`: of all that decides its numbers; a checkpoint with another mark is not its own.
     """
 
@@ -210,5 +213,5 @@ class StudyRun:
         return self.trained
 
     def write_csv(self, name: str, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-        """A table of its own beside the report; numbers keep all their digits."""
+        """A separate table next to the report, with all digits of its numbers."""
         write_csv(self.folder / name, header, rows)

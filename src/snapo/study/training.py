@@ -1,22 +1,23 @@
 """The part of a study that trains: with a checkpoint, so that a killed run goes on."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
+from snapo.report.folder import LEFT_OUT, PLANNED
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
-from snapo.solver.files import write_csv
-from snapo.solver.learning.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
+from snapo.solver.tables import write_csv
 from snapo.solver.train import Progress, Record, initial_progress
-from snapo.solver.verdict.room import Room, room
+from snapo.solver.verdict.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
+from snapo.solver.verdict.further import Room, room
 
 from .run_folder import CHECKPOINT, GROUPS
 from .study import Part, Setup, StudyRun
@@ -37,7 +38,7 @@ def train(run: StudyRun) -> dict[str, Any]:
     run.trained = solution
     solution.save(run.folder)
     _keep_groups(run, solution)
-    # Whether to train on is said with the bound, where one follows.
+    # Advice to train on comes with the bound, where one follows.
     automatic = any(part.name == "bound" for part in run.study.parts)
     run.progress("\n".join(without_advice(solution.lines()) if automatic else solution.lines()))
     return {
@@ -52,9 +53,8 @@ def train(run: StudyRun) -> dict[str, Any]:
 TRAINING = Part("training", train)
 
 
-Advantage = tuple[
-    str, float | None, float | None
-]  # a rule, what the trained policy is above it, error
+# A rule, the trained policy's gain over it, and its error.
+Advantage = tuple[str, float | None, float | None]
 
 
 def trained(
@@ -63,11 +63,11 @@ def trained(
     advantages: Iterable[Advantage] = (),
     exact: float | None = None,
 ) -> dict[str, Any]:
-    """What result.json says of a study that trains; empty while it has not yet.
+    """The result of a study that trains; empty before it has.
 
     How much can still be gained is the "verdict" on the terminal and the first note, where the run
     has a bound from above or an `exact` value. `advantages` over classical rules, on the same
-    paths: of one that does better the notes tell, and the verdict in the place of the other.
+    paths: one that does better is in the notes, and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:
@@ -106,7 +106,7 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
 
 
 def _keep_groups(run: StudyRun, solution: Solution) -> None:
-    """What independent groups of paths are worth, and of which scenarios: for comparisons."""
+    """Values of independent groups of paths, and their scenarios, for comparisons."""
     problem = run.setup.problem
     source, simulator = problem.sources.evaluation, problem.simulator
     controls = simulator.control_variates()
@@ -171,3 +171,35 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
     except OSError as error:
         run.troubles.append(f"{error.filename or run.folder}: {error.strerror}")
         run.progress(f"could not write: {run.troubles[-1]}")
+
+
+def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
+    """The parts with these names, and all that they need; all where none is named."""
+    if not requested:
+        return list(parts)
+    by_name = {part.name: part for part in parts}
+    selected: set[str] = set()
+    left = [name for name in requested if name in by_name]
+    while left:
+        name = left.pop()
+        if name not in selected:
+            selected.add(name)
+            left += by_name[name].needs
+    return [part for part in parts if part.name in selected]
+
+
+def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
+    """Entries of a study's `about` for a report: names of parts, `selected` and left
+    out."""
+    return {
+        PLANNED: [part.name for part in selected],
+        LEFT_OUT: [part.name for part in parts if part not in selected],
+    }
+
+
+def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
+    """Why the run in a folder, with its record, has no trained policy."""
+    message = "this run has no trained policy: solve its case again, or go on with --resume"
+    if TRAINING.name in record.get("about", {}).get(LEFT_OUT, ()):
+        message = "this run has no trained policy: its `[report] parts` leave out the training"
+    return CaseError(str(out), "", None, message)

@@ -13,8 +13,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snapo.case.csv import NUMBER
-from snapo.solver.show.tables import TRAINING, flat, sensitivities
-from snapo.solver.show.workbook import MAX_NAME, Picture, SheetTable, write_tables
+from snapo.solver.tables import (
+    MAX_NAME,
+    TRAINING,
+    Picture,
+    SheetTable,
+    flat,
+    sensitivities_chart,
+    write_tables,
+)
 
 from . import run_folder
 
@@ -62,7 +69,7 @@ def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
 
 
 def _floats(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Whole numbers as those of a CSV."""
+    """Integers as in a CSV."""
     return [[float(x) if type(x) is int else x for x in row] for row in rows]
 
 
@@ -91,7 +98,7 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
     if not selected or not 2 <= len(rows) <= MAX_DRAWN:
         return None
     if {"value", "label", "input"} <= set(header):
-        return sensitivities(list(rows))
+        return sensitivities_chart(list(rows))
     return Picture("line", header[0], selected)
 
 
@@ -128,7 +135,7 @@ def _flat(values: list) -> bool:
 
 
 def _record(item: Mapping[str, Any]) -> bool:
-    """Whether a table has single values alone."""
+    """Whether a table has single values only."""
     return bool(item) and not any(isinstance(value, Mapping | list) for value in item.values())
 
 
@@ -163,7 +170,7 @@ def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[S
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a record that a row can hold: a list of words is joined."""
+    """The values of a record that a row can hold: a list of texts is joined."""
     return {
         key: "; ".join(item) if _in_words(item) else item
         for key, item in row.items()

@@ -1,6 +1,6 @@
-"""For the tests of domains, ours and anyone's: the same mistakes, bumps and small runs for all.
+"""Tools for the tests of any domain: mistakes in cases, bumps, and small runs.
 
-- `mistakes`: every key and every column of a case spoilt in turn; a reader has to refuse them.
+- `mistakes`: every key and column of a case is spoilt in turn, and a reader must refuse it.
 - `derivatives`: the adjoint of a problem against differences on the same paths.
 - `miniature`: a case made small, its study carried out, and one run shared by many tests.
 

@@ -20,7 +20,7 @@ def wrong_derivatives(
 
     The problem is moved off round numbers first, where limits tie and two derivatives are right.
     The other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
-    recorded decisions are held, with `every` each number is bumped alone.
+    recorded decisions are held, with `every` each number is bumped separately.
     """
     result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine

@@ -3,7 +3,7 @@
     small = Miniature("pension", "small", ("fund.years=2", "training.steps=4"))
     run = once(session_folder / "pension", small.solve) / "run"
 
-A solved miniature is what tests of a report, of the commands and of a run folder read; `once`
+Tests of a report, of the commands and of a run folder read a solved miniature; `once`
 makes it a single time for all processes of a test session.
 """
 
@@ -23,7 +23,7 @@ class Miniature(NamedTuple):
     - `kind`: of the domain, which must be installed.
     - `size`: of its template; the default one where it is None.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
-    - `simulator`: (module, class) beside the case, for a kind that runs the user's code.
+    - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
     - `texts`: gives the files of the case, {name: text}, where it is none of the templates.
     """
 
@@ -34,7 +34,7 @@ class Miniature(NamedTuple):
     texts: Callable[[], Mapping[str, str]] | None = None
 
     def request(self, folder: Path) -> commands.CaseRequest:
-        """What a command is asked for, of the case that lies in `folder`/case."""
+        """The request for a command on the case in `folder`/case."""
         return commands.CaseRequest(folder / CASE, self.assignments, self.simulator)
 
     def write(self, folder: Path) -> commands.CaseRequest:
@@ -56,11 +56,11 @@ class Miniature(NamedTuple):
 
 
 def quiet(text: str) -> None:
-    """Takes a line of progress, and says nothing."""
+    """Ignores a line of progress."""
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
-    """The folder, filled by `make(folder)` by the first process that asks; the others wait.
+    """The folder, filled by `make(folder)` in the first process that calls; the others wait.
 
     Where `make` fails, its files are removed, and the next caller tries again. The lock is one
     of the operating system's, which a killed process gives back (POSIX only).

@@ -1,4 +1,5 @@
-"""Every key of a case, spoilt in every common way: a reader refuses it in words, or reads it.
+"""Every key of a case, spoilt in every common way: a reader refuses it with a clear message, or
+reads it.
 
 `spoilt_keys` and `spoilt_files` go through the tables and the CSVs of a case that is right, so
 that a new key is tested on the day it is added. A mistake that has no sense under any reading
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 
 Read = Callable[[Path, dict[str, Any]], Any]
 Route = tuple[str | int, ...]
@@ -34,7 +35,7 @@ class Mistake:
 
     - `name`: the place and the kind of mistake, "contract.inventory: text".
     - `spoil`: changes the parsed TOML in place, or a file of the folder.
-    - `names`: words that the message must contain; none where the mistake may have a sense.
+    - `names`: texts that the message must contain; none where the mistake may have a sense.
     """
 
     name: str
@@ -43,12 +44,12 @@ class Mistake:
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
-    """The mistakes that `read` does not deal with, a line each; none is the right answer.
+    """The mistakes that `read` does not handle, one line each; an empty list is correct.
 
     **Arguments:**
 
     - `read`: a domain's reader, `read(file, data) -> case`.
-    - `folder`: a case that is right, `case.toml` and the files beside it; it stays as it is.
+    - `folder`: a correct case, `case.toml` and the files next to it; it is not changed.
     - `mistakes`: of `spoilt_keys` or `spoilt_files`.
     - `scratch`: a folder for the spoilt copies.
     """
@@ -64,7 +65,7 @@ def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Pat
 
 
 def _only_data(folder: str, names: list[str]) -> set[str]:
-    """Folders beside the case (runs) are not part of it."""
+    """Folders next to the case (runs) are not part of it."""
     return {name for name in names if (Path(folder) / name).is_dir()}
 
 
@@ -75,9 +76,9 @@ def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> It
         message = str(error)
         missing = [word for word in mistake.names if word not in message]
         if missing:
-            yield f"{mistake.name}: the message lacks {', '.join(missing)}: {message}"
+            yield f"{mistake.name}: {', '.join(missing)} not in the message: {message}"
     except Exception as error:
-        yield f"{mistake.name}: {type(error).__name__} in place of a CaseError: {error}"
+        yield f"{mistake.name}: {type(error).__name__} instead of a CaseError: {error}"
     else:
         if mistake.names:
             yield f"{mistake.name}: accepted"
@@ -89,7 +90,7 @@ def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> It
 def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
     """Mistakes in every table and under every key of the case in `folder`.
 
-    `free`: tables whose keys are names of the owner's own choice ("contents.initial"), where an
+    `free`: tables whose keys are names of the user's own choice ("contents.initial"), where an
     unknown key is a new name.
     """
     _, data = load(folder)
@@ -170,11 +171,11 @@ def _inside(data: Any, path: Route) -> Any:
     return data
 
 
-# The files beside it.
+# The files next to it.
 
 
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
-    """Mistakes in every CSV beside the case in `folder`: the file, its header, each column.
+    """Mistakes in every CSV next to the case in `folder`: the file, its header, each column.
 
     `labels`: columns of names, where any text is right though it may look like a number.
     """

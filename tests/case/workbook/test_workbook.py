@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
-from snapo.case.workbook.flat import Unreadable, lines, tables
-from snapo.case.workbook.read import unpacked
-from snapo.case.workbook.write import write_workbook
+from snapo.case.load import load
+from snapo.case.workbook import Unreadable, lines, tables, unpacked, write_workbook
 from snapo.study import commands
 
 KEYS = st.text("abcäxyz_-. \"'[]=", min_size=1, max_size=6)
@@ -116,7 +114,7 @@ def _set(sheet: str, cell: str, value):
     [
         (_set("contract", "B4", "=1000+500"), "sheet contract, cell B4"),
         (_set("contract", "A4", "contract.."), "is not a key"),
-        (_set("contract", "A5", "contract.start"), "stands there twice"),
+        (_set("contract", "A5", "contract.start"), "is there twice"),
         (_set("contract", "A1", "name"), "has the columns key, value"),
         (_set("contract", "B4", None), "sheet contract, line 4"),
         (lambda made: made.create_sheet("...csv"), "such as curve.csv"),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN, SIZES
-from snapo.domains.control.plants.registry import TYPES
+from snapo.domains.control.plants import TYPES
 from snapo.study.domain import Domain
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.double_integrator import DoubleIntegrator

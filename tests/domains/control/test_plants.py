@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from snapo.domains.control.inputs import make_inputs
-from snapo.domains.control.plants import cart_pole, quadrotor
+from snapo.domains.control.plants import PLANTS, cart_pole, catalogue, quadrotor
 from snapo.domains.control.plants.integrate import runge_kutta
 from snapo.domains.control.plants.pendulum import Pendulum
-from snapo.domains.control.plants.registry import PLANTS, catalogue
 from snapo.domains.control.plants.two_tanks import TwoTanks
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact

@@ -2,7 +2,7 @@
 
 import pytest
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN
 
 SLIPS = {

@@ -7,14 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
-from snapo.domains.gas_storage.contract.inputs import storage_inputs
-from snapo.domains.gas_storage.contract.records import StorageCase
+from snapo.domains.gas_storage.contract.records import StorageCase, storage_inputs
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.setup import make_setup
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import probe
 from snapo.study.study import Setup
 

@@ -20,7 +20,7 @@ CONTRACTS = {"take or pay": SWING, "loss": {"inventory_loss": 0.002}, "round num
 def certified(contract):
     setup = make_setup(changed(CASES / "quick", contract=contract), "native")
     engine = setup.engines.evaluate
-    policy = setup.policy.value_table  # pyright: ignore[reportAttributeAccessIssue]
+    policy = setup.policy.value_rule  # pyright: ignore[reportAttributeAccessIssue]
     return certify_derivatives(setup.problem, policy, paths=128, near=off_ties, engine=engine)
 
 

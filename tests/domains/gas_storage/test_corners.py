@@ -11,8 +11,7 @@ from tests.domains.gas_storage.storage_cases import CASES, changed
 
 from snapo.domains.gas_storage.references.intrinsic import values_after
 from snapo.domains.gas_storage.references.lattice import lattice
-from snapo.domains.gas_storage.references.marginal import marginal_values
-from snapo.domains.gas_storage.references.slope_table import PIECES, ROWS, slope_table
+from snapo.domains.gas_storage.references.marginal import PIECES, ROWS, marginal_values, slope_table
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.solver.evaluate import evaluate
 
@@ -95,6 +94,6 @@ def test_the_rule_of_the_guide_is_near_the_exact_value(tmp_path, price, model):
     exact = lattice(problem.schedule, factors(problem), "linear").value
     setup = make_setup(case, "native", fitted_value(problem))
     rule = evaluate(
-        setup.problem, setup.policy.value_table, paths=16384, engine=setup.engines.evaluate
+        setup.problem, setup.policy.value_rule, paths=16384, engine=setup.engines.evaluate
     )
     assert exact * 0.998 < rule.value < exact + 4 * rule.standard_error

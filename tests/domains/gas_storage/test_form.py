@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.gas_storage.storage_cases import CASES, read
-from tests.domains.same_form import programs
+from tests.domains.same_form import same_programs, solved
 
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
 from snapo.engine.native.call import _runners
-from snapo.solver.solve import solve
 
 FACTORS = {"mean_reversion": None, "volatility": None}
 QUICK = {
@@ -107,27 +106,15 @@ def test_a_simulator_has_arrays_alone(kind, tmp_path):
     assert not hasattr(problem.simulator, "case")
 
 
-def same_programs(seeds, folder) -> int:
-    """How many pairs of drawn problems have one form; all of them are one program."""
-    known: dict = {}
-    pairs = 0
-    for seed in seeds:
-        problem = drawn(seed, folder)
-        text = programs(problem)
-        for other in known.setdefault(problem.form, []):
-            assert text == other
-            pairs += 1
-        known[problem.form] = [*known[problem.form], text]
-    return pairs
-
-
 def test_equal_forms_are_equal_programs(tmp_path):
-    assert same_programs(range(0, 72, 6), tmp_path) >= 3
+    problems = (drawn(seed, tmp_path) for seed in range(0, 72, 6))
+    assert same_programs(problems, enough=72) >= 3
 
 
 @pytest.mark.prove
 def test_equal_forms_are_equal_programs_in_two_hundred_pairs(tmp_path):
-    assert same_programs(range(250), tmp_path) >= 200
+    problems = (drawn(seed, tmp_path) for seed in range(400))
+    assert same_programs(problems, enough=200) >= 200
 
 
 def other(case: dict, folder) -> dict:
@@ -150,23 +137,16 @@ def other(case: dict, folder) -> dict:
 
 
 def test_a_second_contract_compiles_nothing_and_has_its_own_bits(tmp_path):
-    def solved(folder, changes):
+    def setup(folder, changes):
         case = read(folder, **changes)
-        setup = make_setup(case, "native", fitted_value(bare_problem(case)))
-        return solve(
-            setup.problem,
-            policy=setup.policy,
-            training=setup.training,
-            evaluation=setup.evaluation,
-            engine=setup.engines,
-        )
+        return make_setup(case, "native", fitted_value(bare_problem(case)))
 
-    first = solved("quick", QUICK)
+    first = solved(setup("quick", QUICK))
     with compilations() as made:
-        second = solved(tmp_path, other(QUICK, tmp_path))
+        second = solved(setup(tmp_path, other(QUICK, tmp_path)))
     assert made == []
     jax.clear_caches()
     _runners.clear()
-    again = solved(tmp_path, other(QUICK, tmp_path))
+    again = solved(setup(tmp_path, other(QUICK, tmp_path)))
     assert second.value == again.value != first.value
     assert jax.tree.all(jax.tree.map(np.array_equal, second.policy, again.policy))

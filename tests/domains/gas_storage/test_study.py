@@ -16,7 +16,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES, changed, tables_of
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.chapters import value
 from snapo.solver import checkpoint, train
@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
 def solve(folder, out, progress=lambda text: None, **options):
     """`snapo solve` of a case in a folder."""
     asked = commands.CaseRequest(folder, options.pop("assignments", ()))
-    return commands.solve(asked, tell, out=out, **{"engine": "native"} | options)
+    return commands.solve(asked, progress, out=out, **{"engine": "native"} | options)
 
 
 @pytest.fixture(scope="module")

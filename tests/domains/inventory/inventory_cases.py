@@ -17,7 +17,8 @@ def case(demand: dict[str, Any] | None = None, folder: Path = HERE, **item: Any)
 
     - `folder`: where its other files are.
     """
-    other = {name: item.pop(name) for name in ("horizon", "training", "season") if name in item}
+    tables = ("horizon", "training", "evaluation", "season")
+    other = {name: item.pop(name) for name in tables if name in item}
     usual = {"unmet": "lost", "lead_time": 2, "holding": 1.0, "shortage": 4.0}
     tables = {
         "kind": "inventory",

@@ -6,8 +6,8 @@ from typing import Any
 import jax
 
 from snapo.domains.inventory.item.records import InventoryCase
-from snapo.domains.inventory.network.levels import start
 from snapo.domains.inventory.network.records import NetworkCase
+from snapo.domains.inventory.network.simulator import NetworkSimulator
 from snapo.domains.inventory.read.case import read_case
 from snapo.domains.inventory.read.network import read_network
 
@@ -34,7 +34,7 @@ def one_place(
     whole = network({"name": "shop", "demand": demand, **more, **given}, folder=folder,
                     network={"unmet": unmet}, **tables)  # fmt: skip
     with jax.enable_x64(True):
-        stock, coming = start(whole)
+        stock, coming = NetworkSimulator.of(whole).start()
     # An item's stock has the arrival of this morning in it; in a network it is still on its way.
     arrived = float(coming[0, 0]) if coming.shape[1] else 0.0
     item = given | {"unmet": unmet, "stock": float(stock[0]) + arrived,

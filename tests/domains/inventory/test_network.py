@@ -62,9 +62,9 @@ def test_a_utility_is_refused_as_costs_are_no_wealth():
 
 
 def test_periods_to_cover():
-    assert network(*LINE).cover.tolist() == [1, 2, 4]
-    assert network(*STORES).cover.tolist() == [5, 2, 1]
-    assert network(*STORES).sellers == (1, 2)
+    assert network(*LINE).network.cover.tolist() == [1, 2, 4]
+    assert network(*STORES).network.cover.tolist() == [5, 2, 1]
+    assert network(*STORES).network.sellers == (1, 2)
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,9 @@ ALONE = {"name": "kiosk", "lead_time": 0, "holding": 1.0, "shortage": 9.0, "dema
 
 def test_a_cost_of_an_order_is_an_input_of_the_places_that_have_one():
     case = network(SHOP, DEPOT, ALONE | {"order": 3.0})
-    assert case.fixed == (1, 2) and case.ordering is not None
+    assert case.network.fixed == (1, 2) and case.ordering is not None
     assert case.ordering.labels == ("depot", "kiosk") and case.ordering.unit == "EUR"
-    assert case.linked.tolist() == [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
+    assert case.network.linked.tolist() == [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
     assert network(SHOP, {**DEPOT, "order": 0.0}).ordering is None
 
 
@@ -82,7 +82,7 @@ def test_derivatives_go_through_whether_each_place_orders(monkeypatch):
     hold most of a derivative, and their errors are not known from eight times.
     """
     monkeypatch.setattr(
-        "snapo.domains.inventory.network.fixed.memory", lambda case: np.full(2, 1e12)
+        "snapo.domains.inventory.network.simulator.memory", lambda case: np.full(2, 1e12)
     )
     smooth, engine, paths = Smooth(jnp.asarray(0.02)), Native("float64"), 65536
     case = network(SHOP | {"order": 5.0, "shortage": 6.0}, DEPOT | {"order": 20.0},

@@ -6,7 +6,6 @@ import pytest
 from tests.domains.inventory.network_cases import network
 
 from snapo.case.error import CaseError
-from snapo.domains.inventory.network.inputs import network_inputs
 from snapo.domains.inventory.network.rules import echelon_rule, first_levels
 from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
@@ -37,7 +36,7 @@ def stores(folder, north=None, south=None, **tables):
 def test_levels_cover_the_demand_ahead_of_every_place(folder):
     case = stores(folder)
     steps = make_setup(case).problem.schedule.steps
-    assert case.seasonal and case.cover.tolist() == [3, 1, 1]
+    assert case.network.seasonal and case.network.cover.tolist() == [3, 1, 1]
     north = 4 * np.resize(YEAR, 12)
     z = (steps["level"][:, 2] - 4) / 1.0  # the store without a season, of deviation 1
     assert np.ptp(z) == 0 and z[0] > 1
@@ -51,11 +50,11 @@ def test_levels_cover_the_demand_ahead_of_every_place(folder):
 
 
 def test_a_season_is_an_input_of_its_place(folder):
-    given = network_inputs(stores(folder))
+    given = stores(folder).inputs()
     assert given["north.season"].labels == ("summer", "winter") and "south.season" not in given
     case = stores(folder, north={"demand": {"kind": "poisson", "mean": 4.0}},
                   south={"demand": {"kind": "poisson", "mean": 4.0}})  # fmt: skip
-    assert case.integer
+    assert case.network.integer
     assert make_setup(case).problem.simulator.in_mean() == (
         "north.demand_mean", "north.season", "south.demand_mean",
     )  # fmt: skip

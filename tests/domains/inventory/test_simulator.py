@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
+from snapo.domains.inventory.item.simulator import InventorySimulator
 from snapo.domains.inventory.policy.rules import Classical
 from snapo.domains.inventory.read.case import read_case
 from snapo.domains.inventory.references.backlog import base_stock_cost
@@ -29,7 +29,7 @@ ENDLESS = 1e6
 
 
 def problem(of) -> Problem:
-    return Problem(InventorySimulator(of), inputs_of(of), Mean("result"))  # pyright: ignore
+    return Problem(InventorySimulator.of(of), of.inputs(), Mean("result"))
 
 
 def base_stock(of: Problem, level: float) -> Classical:
@@ -188,8 +188,9 @@ def test_the_mean_of_whole_demand_has_a_smooth_derivative_near_that_of_the_value
     differences over .1 and .25 the exact value's derivative is -.55 and -.75, so .15 is allowed.
     Where demand was not spread in training, the derivative was -1.45.
     """
-    of = problem(case(lead_time=3, shortage=9.0, horizon={"periods": 30, "warm_up": 10}))
-    policy = first_policy(of, of.simulator.case, 0)  # pyright: ignore
+    item = case(lead_time=3, shortage=9.0, horizon={"periods": 30, "warm_up": 10})
+    of = problem(item)
+    policy = first_policy(of, item, 0)
     engine, smooth = Native("float64"), Smooth(jnp.asarray(0.01))
     slope = value_and_gradient(of, policy, paths=16384, smooth=smooth, engine=engine)[1]
     ends = [evaluate(of.at({"demand_mean": mean}), policy, paths=65536, engine=engine)

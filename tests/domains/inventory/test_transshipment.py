@@ -62,7 +62,7 @@ def test_the_closed_form_has_the_newsvendors_at_both_ends():
     "pool, words",
     [
         ({"between": ["s0", "moon"], "cost": 1.0}, "the places with customers are s0, s1, s2"),
-        ({"between": ["s0", "s0"], "cost": 1.0}, "stands there once"),
+        ({"between": ["s0", "s0"], "cost": 1.0}, "is there once"),
         ({"between": ["s0"], "cost": 1.0}, "2 or more"),
         ({"cost": 1.0, "one_way": True}, "first to the second of two"),
         ({"cost": -1.0}, "at least 0"),
@@ -83,14 +83,14 @@ def test_two_tables_of_the_same_places_are_refused():
 
 
 def test_orders_are_whole_where_demand_is_and_a_case_may_say_otherwise():
-    assert stores(2, demand=POISSON).integer
-    assert not stores(2).integer
-    assert not stores(2, demand=POISSON, network={"whole": False}).integer
+    assert stores(2, demand=POISSON).network.integer
+    assert not stores(2).network.integer
+    assert not stores(2, demand=POISSON, network={"whole": False}).network.integer
 
 
 def test_amounts_in_pieces_keep_their_sum():
     case = stores(3, demand=POISSON)
-    found = in_pieces(case, jnp.array([0.4, 2.7, 0.9]), Exact())
+    found = in_pieces(case.network, jnp.array([0.4, 2.7, 0.9]), Exact())
     assert found.sum() == 4 and np.all(found == np.round(found))
     assert np.all(np.abs(found - np.array([0.4, 2.7, 0.9])) < 1)
 

@@ -3,7 +3,7 @@
 import pytest
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.inventory import DOMAIN
 
 SPREAD = {"kind": "negative-binomial", "mean": 5.0}
@@ -53,5 +53,5 @@ def test_the_numbers_of_a_network_are_looked_at():
     data["place"][0]["demand"] = SPREAD | {"deviation": 40.0}
     data["place"][2]["holding"] = 4000.0
     first, second = DOMAIN.read(file, data).notes
-    assert first.startswith("place[works].holding: holding_cost works is 4,000 EUR/pallet/week")
-    assert second.startswith("place[shop].demand.deviation: shop.demand_deviation is 40 pallet")
+    assert first.startswith("place[2].holding: holding_cost works is 4,000 EUR/pallet/week")
+    assert second.startswith("place[0].demand.deviation: shop.demand_deviation is 40 pallet")

@@ -7,13 +7,13 @@ import jax
 import pytest
 
 import snapo
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.control import DOMAIN as CONTROL
 from snapo.domains.control.study import make_setup as make_plant
 from snapo.domains.own import DOMAIN
 from snapo.domains.own.study import make_setup
 from snapo.solver.learning.features import scale_of, undrawn
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 from snapo.study import commands
 from snapo.study.commands import CaseRequest
 

@@ -6,7 +6,7 @@ from tests.domains.own.small import CASE, PLACE, SIMULATOR, write
 
 import snapo
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.cli.main import main
 from snapo.domains.own import DOMAIN
 from snapo.study.domain import Domain, RunsCode
@@ -128,7 +128,7 @@ MISTAKES = {
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
         PLACE, '[objective]\n', '[[objective]]\nkind = "crra"\nrisk_aversion = 2\nwealth = 1\nweight = -1\n',
-        "objective.1.weight: got -1; a utility is of what shall be large",
+        "objective.1.weight: got -1; a utility is of a quantity to be maximised",
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; allowed is a"),

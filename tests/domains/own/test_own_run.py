@@ -11,11 +11,11 @@ from tests.domains.own.small import CASE, PLACE, SIMULATOR, write
 
 from snapo.cli.main import main
 from snapo.domains.own import DOMAIN
-from snapo.solver.limits.found import LimitFound
+from snapo.solver.limits import LimitFound
 from snapo.solver.solution import Solution
 from snapo.study import commands
+from snapo.study.carry_out import write_report
 from snapo.study.commands import CaseRequest
-from snapo.study.report import write_report
 
 CODE = ("simulator", "Shop")
 
@@ -205,7 +205,7 @@ WRONG = {
     "branch": ("left = there - sold", "left = there - sold if there > sold else 0.0",
                ["step, ", "Python decides here"]),
     "name": ("sold = smooth.minimum(there", "sold = smooth.minimum(their", ["NameError", "their"]),
-    "nan": ("0.1 * left", "0.1 * jnp.log(left - 1e6)", ["output profit is not finite"]),
+    "nan": ("0.1 * left", "0.1 * jnp.log(left - 1e6)", ["output profit is non-finite"]),
     "shape": ("jnp.stack([state", "jnp.sum([state", ["observe"]),
 }  # fmt: skip
 

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.pension import DOMAIN
 from snapo.study import run_folder
 from snapo.study.carry_out import carry_out

@@ -67,12 +67,12 @@ def network(**fields):
 
 def feed(concentration=(0.33, 0.33, 0.0, 0.0), volume=0.06, duration=None, name="charge"):
     return Feed(
-        name,
-        number(f"{name}.volume", volume, "m3"),
-        number(f"{name}.temperature", 313.15, "K"),
-        series(f"{name}.concentration", concentration, "kmol/m3"),
-        number(f"{name}.solvent", 887.6, "kg/m3"),
-        duration,
+        name=name,
+        volume=number(f"{name}.volume", volume, "m3"),
+        temperature=number(f"{name}.temperature", 313.15, "K"),
+        concentration=series(f"{name}.concentration", concentration, "kmol/m3"),
+        solvent=number(f"{name}.solvent", 887.6, "kg/m3"),
+        duration=duration,
     )
 
 
@@ -123,7 +123,9 @@ def crystalliser(name="crystalliser", **fields):
         "shape": part("shape", 0.5236),
         "density": part("density", 1200, "kg/m3"),
         "nuclei_size": part("nuclei_size", 0.0, "m"),
-        "seed": Seed(part("seed_loading", 0.02, "kg/m3"), part("seed_size", 20e-6, "m"), None),
+        "seed": Seed(
+            loading=part("seed_loading", 0.02, "kg/m3"), size=part("seed_size", 20e-6, "m")
+        ),
         "separate": False,
         "dosing": None,
         "basis": "suspension",  # as the published values have it
@@ -302,7 +304,7 @@ def potassium_nitrate(**fields):
         ),
         shape=number(f"{name}.shape", 1.0),
         density=number(f"{name}.density", 2110, "kg/m3"),
-        seed=Seed(None, None, series(f"{name}.seed", moments * 1e18 * 1e-6 ** np.arange(6))),
+        seed=Seed(moments=series(f"{name}.seed", moments * 1e18 * 1e-6 ** np.arange(6))),
         separate=True,
     )
     measures = ("concentration", "seed_volume", "nuclei_volume")

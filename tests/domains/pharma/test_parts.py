@@ -101,7 +101,7 @@ def test_the_places_of_the_boundary_are_without_round_off():
 
 def test_a_whole_number_of_samples_is_asked_for_with_both_ends(tmp_path):
     space = tomllib.loads(CASE)["design_space"] | {"samples": 10_000_000}
-    with pytest.raises(CaseError, match="a whole number from 16 to 1000000"):
+    with pytest.raises(CaseError, match="a whole number from 16 to 1,000,000"):
         case(tmp_path, design_space=space)
 
 

@@ -31,7 +31,7 @@ from snapo.engine.native import Native
 from snapo.lanes.machine.threads import cores
 from snapo.problem.actions import Box
 from snapo.problem.noise import Stored
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 

@@ -8,7 +8,7 @@ import numpy as np
 from snapo.engine import Window, Xla
 from snapo.engine.native import Native
 from snapo.problem.actions import Box
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

@@ -6,10 +6,10 @@ import sys
 import pytest
 from tests.engine.native.problems import Store, Tanh
 
+from snapo.engine import native
 from snapo.engine.choose import choose
-from snapo.engine.native import available
 from snapo.lanes import jax_private
-from snapo.lanes.machine import llvm
+from snapo.lanes.machine import pipeline
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 
@@ -68,12 +68,12 @@ def test_an_untested_jax_is_a_reason(monkeypatch):
 
 
 def test_an_old_or_broken_llvmlite_is_a_reason(monkeypatch):
-    monkeypatch.setattr(llvm, "OLDEST", (99, 0))
-    assert "is older than 99.0 (pip install" in (available.unavailable() or "")
+    monkeypatch.setattr(pipeline, "OLDEST", (99, 0))
+    assert "is older than 99.0 (pip install" in (native.unavailable() or "")
 
     def broken():
         raise OSError("libstdc++ is missing")
 
-    monkeypatch.setattr(llvm, "OLDEST", (0, 1))
-    monkeypatch.setattr(llvm, "binding", broken)
-    assert "cannot be loaded: libstdc++ is missing" in (available.unavailable() or "")
+    monkeypatch.setattr(pipeline, "OLDEST", (0, 1))
+    monkeypatch.setattr(pipeline, "binding", broken)
+    assert "cannot be loaded: libstdc++ is missing" in (native.unavailable() or "")

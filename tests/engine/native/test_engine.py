@@ -10,7 +10,7 @@ from tests.engine.native.problems import TOLERANCE, Store, Tanh, Wide, differenc
 from snapo.engine import Clip, Window, Xla
 from snapo.engine.native import Native, runtime
 from snapo.engine.native.runtime import Runner
-from snapo.lanes.machine.processor import host
+from snapo.lanes.machine.pipeline import host
 from snapo.problem.noise import Stored
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule

@@ -12,7 +12,7 @@ import pytest
 from tests.engine.native.problems import Store, Tanh
 
 from snapo.engine.native import Native, call, runtime
-from snapo.lanes.machine import compiling
+from snapo.lanes.machine import disk
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -87,7 +87,7 @@ def test_kernels_that_are_dropped_leave_nothing(kernels, tmp_path, monkeypatch):
     """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(call, "KEPT", 4)
-    monkeypatch.setattr(compiling, "HERE", 4)
+    monkeypatch.setattr(disk, "HERE", 4)
     policy, native = Tanh((4, 14, 2)), Native()
 
     def some(numbers) -> None:

@@ -10,7 +10,7 @@ import pytest
 from snapo.engine.native import Native
 from snapo.problem.actions import Box
 from snapo.problem.noise import counter as noise
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact

@@ -18,7 +18,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import probe
 from snapo.problem.smooth import Exact, Smooth

@@ -13,10 +13,10 @@ from tests.engine.native.problems import Store, Tanh, difference
 from snapo.engine import Window, Xla
 from snapo.engine.choose import choose
 from snapo.engine.native import Native, Unsupported, unsupported
-from snapo.lanes.body import operations
+from snapo.lanes import body
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
@@ -83,7 +83,7 @@ def test_an_accident_in_the_emitter_is_a_reason(monkeypatch):
     def broken(*args):
         raise IndexError("out of range")
 
-    monkeypatch.setattr(operations, "single", broken)
+    monkeypatch.setattr(body, "single", broken)
     monkeypatch.setattr(sys.modules[unsupported.__module__], "_reasons", OrderedDict())
     store = Store()
     reason = unsupported(store, store.prepare(None), POLICY, Exact())

@@ -10,14 +10,10 @@ import pytest
 import snapo
 
 gymnasium = pytest.importorskip("gymnasium")
-from snapo.gym.black_box import inside as inside_  # noqa: E402
-from snapo.gym.black_box import loop  # noqa: E402
 from snapo.gym.black_box import rounds as rounds_  # noqa: E402
-from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
-from snapo.gym.black_box.known import Known, Units  # noqa: E402
 from snapo.gym.black_box.learned import Compared, Learned, LearningRound  # noqa: E402
-from snapo.gym.black_box.real import HeldAction, Real  # noqa: E402
-from snapo.gym.black_box.transitions import circles, scale_of  # noqa: E402
+from snapo.gym.black_box.real import HeldAction, Known, Real, Units, circles, scale_of  # noqa: E402
+from snapo.gym.black_box.rounds import noisy, random_actions  # noqa: E402
 
 
 class Counter(gymnasium.Env):
@@ -211,7 +207,7 @@ def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
     inside = SimpleNamespace(model=None, inputs=None, rows=1, fit=SimpleNamespace(raw=0, error=1))
     for name in ("fitted_model", "initial_policy", "improved"):
         found = inside if name == "fitted_model" else policy
-        monkeypatch.setattr(loop, name, lambda *given, found=found: found)
+        monkeypatch.setattr(rounds_, name, lambda *given, found=found: found)
     monkeypatch.setattr(Units, "undone", lambda units, policy: policy)
     monkeypatch.setattr(rounds_, "Agent", lambda policy: lambda seen: np.zeros(2))
     monkeypatch.setattr(rounds_, "replace", lambda model, horizon: model)
@@ -268,7 +264,7 @@ def test_play_stays_a_function():
     """No module of that name takes its place when the black box is loaded."""
     import snapo.gym
 
-    assert loop.run and snapo.gym.play.__name__ == "play"
+    assert rounds_.run and snapo.gym.play.__name__ == "play"
 
 
 class Line(snapo.Simulator):
@@ -300,7 +296,7 @@ def test_half_the_steps_are_half_of_those_that_follow_the_problem(monkeypatch):
         steps.append(plan.steps)
         return progress
 
-    monkeypatch.setattr(inside_, "train", noted)
+    monkeypatch.setattr(rounds_, "train", noted)
     problem = snapo.Problem(Line(), None, snapo.Mean("reward"))
     policy = snapo.MLP(hidden=(4,)).for_problem(problem.interface, jax.random.key(0))
     for training, share in (
@@ -309,5 +305,5 @@ def test_half_the_steps_are_half_of_those_that_follow_the_problem(monkeypatch):
         (snapo.Training(steps=1), 0.5),
         (snapo.Training(steps=0), 0.5),
     ):
-        inside_.trained(Line(), None, policy, training, "xla", share)
+        rounds_.trained(Line(), None, policy, training, "xla", share)
     assert steps == [3840, 1920, 1, 0]

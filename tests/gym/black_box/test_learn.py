@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.checker.first import first_mistakes
+from snapo.checker.check import first_mistakes
 from snapo.solver import statistics
 
 gymnasium = pytest.importorskip("gymnasium")
 import snapo.gym  # noqa: E402
-from snapo.gym.black_box.inside import value  # noqa: E402
 from snapo.gym.black_box.model import Model  # noqa: E402
+from snapo.gym.black_box.rounds import value  # noqa: E402
 
 ENGINES = ("auto", "xla")
 
@@ -126,12 +126,12 @@ def test_an_end_pays_once_and_nothing_comes_after():
     inputs = constant([0, 0, -1.0, 100.0, odds])
     alive = 0.75 ** np.arange(4)
     expected = np.sum(alive * (0.75 * -1 + 0.25 * 100))
-    assert total(small(ends=True), inputs)[0] == pytest.approx(expected, rel=1e-5)
-    assert total(small(ends=False), inputs)[0] == pytest.approx(-4)
+    assert total(small(can_end=True), inputs)[0] == pytest.approx(expected, rel=1e-5)
+    assert total(small(can_end=False), inputs)[0] == pytest.approx(-4)
     # In training an end is felt from farther away.
     wide = snapo.Smooth(np.float32(0.005))
     felt = 1 / (1 + np.exp(-odds / 2))
-    _, state = total(small(ends=True), inputs, wide, 1)
+    _, state = total(small(can_end=True), inputs, wide, 1)
     assert float(state["alive"]) == pytest.approx(1 - felt, rel=1e-5)
 
 
@@ -146,16 +146,16 @@ def test_known_rewards_and_ends_take_the_place_of_learnt_ones():
     def over(after):
         return after[0] - 2.5
 
-    found, state = total(small(ends=True, reward=reward, over=over), inputs)
+    found, state = total(small(can_end=True, reward=reward, over=over), inputs)
     assert found == pytest.approx(10 * (1.6 + 2.6) + 2) and float(state["alive"]) == 0
-    assert total(small(ends=False, over=over), inputs)[0] == pytest.approx(-1 + 100)
+    assert total(small(can_end=False, over=over), inputs)[0] == pytest.approx(-1 + 100)
 
 
 @pytest.mark.prove
 def test_a_model_stays_on_its_circle_and_within_its_range():
-    _, state = total(small(ends=False, circles=((0, 1),)), constant([0.3, 0.1, 0, 0, 0], 0.2))
+    _, state = total(small(can_end=False, circles=((0, 1),)), constant([0.3, 0.1, 0, 0, 0], 0.2))
     assert float(np.hypot(*state["seen"])) == pytest.approx(1, abs=1e-6)
-    _, state = total(small(ends=False), constant([90.0, 0, 0, 0, 0], 0.2))
+    _, state = total(small(can_end=False), constant([90.0, 0, 0, 0, 0], 0.2))
     # A clip to 100 in single precision.
     assert state["seen"].tolist() == pytest.approx([100, 0.8 + 4 * 0.2 * 0.5], rel=1e-5)
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from tests.lanes.compiled import run
 
-from snapo.lanes.machine.processor import host
-from snapo.lanes.unsupported import Unsupported
+from snapo.lanes import Unsupported
+from snapo.lanes.machine.pipeline import host
 
 
 def paths(*shape: int, seed: int = 0) -> np.ndarray:

@@ -8,13 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import special
 
-from snapo.lanes.curves.catalogue import CURVES
+from snapo.lanes.curves import CURVES
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.module import Module
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory
-from snapo.lanes.machine.pipeline import object_code
-from snapo.lanes.machine.processor import host
+from snapo.lanes.machine.linked import KernelMemory, Linked
+from snapo.lanes.machine.pipeline import host, object_code
 
 REFERENCE = {
     "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p, "tanh": np.tanh,

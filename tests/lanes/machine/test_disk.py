@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from snapo.lanes.machine import compiling, disk
+from snapo.lanes.machine import disk
 
 TEXT = "define i32 @run() {\n  ret i32 7\n}"
 
@@ -86,10 +86,10 @@ def only_size(folder) -> int:
 
 def test_later_code_is_made_by_another_process(monkeypatch):
     """LLVM's passes keep memory, so that a process compiles a limited number of times itself."""
-    monkeypatch.setattr(compiling.pipeline, "PIPELINE", compiling.pipeline.Pipeline())
-    here = compiling.object_code(TEXT)
-    monkeypatch.setattr(compiling, "HERE", 0)
-    monkeypatch.setattr(compiling.pipeline, "object_code", lambda text: b"in this process")
-    assert compiling.object_code(TEXT) == here
+    monkeypatch.setattr(disk.pipeline, "PIPELINE", disk.pipeline.Pipeline())
+    here = disk.object_code(TEXT)
+    monkeypatch.setattr(disk, "HERE", 0)
+    monkeypatch.setattr(disk.pipeline, "object_code", lambda text: b"in this process")
+    assert disk.object_code(TEXT) == here
     monkeypatch.setattr(sys, "executable", "")
-    assert compiling.object_code(TEXT) == b"in this process"
+    assert disk.object_code(TEXT) == b"in this process"

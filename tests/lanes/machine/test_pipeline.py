@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import pytest
 from tests.lanes.compiled import text
 
-from snapo.lanes.machine import disk, llvm, pipeline
-from snapo.lanes.machine.llvm import binding
-from snapo.lanes.machine.pipeline import PIPELINE, Pipeline, assembly, object_code
+from snapo.lanes.machine import disk, pipeline
+from snapo.lanes.machine.pipeline import PIPELINE, Pipeline, assembly, binding, object_code
 
 
 def written() -> str:
@@ -87,7 +86,7 @@ def test_every_setting_is_part_of_the_identity():
     identity = Pipeline().identity()
     for name in ("speed_level=2", "code_model=large", "loop_vectorization=False"):
         assert name in identity
-    assert llvm.versions() in identity
+    assert pipeline.versions() in identity
 
 
 def test_a_disk_that_cannot_be_written_is_no_reason_to_fail(tmp_path, monkeypatch):

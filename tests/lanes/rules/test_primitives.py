@@ -13,10 +13,10 @@ from tests.engine.native.probe import PATHS, Named, Probe, both
 
 from snapo.engine.native import Native
 from snapo.engine.native.explain import _whole
-from snapo.lanes import jax_private
+from snapo.lanes import jax_private, rules
 from snapo.lanes.program import cut, flatten
-from snapo.lanes.rules import catalogue, conversions, elementwise
-from snapo.problem.policy import Constant
+from snapo.lanes.rules import conversions, elementwise
+from snapo.problem.policies.rules import Constant
 from snapo.problem.smooth import Exact
 
 
@@ -242,7 +242,7 @@ def test_every_supported_primitive_is_compared(monkeypatch):
         elementwise.BITS,
         elementwise.SHIFTS,
         elementwise.RULES,
-        catalogue.RULES,
+        rules.RULES,
         jax_private.CALLS,
     )
     known = set().union(*tables, *more, flatten.IDENTITIES, {"dot_general", "scan", "cond"})

@@ -12,8 +12,9 @@ from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box, Integers, Simplex
 from snapo.problem.inputs import Input
-from snapo.problem.policy import MLP, Constant, Residual
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import MLP, Residual
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth

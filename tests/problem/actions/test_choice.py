@@ -9,7 +9,7 @@ import snapo
 from snapo.engine import Native
 from snapo.problem.actions import Choice
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Smooth

@@ -11,8 +11,9 @@ from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.inputs import Input
-from snapo.problem.policy import MLP, Constant, Linear, Residual
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant, Linear
+from snapo.problem.policy import MLP, Residual
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Interface, Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth

@@ -6,7 +6,7 @@ import pytest
 
 import snapo
 from snapo.engine import Native
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.smooth import Smooth
 
 STEPS, PATHS, INTENSITY, BY = 4, 1 << 16, 1.5, 0.1

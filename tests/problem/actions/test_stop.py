@@ -12,7 +12,7 @@ from benchmarks.stopping import cases, measured
 import snapo
 from snapo.engine import Native
 from snapo.problem.actions import Stop
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact, Smooth
 

@@ -7,8 +7,7 @@ import onnxruntime
 import pytest
 
 import snapo
-from snapo.domains.gas_storage.policy.network import StoragePolicy
-from snapo.domains.gas_storage.policy.observation import HEAD
+from snapo.domains.gas_storage.policy.network import HEAD, StoragePolicy
 from snapo.domains.pension.policies.network import PensionPolicy
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.problem.carry import archive
+from snapo.problem.carry.save import read_arrays, write_arrays
 from snapo.problem.policy import Network, Policy
 
 KEY = jax.random.key(3)
@@ -72,9 +72,9 @@ def _file(tmp_path, change) -> Path:
     """The file of a network, its header changed."""
     file = tmp_path / "policy.npz"
     POLICIES["network"].save(file)
-    arrays, header = archive.read(file)
+    arrays, header = read_arrays(file)
     header = change(header, arrays) or header
-    archive.write(file, arrays, header)
+    write_arrays(file, arrays, header)
     return file
 
 

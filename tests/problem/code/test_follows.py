@@ -12,7 +12,7 @@ from tests.problem.code import reading
 import snapo
 from snapo.engine import Native, Xla
 from snapo.solver.evaluate import path_totals
-from snapo.solver.provenance.clock import Clock
+from snapo.solver.provenance import Clock
 
 ACTIONS = np.zeros((reading.HORIZON, 2, 1))
 SMALL = {

@@ -7,7 +7,7 @@ import pytest
 
 import snapo
 from snapo.engine import Xla
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.solver.evaluate import path_totals
 from snapo.solver.sensitivity import sensitivities

@@ -88,7 +88,7 @@ def chain_slopes() -> np.ndarray:
 
 low, high, a, s, m, r, p, df = 0.1, 0.7, 1.7, 0.6, 1.5, 2.0, 0.3, 9.0
 SLOPES = {  # of the expected squares, a step
-    "noises.binomial.chance": 5 * (1 - 2 * p) + 50 * p,
+    "noises.binomial.probability": 5 * (1 - 2 * p) + 50 * p,
     "noises.count.mean": 2 * 2.5 + 1,
     "noises.exponential.mean": 4 * 0.8,
     "noises.gamma.shape": s**2 * (2 * a + 1),

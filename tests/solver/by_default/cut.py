@@ -7,7 +7,7 @@ from tests.solver.learning.test_convergence import INPUTS, Regulator
 from tests.solver.learning.test_pendulum import Pendulum
 
 import snapo
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 
 from . import problems
 

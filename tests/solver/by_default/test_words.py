@@ -2,7 +2,7 @@
 
 import pytest
 
-from snapo.solver.learning.convergence import CONVERGED
+from snapo.solver.verdict.convergence import CONVERGED
 
 from .cut import PROBLEMS, SHARES, below, cut
 

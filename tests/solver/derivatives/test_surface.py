@@ -9,9 +9,8 @@ from scipy import stats
 import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
-from snapo.solver.derivatives.coordinates import coordinates, shifted_policy
 from snapo.solver.derivatives.margin import margin_of, with_margin
-from snapo.solver.derivatives.surface import surface_of
+from snapo.solver.derivatives.surface import coordinates, shifted_policy, surface_of
 from snapo.solver.derivatives.verdict import held_alone
 
 ENGINE = Xla("float64")

@@ -10,15 +10,15 @@ from examples import american_put
 import snapo
 from snapo.engine import Native, Xla
 from snapo.engine.norms import adjoint_norms
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
-from snapo.solver.learning import clipping
-from snapo.solver.learning.convergence import Gain
+from snapo.solver.learning.conditioning import clip_level, due, has_fallen, has_leapt, is_held_down
 from snapo.solver.verdict import constant
-from snapo.solver.verdict.stopping import ends_for_good
+from snapo.solver.verdict.convergence import Gain
+from snapo.solver.verdict.further import ends_for_good
 
 STEPS, SPREAD = 100, 0.1**0.5
 SMALL = snapo.Evaluation(paths=8192, sensitivity_paths=2048, smooth_paths=0, judge_paths=0)
@@ -68,26 +68,26 @@ def riccati(steps):
 
 def test_only_a_fall_early_on_or_a_leap_is_far_apart():
     falling = [1e6, 1e5, 1e4, 9e3]
-    assert clipping.fell(falling, 0)
-    assert not clipping.fell(falling, 1)
-    assert not clipping.fell(falling[:2], 0)
-    assert not clipping.fell([1e4, *np.geomspace(1e4, 1.0, 30)], 0)  # a slow one is learning
-    assert not clipping.leapt(falling, 0)
-    assert clipping.leapt([1.0, 2.0, 1.0, 1.5, 300.0], 0)
+    assert has_fallen(falling, 0)
+    assert not has_fallen(falling, 1)
+    assert not has_fallen(falling[:2], 0)
+    assert not has_fallen([1e4, *np.geomspace(1e4, 1.0, 30)], 0)  # a slow one is learning
+    assert not has_leapt(falling, 0)
+    assert has_leapt([1.0, 2.0, 1.0, 1.5, 300.0], 0)
 
 
 def test_gradients_far_smaller_than_those_adam_remembers_hold_its_steps_down():
     """A thousandth after one step of 1: the root mean square of forty steps is about .16."""
     norms = [1.0, *[1e-3] * 39]
-    assert clipping.held_down(norms, 0, 0.999)
-    assert not clipping.held_down(norms, 1, 0.999)  # begun after it
-    assert not clipping.held_down(norms[:39], 0, 0.999)  # too early to tell
-    assert not clipping.held_down(norms, 0, 0.5)  # forgotten by itself
-    assert not clipping.held_down([1.0, *[1e-2] * 39], 0, 0.999)
+    assert is_held_down(norms, 0, 0.999)
+    assert not is_held_down(norms, 1, 0.999)  # begun after it
+    assert not is_held_down(norms[:39], 0, 0.999)  # too early to tell
+    assert not is_held_down(norms, 0, 0.5)  # forgotten by itself
+    assert not is_held_down([1.0, *[1e-2] * 39], 0, 0.999)
 
 
 def test_a_bound_is_measured_more_rarely_as_training_goes_on():
-    found = [step for step in range(1, 501) if clipping.due(step)]
+    found = [step for step in range(1, 501) if due(step)]
     assert found[:20] == list(range(10, 201, 10))
     assert found[20:] == [*range(220, 300, 20), *range(300, 400, 30), *range(400, 500, 40), 500]
 
@@ -138,9 +138,9 @@ def test_a_short_memory_forgets_what_comes_after_its_part_of_the_horizon():
 def test_the_bound_is_the_usual_size_of_the_largest_adjoint_of_a_path():
     """The way to rest is longer than the rest, and one path of three is chaos."""
     norms = np.array([[8.0, 9.0, 1e6], [2.0, 3.0, np.nan], [0.1, 0.1, 0.1]])
-    assert clipping.clip_level(norms) == 9.0
-    assert clipping.clip_level(np.full((3, 3), np.nan)) is None
-    assert clipping.clip_level(np.zeros((3, 3))) is None
+    assert clip_level(norms) == 9.0
+    assert clip_level(np.full((3, 3), np.nan)) is None
+    assert clip_level(np.zeros((3, 3))) is None
 
 
 @pytest.mark.prove

@@ -12,7 +12,7 @@ from examples import american_put, max_call
 import snapo
 from snapo.problem.smooth import Exact
 from snapo.solver.learning.features import FeatureScale, fixed, scale_of, undrawn
-from snapo.solver.learning.following import resolve_auto
+from snapo.solver.learning.settings import resolve_auto
 
 HORIZON, LEVEL, SPREAD = 12, 60.0, 15.0
 

@@ -11,8 +11,7 @@ from tests.solver.twelve import Regulator, policy, problem
 import snapo
 from snapo.problem.policy import widths
 from snapo.problem.simulator import Interface
-from snapo.solver.learning.following import resolve_auto
-from snapo.solver.learning.settings import TrainingPlan
+from snapo.solver.learning.settings import TrainingPlan, resolve_auto
 from snapo.solver.train import Training
 
 

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.verdict import further
-from snapo.solver.verdict.further import Further
+from snapo.solver.verdict.further import Further, compared_step, restless, times_of, too_short
 
 
 def stands(step, redrawn=()):
@@ -16,13 +15,13 @@ def stands(step, redrawn=()):
 def test_the_second_half_of_a_cosine_is_a_small_part_of_the_way():
     """A half is 1/2 + 1/pi of the whole way, so that the gain counts (1/2 + 1/pi) / (1 - 2/pi)."""
     training = TrainingPlan(steps=100_000, warmup=0)
-    assert further.compared_step(stands(100_000), training) == 50_000
+    assert compared_step(stands(100_000), training) == 50_000
     closed = (0.5 + 0.318310) / (1 - 0.636620)
-    assert further.times(stands(100_000), training) == pytest.approx(closed, rel=1e-3)
+    assert times_of(stands(100_000), training) == pytest.approx(closed, rel=1e-3)
     # A run that stopped has come to a quarter and a half; one that began anew counts from there.
-    assert further.compared_step(stands(70_000), training) == 25_000
-    assert further.compared_step(stands(100_000, (60_000,)), training) == 60_000
-    assert further.compared_step(stands(1), TrainingPlan(steps=1)) == 0
+    assert compared_step(stands(70_000), training) == 25_000
+    assert compared_step(stands(100_000, (60_000,)), training) == 60_000
+    assert compared_step(stands(1), TrainingPlan(steps=1)) == 0
 
 
 def test_more_is_told_where_it_is_sure_and_nothing_where_errors_are_wide():
@@ -35,11 +34,11 @@ def test_more_is_told_where_it_is_sure_and_nothing_where_errors_are_wide():
 
 
 def test_a_gradient_counts_above_its_noise_and_where_it_could_bring_something():
-    assert further.restless(5.0, 1.0, 1.0, 100.0)
-    assert not further.restless(1.5, 1.0, 1.0, 100.0)
-    assert not further.restless(5.0, 1.0, 1e-3, 100.0)
+    assert restless(5.0, 1.0, 1.0, 100.0)
+    assert not restless(1.5, 1.0, 1.0, 100.0)
+    assert not restless(5.0, 1.0, 1e-3, 100.0)
     # Without noise nothing says how small a norm at a bend of the smooth value would be.
-    assert not further.restless(5.0, 0.0, 1.0, 100.0)
-    assert not further.restless(float("nan"), float("nan"), 1.0, 100.0)
-    assert further.too_short(TrainingPlan(steps=60), 60)
-    assert not further.too_short(TrainingPlan(steps=100), 100)
+    assert not restless(5.0, 0.0, 1.0, 100.0)
+    assert not restless(float("nan"), float("nan"), 1.0, 100.0)
+    assert too_short(TrainingPlan(steps=60), 60)
+    assert not too_short(TrainingPlan(steps=100), 100)

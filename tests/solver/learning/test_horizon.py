@@ -13,10 +13,18 @@ from snapo.engine import Native, Xla
 from snapo.engine.norms import Norms
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
-from snapo.solver.learning import horizon
-from snapo.solver.learning.growth import Growth
+from snapo.solver.learning.conditioning import (
+    FIRST,
+    LONGER,
+    Growth,
+    erratic,
+    fell_for_good,
+    grows,
+    is_chaotic,
+    window_length,
+)
+from snapo.solver.learning.windows import UPDATES
 from snapo.solver.train import Training, initial_progress, train
-from snapo.solver.windows.window import UPDATES
 
 NORMALS = np.array([NormalDist().inv_cdf((path + 0.5) / 64) for path in range(64)])
 
@@ -29,35 +37,35 @@ def grown(rate, spread, steps=100):
 
 def test_gradients_are_erratic_where_they_leap_up_and_down():
     steady = [1e6, 9e5, 8.5e5, 8e5, 7e5, 6e5]
-    assert not horizon.erratic(steady)
-    assert not horizon.erratic([*steady, 10.0])  # one fall alone is an explosion that is over
-    assert horizon.erratic([2400, 2200, 4700, 970, 1500, 1200, 7100, 560])
-    assert not horizon.erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=16)  # noise of few paths
-    assert horizon.erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=64)
-    assert not horizon.erratic([]) and not horizon.erratic([1.0])
+    assert not erratic(steady)
+    assert not erratic([*steady, 10.0])  # one fall alone is an explosion that is over
+    assert erratic([2400, 2200, 4700, 970, 1500, 1200, 7100, 560])
+    assert not erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=16)  # noise of few paths
+    assert erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=64)
+    assert not erratic([]) and not erratic([1.0])
 
 
 def test_gradients_are_wild_where_they_leap_and_teach_where_they_fall_for_good():
     falling = np.geomspace(1e9, 1e3, 20)
     leaping = np.where(np.arange(20) % 2, 3.0, 1.0) * 1e3
-    assert horizon.fell(falling) and not horizon.fell(leaping)
-    assert horizon.fell(leaping * np.geomspace(1e6, 1.0, 20))  # an unstable plant, learning
-    assert horizon.wild(leaping) and not horizon.wild(np.linspace(10, 8, 20))
+    assert fell_for_good(falling) and not fell_for_good(leaping)
+    assert fell_for_good(leaping * np.geomspace(1e6, 1.0, 20))  # an unstable plant, learning
+    assert is_chaotic(leaping) and not is_chaotic(np.linspace(10, 8, 20))
     once = [1.0, 500.0, *[2.0] * 18]  # one leap and its fall
-    assert horizon.wild(once) and not horizon.fell(once)
+    assert is_chaotic(once) and not fell_for_good(once)
 
 
 def test_an_unstable_plant_is_not_chaotic_and_paths_that_grow_apart_are():
-    assert horizon.window(grown(0.1, 0.0)) is None  # e^10, alike on all paths
-    assert horizon.window(grown(0.01, 0.0)) is None
-    assert horizon.grows(grown(0.1, 0.0)) and not horizon.grows(grown(0.01, 0.0))
-    assert horizon.window(np.zeros((100, 64))) is None
+    assert window_length(grown(0.1, 0.0)) is None  # e^10, alike on all paths
+    assert window_length(grown(0.01, 0.0)) is None
+    assert grows(grown(0.1, 0.0)) and not grows(grown(0.01, 0.0))
+    assert window_length(np.zeros((100, 64))) is None
     # The largest of 64 normals is 2.42: e^(2.42 x .1 x steps) is more than ten after ten.
-    assert horizon.window(grown(0.1, 0.1)) == 10 * horizon.LONGER
-    assert horizon.window(grown(0.05, 0.05)) == 20 * horizon.LONGER
+    assert window_length(grown(0.1, 0.1)) == 10 * LONGER
+    assert window_length(grown(0.05, 0.05)) == 20 * LONGER
     bad = grown(0.1, 0.1)
     bad[:50, 3] = np.nan
-    assert horizon.window(bad) is not None
+    assert window_length(bad) is not None
 
 
 def test_a_record_of_adjoints_names_the_step_and_the_state_where_they_explode():
@@ -91,7 +99,7 @@ def test_a_pendulum_is_trained_on_windows_by_default_and_both_engines_choose_ali
     (_, policy, one, _), (_, _, other, _) = swings.values()
     assert one.window == other.window and one.window in range(5, 31)
     assert {record.window for record in one.history} == {0, one.window}
-    assert one.growth.step == one.since <= horizon.FIRST
+    assert one.growth.step == one.since <= FIRST
     assert set(one.growth.leaves) == {"angle", "speed"}
     np.testing.assert_allclose(one.growth.usual, other.growth.usual, rtol=1e-2)
     # Adam makes steps of one size of the rounding of gradients that are nearly zero.

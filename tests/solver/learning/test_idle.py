@@ -11,10 +11,10 @@ from tests.solver.learning.idle_store import IdleStore
 
 import snapo
 from snapo.solver import checkpoint
+from snapo.solver.learning.log import start_notes
 from snapo.solver.learning.progress import Record, initial_progress
 from snapo.solver.learning.settings import TrainingPlan
-from snapo.solver.learning.told import start_notes
-from snapo.solver.verdict import idle
+from snapo.solver.verdict.constant import DRAWN, caught, equal_on_all_paths, exploring
 
 DATES = 16
 FEW = snapo.Evaluation(paths=2048, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
@@ -73,15 +73,15 @@ def stands(step, alike, **more):
 
 
 def test_two_validations_that_are_the_same_on_every_path_are_a_training_that_does_nothing():
-    assert idle.caught(stands(20, 2), PLAN)
-    assert not idle.caught(stands(20, 1), PLAN)
-    assert not idle.caught(stands(60, 2), PLAN)  # too late
-    assert not idle.caught(stands(40, 2, redrawn=(5, 10, 20)), PLAN)  # often enough
+    assert caught(stands(20, 2), PLAN)
+    assert not caught(stands(20, 1), PLAN)
+    assert not caught(stands(60, 2), PLAN)  # too late
+    assert not caught(stands(40, 2, redrawn=(5, 10, 20)), PLAN)  # often enough
     same = {"cash": np.array([0.7, 0.7 + 1e-16, 0.7, np.nextafter(0.7, 1)])}
-    assert idle.equal_on_all_paths(PROBLEM, same)
+    assert equal_on_all_paths(PROBLEM, same)
     # Antithetic pairs of a linear payoff have no error, and differ.
-    assert not idle.equal_on_all_paths(PROBLEM, {"cash": np.array([1.0, -1.0, 2.0, -2.0])})
-    assert not idle.equal_on_all_paths(PROBLEM, {"cash": np.array([0.0, np.nan])})
+    assert not equal_on_all_paths(PROBLEM, {"cash": np.array([1.0, -1.0, 2.0, -2.0])})
+    assert not equal_on_all_paths(PROBLEM, {"cash": np.array([0.0, np.nan])})
 
 
 def test_a_checkpoint_and_the_notes_know_where_training_began_anew(tmp_path):
@@ -91,7 +91,7 @@ def test_a_checkpoint_and_the_notes_know_where_training_began_anew(tmp_path):
     assert (again.redrawn, again.unchanged) == ((10, 20), 1)
     (said,) = start_notes(progress)
     assert said == (
-        "Training began anew from other first weights at steps 10 and 20, since every path earned "
+        "Training restarted from other initial weights at steps 10 and 20, since every path earned "
         "the same (0)."
     )
 
@@ -103,7 +103,7 @@ def test_a_store_that_does_nothing_begins_anew_and_is_trained(seed):
     training = snapo.Training(seed=seed, steps=600, learning_rate=0.04)
     solution = snapo.solve(Store(), STORE, training=training, evaluation=FEW)
     assert solution.value > 7.4
-    assert any("began anew" in note for note in solution.notes) == (seed > 0)
+    assert any("restarted" in note for note in solution.notes) == (seed > 0)
 
 
 @pytest.mark.prove
@@ -122,6 +122,6 @@ def test_a_training_that_still_does_nothing_says_so():
 
 def test_it_begins_anew_with_decisions_drawn_where_they_have_bounds():
     plan = TrainingPlan(steps=100, paths=8)
-    assert idle.exploring(plan, snapo.Box(0.0, 1.0, 2)).exploration == idle.DRAWN
-    assert idle.exploring(replace(plan, exploration=0.5), snapo.Box(0.0, 1.0)).exploration == 0.5
-    assert idle.exploring(plan, snapo.Box(0.0, np.inf)) is plan
+    assert exploring(plan, snapo.Box(0.0, 1.0, 2)).exploration == DRAWN
+    assert exploring(replace(plan, exploration=0.5), snapo.Box(0.0, 1.0)).exploration == 0.5
+    assert exploring(plan, snapo.Box(0.0, np.inf)) is plan

@@ -10,7 +10,8 @@ import snapo
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.noise import Stored
-from snapo.problem.policy import MLP, Constant, Linear
+from snapo.problem.policies.rules import Constant, Linear
+from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources, Supplied
 from snapo.problem.simulator import Schedule, Simulator

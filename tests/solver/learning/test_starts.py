@@ -14,8 +14,8 @@ import snapo
 from snapo.problem.policy import parameters
 from snapo.problem.problem import Problem
 from snapo.solver.learning import starts
-from snapo.solver.learning.following import resolve_auto
 from snapo.solver.learning.progress import Round
+from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.train import Training, initial_progress
 
 SMALL = snapo.Evaluation(paths=256, sensitivity_paths=0, smooth_paths=0, judge_paths=0)

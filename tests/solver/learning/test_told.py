@@ -8,13 +8,12 @@ import pytest
 
 import snapo
 from snapo.engine.norms import Norms
-from snapo.problem.policy import Linear
+from snapo.problem.policies.rules import Linear
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
-from snapo.solver.learning import horizon
-from snapo.solver.learning.growth import Growth
+from snapo.solver.learning.conditioning import Growth, share_kept
+from snapo.solver.learning.log import start_notes
 from snapo.solver.learning.progress import Record, initial_progress
-from snapo.solver.learning.told import start_notes
 
 STEPS = 40
 TRAINING = snapo.Training(steps=4, paths=16, validation_paths=64, validation_every=2)
@@ -57,11 +56,11 @@ def growing(times, paths=8, steps=101):
 
 def test_a_third_is_left_after_the_steps_in_which_adjoints_grow_a_hundredfold():
     """10,000-fold over 100 steps: a hundredfold over 50, one more to be above it."""
-    assert horizon.share(growing(1e4)) == pytest.approx(3 ** (-1 / 51))
-    assert horizon.share(growing(90.0)) == 1.0
+    assert share_kept(growing(1e4)) == pytest.approx(3 ** (-1 / 51))
+    assert share_kept(growing(90.0)) == 1.0
     exploded = growing(1e4)
     exploded[:90] = np.nan
-    assert horizon.share(exploded) == pytest.approx(3 ** (-1 / 11))
+    assert share_kept(exploded) == pytest.approx(3 ** (-1 / 11))
 
 
 def grown(times):

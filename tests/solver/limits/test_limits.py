@@ -12,9 +12,8 @@ from snapo.problem.objective import Probability, priced
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 from snapo.solver.evaluate import path_totals
-from snapo.solver.learning.convergence import _gain
-from snapo.solver.limits.dual import Dual, updated_prices
-from snapo.solver.limits.found import LimitFound, limits_found, notes_of
+from snapo.solver.limits import Dual, LimitFound, limits_found, notes_of, updated_prices
+from snapo.solver.verdict.convergence import _gain
 
 
 class Spend(snapo.Simulator):

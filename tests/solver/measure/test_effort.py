@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
-from snapo.solver.measure.settings import BACK, FEWEST, PURPOSES, SMALL, Effort
+from snapo.solver.measure.selection import BACK, FEWEST, PURPOSES, SMALL, Effort
 
 
 @pytest.mark.parametrize("horizon", [1, 365])

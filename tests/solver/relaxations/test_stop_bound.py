@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.relaxations.decisions import NotStopping, decisions
-from snapo.solver.relaxations.known import relaxation_of
-from snapo.solver.relaxations.value import MAXIMUM, exponents
+from snapo.solver.relaxations.stop import relaxation_of
+from snapo.solver.relaxations.value import MAXIMUM, NotStopping, decisions, exponents
 
 STRIKE, RATE, VOLATILITY, DATES = 40.0, 0.06, 0.2, 4
 STEP = 1 / DATES
@@ -118,7 +117,7 @@ class Largest(Rights):
 
 @pytest.mark.prove
 def test_a_decision_that_moves_the_state_is_refused():
-    with pytest.raises(NotStopping, match=r"move the state .*sold.*, not rights alone"):
+    with pytest.raises(NotStopping, match=r"move the state .*sold.*, not only rights"):
         decisions(problem(Moved()))
 
 

@@ -7,7 +7,7 @@ import pytest
 from tests.solver.twelve import Swing, policy, problem
 
 import snapo
-from snapo.solver.show.rolled import simulated_series
+from snapo.solver.figures import simulated_series
 
 pytestmark = pytest.mark.prove
 

@@ -5,8 +5,8 @@ import pytest
 
 import snapo
 from snapo.solver.sensitivity import Sensitivities, SensitivityRow
-from snapo.solver.show.frame import frame
 from snapo.solver.statistics import Estimate
+from snapo.solver.tables import frame
 
 FOUND = Sensitivities(
     {"price": snapo.Input([30.0, 31.0], "EUR", labels=("May", "June"))},

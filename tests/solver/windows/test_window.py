@@ -11,8 +11,8 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
+from snapo.solver.learning.windows import starts
 from snapo.solver.train import Training, initial_progress, train
-from snapo.solver.windows.window import starts
 
 
 class Regulator(snapo.Simulator):

@@ -13,8 +13,8 @@ import snapo
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
 from snapo.case.table import CaseTable, Count, Positive, parse
 from snapo.engine import choose
+from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
-from snapo.report.sections.proof import history, making
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline

@@ -1,4 +1,5 @@
-"""The inputs of a plant: parameters, weights, first state and disturbances, each with its unit."""
+"""The inputs of a plant: parameters, weights, initial state and disturbances, each with its
+unit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -96,5 +97,5 @@ def _error(state: Variable, value: Any) -> Input:
 
 
 def _move(value: Any) -> float | None:
-    """Nothing has no hundredth: it moves by a hundredth of the unit."""
+    """Zero has no percent: it moves by 0.01 of the unit."""
     return 0.01 if not np.any(value) else None

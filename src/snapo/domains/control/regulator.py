@@ -52,7 +52,7 @@ def riccati(plant: Linearised, steps: int) -> Riccati:
 
 
 def expected_cost(costs: Riccati, mean, covariance, shocks) -> float:
-    """The mean cost from a first state with this mean [n] and covariance [n, n].
+    """The mean cost from a initial state with this mean [n] and covariance [n, n].
 
     `shocks`: [n, n] or [T, n, n] covariances of the disturbances.
     """
@@ -97,8 +97,8 @@ def estimation_cost(
 ) -> float:
     """The mean cost that is added by errors of measurement.
 
-    `start`, `shocks`, `errors`: covariances of the first state, of disturbances and of errors; all
-    of them normal.
+    `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of errors;
+    all of them normal.
     """
     total, prior = 0.0, start
     every = np.broadcast_to(shocks, result.P[1:].shape)
@@ -138,7 +138,7 @@ def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
     best = expected_cost(result, np.asarray(mean), spread, shocks)
     if not plant.measured:
         return -best
-    if "low" in start:  # not normal: Kalman's filter is the best linear one alone
+    if "low" in start:  # not normal: Kalman's filter is only the best linear one
         return None
     linear, errors = linearised(plant, values["plant"], values["cost"]), values[MEASURED]["x"]
     return -best - estimation_cost(linear, result, spread, shocks, np.diag(errors**2))

@@ -1,8 +1,8 @@
-"""How a run of a controlled plant is told."""
+"""The report of a controlled plant."""
 
+from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.quantity import number
-from snapo.report.sections.proof import history, making
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline
@@ -21,7 +21,7 @@ SECTIONS = (
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """What stands under the title."""
+    """The lines under the title."""
     steps = f"{number(run.get('horizon'), 0)} steps"
     objective = str(run.get("objective", ""))
     return [("Plant", str(run.get("plant_words", ""))), ("Horizon", steps),

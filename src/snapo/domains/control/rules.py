@@ -1,4 +1,4 @@
-"""Classical rules as rivals of a trained policy: none, proportional, and the linear regulator."""
+"""Classical rules to compare with a trained policy: none, proportional, linear regulator."""
 
 import equinox as eqx
 import jax
@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.inputs import Frozen, plain
-from snapo.problem.policy import Constant, Policy, as_observation
+from snapo.problem.policies.rules import Constant
+from snapo.problem.policy import Policy, as_observation
 from snapo.problem.smooth import EXACT
 
 from .plants.plant import Plant, PlantValues

@@ -1,5 +1,6 @@
-"""What a run of a controlled plant does: training, rivals, closed form, maps of the policy."""
+"""The run of a controlled plant: training, classical rules, closed form, maps of the policy."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import PROFILE
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.ready import at_values, with_auto
+from snapo.study.ready import with_auto
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -45,7 +46,7 @@ def unit(text: str) -> str:
 
 
 def units(plant: Plant) -> dict[str, str]:
-    """{state or action: unit}; an action is told as the share of its limit, as it is trained."""
+    """{state or action: unit}; an action is shown as the share of its limit, as it is trained."""
     table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}
     table |= {f"{MEASURED}.{name}": table[name] for name in plant.measured if name in table}
     return table | {"action": "share of its limit"} if _bounded(plant) else table
@@ -56,7 +57,7 @@ def _bounded(plant: Plant) -> bool:
 
 
 def study(case: ControlCase, options: Options) -> Study:
-    """Training, distribution, fans, moves, rivals, the plane of states, and the certificate."""
+    """Training, distribution, fans, moves, classical rules, the plane of states, certificate."""
     setup, plant = make_setup(case, options.engine), case.plant
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
@@ -78,17 +79,13 @@ def study(case: ControlCase, options: Options) -> Study:
         "notes": list(case.notes),
     }
 
-    def at_case(before: Setup, other: ControlCase) -> Setup:
-        values = {item.name: item.input.value for item in named_inputs(other.inputs)}
-        return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
-
     return Study(
         "control",
         about,
         tuple(parts),
         _result,
         lambda: setup,
-        setup_at=at_case,
+        setup_at=setup_at,
         inputs=lambda other: {entry.name: entry.input for entry in named_inputs(other.inputs)},
         live_tables=reward_and_costs,
         today=today,
@@ -96,7 +93,7 @@ def study(case: ControlCase, options: Options) -> Study:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    """The trained policy beside the best rival, the closed form and the real environment."""
+    """The trained policy compared with the best rule, the closed form and the real environment."""
     baselines, played = BASELINES.of(run), GYMNASIUM.of(run)
     rules = baselines.rivals if baselines else ()
     references = {rule.name: rule.value for rule in rules}
@@ -112,4 +109,16 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
-    return with_auto(engine, problem, case.recipe, training, evaluation)
+    setup = with_auto(engine, problem, case.recipe, training, evaluation)
+    return setup._replace(case=case)
+
+
+def setup_at(setup: Setup, case: ControlCase) -> Setup:
+    """The setup of a case that differs only in the numbers of its inputs.
+
+    Nothing is compiled where the case has the same form.
+    """
+    problem = replace(setup.problem, simulator=case.plant, inputs=case.inputs)
+    if problem.form != setup.problem.form:
+        return make_setup(case, setup.engines.name)
+    return setup._replace(problem=problem, case=case)

@@ -12,8 +12,14 @@ from snapo.case.table import TITLE, CaseTable, Title
 from .plants.plant import Plant, PlantParameter
 
 Width = Annotated[int, Field(ge=1, le=4096)]
+Widths = Annotated[list[Width], Field(min_length=1, max_length=8)]
 MatrixRows = list[list[float]]
 PositiveOrNone = Annotated[float, Field(gt=0)] | None
+
+
+def _whole_number(low: int, high: int, note: str) -> Any:
+    """A key for a whole number from `low` to `high`, or none; its text says so."""
+    return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
 
 
 class ControlFile(CaseTable):
@@ -35,25 +41,23 @@ class ControlFile(CaseTable):
 class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
-    hidden: Annotated[list[Width], Field(min_length=1, max_length=8)] | None = Field(
+    hidden: Widths | None = Field(
         None, description="a list of widths, [32, 32], or left out: then it follows the problem"
     )
     memory: Literal["GRU", "Recent"] | None = Field(
         None,
         description='"GRU" (a recurrent network) or "Recent" (the last observations), or left out',
     )
-    steps: Annotated[int, Field(ge=2, le=1000)] | None = Field(
-        None, description='with memory = "Recent" the number of observations it sees, 2 or more'
+    steps: int | None = _whole_number(
+        2, 1000, 'with memory = "Recent", of observations that it sees'
     )
 
 
 class PlantTable(CaseTable):
-    """`[plant]`: what every plant has beside its parameters."""
+    """`[plant]`: what every plant has in addition to its parameters."""
 
     type: str
-    horizon: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
-        None, description="a number of steps, 1 to 100,000"
-    )
+    horizon: int | None = _whole_number(1, 100_000, " of steps")
     clock: bool | None = Field(
         None, description="true or false: whether the policy sees the time that is left"
     )
@@ -95,20 +99,20 @@ def _field(parameter: PlantParameter) -> Any:
 
 
 class At(CaseTable):
-    """A first state that is known."""
+    """A initial state that is known."""
 
     at: float | list[float] = Field(description="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
-    """A first state anywhere between two numbers."""
+    """A initial state anywhere between two numbers."""
 
     low: float = Field(description="a number below high")
     high: float = Field(description="a number above low")
 
 
 class NormalStart(CaseTable):
-    """A first state that is normal, its numbers independent."""
+    """A initial state that is normal, its numbers independent."""
 
     mean: float | list[float] = Field(description="a number, or a list of them")
     deviation: float | list[float] = Field(description="a number above 0, or a list of them")

@@ -1,4 +1,4 @@
-"""`snapo bench`: the speed of this machine on the flagship, value alone and with gradients."""
+"""`snapo bench`: the speed of this machine on the flagship, value only and with gradients."""
 
 import time
 from importlib.resources import files
@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.engine import Native, Xla
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth

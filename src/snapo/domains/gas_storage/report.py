@@ -1,27 +1,139 @@
-"""How a storage run is told: its sections, and the picture for the README."""
+"""The report of a storage run: its sections, its first screen, and the picture for the README."""
 
 from pathlib import Path
 
 import numpy as np
 
 from snapo.report import charts
-from snapo.report.drawing import draw_alone
-from snapo.report.page import Section
-from snapo.report.quantity import long_date
-from snapo.report.sections.proof import making
-from snapo.report.theme import LIGHT
+from snapo.report.drawing import LIGHT, draw_alone
+from snapo.report.evidence import making, notes
+from snapo.report.missing import why_missing
+from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
+from snapo.report.quantity import (
+    decimals,
+    finite,
+    long_date,
+    number,
+    part_of,
+    percent,
+    plus_minus,
+    quantity,
+)
 from snapo.study.chapters.bound import value_bounds
+from snapo.study.chapters.certificate import checks
 from snapo.study.domain import Report
 
-from .chapters.certificate import CERTIFICATE
+from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
-from .chapters.evidence import assumptions, history
-from .chapters.headline import headline
-from .chapters.position import POSITION, inventory
+from .chapters.position import POSITION, Cycles, Position, inventory
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
-from .chapters.today import ladder
+from .chapters.today import FirstDecision, ladder
 from .chapters.value import VALUES, cash_flow, ladder_bars
+
+TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}
+
+
+def headline(run: StorageRun) -> Section:
+    """The value with its standard error, and the decision of the day in one sentence."""
+    value, error = finite(run.result.get("value")), run.result.get("standard_error")
+    if value is None:
+        status = run.result.get("status") or "unknown"
+        sentence = f"There is no value in result.json (status: {status})."
+        return Section("headline", "Value and decision", "", [Missing(sentence)])
+    digits, position = decimals([value]), POSITION.of(run) or Position()
+    now = position.today or FirstDecision()
+    block = Headline(
+        label="Value of the contract",
+        value=run.money(value, digits),
+        error=plus_minus(error, digits),
+        note=_error_note(value, error),
+        action=_verb(run, now) if now.action else "",
+        sentence=_sentence(run, now) if now.action else "",
+        tone=TONES.get(now.action, "main"),
+        when=_when(run, now),
+        marks=_marks(run),
+    )
+    blocks: list[Block] = [block, *notes(run)]
+    if not now.action:
+        blocks.append(why_missing(run, POSITION.name))
+    if facts := _facts(run, value, digits, position.cycles, now):
+        blocks.append(Facts(facts))
+    return Section("headline", "Value and decision", "", blocks)
+
+
+def _error_note(value: float, error) -> str:
+    available = finite(error)
+    text = "exact contract on fresh scenarios, present value"
+    if available is None:
+        return f"{text[0].upper()}{text[1:]}."
+    share = f" ({part_of(available / abs(value))} of the value)" if value else ""
+    return f"± one standard error{share}; {text}."
+
+
+def _marks(run: StorageRun) -> list[Mark]:
+    result = checks(run)
+    failed = [name for name, passed in result if not passed]
+    if not result:
+        return []
+    if failed:
+        return [Mark(False, f"{len(failed)} of {len(result)} checks fail; see the certificate")]
+    return [Mark(True, f"all {len(result)} checks of the certificate hold")]
+
+
+def _when(run: StorageRun, now: FirstDecision) -> str:
+    if now.date and now.date != run.get("valuation_date", now.date):
+        return f"First decision, {long_date(now.date)}"
+    return "Decision of today"
+
+
+def _verb(run: StorageRun, now: FirstDecision) -> str:
+    volume, verb = finite(now.volume), now.action.capitalize()
+    return f"{verb} {run.gas(abs(volume))}" if now.action != "hold" and volume else verb
+
+
+def _sentence(run: StorageRun, now: FirstDecision) -> str:
+    """ "25 April 2021: spot is 16.61, above the withdrawal trigger of 16.20 …"."""
+    price = run.price
+    spot, low, high = (finite(x) for x in (now.spot, now.inject_below, now.withdraw_above))
+    digits = _price_places([spot, low, high])
+    limits = []
+    if low is not None:
+        limits.append(f"inject below {quantity(low, price, digits)}")
+    if high is not None:
+        limits.append(f"withdraw above {quantity(high, price, digits)}")
+    rule = ", ".join(limits) + (" and hold between" if len(limits) == 2 else "")
+    start = f"{long_date(now.date)}: the spot price is {quantity(spot, price, digits)}"
+    store = finite(now.inventory)
+    start += f" with {run.gas(store)} in store." if store is not None else "."
+    return f"{start} The rule at this inventory: {rule}." if rule else start
+
+
+def _price_places(prices) -> int:
+    """Cents for prices of everyday size, more for small ones."""
+    return max(2, min(decimals(prices, 4), 6))
+
+
+def _facts(
+    run: StorageRun, value: float, digits: int, cycles: Cycles, now: FirstDecision
+) -> list[tuple[str, str, str]]:
+    facts = []
+    intrinsic = finite((run.result.get("references") or {}).get("intrinsic"))
+    if intrinsic is not None:
+        facts.append(("Intrinsic value", run.money(intrinsic, digits), "locked in today"))
+        share = f"{percent((value - intrinsic) / value)} of the value" if value else ""
+        facts.append(("Extrinsic value", run.money(value - intrinsic, digits), share))
+    values = VALUES.of(run)
+    if values is not None and (fee := finite(values.break_even_fee)) is not None:
+        note = f"per {run.volume} of working volume"
+        facts.append(("Break-even fee", run.money(fee, max(2, decimals([fee], 4))), note))
+    if finite(cycles.mean) is not None:
+        facts.append(("Cycles", number(cycles.mean, 2), f"{cycles.unit}, mean"))
+    if finite(now.marginal_value) is not None:
+        note = f"of one more {run.volume} in store today"
+        facts.append(("Marginal value", quantity(now.marginal_value, run.price, 2), note))
+    return facts
+
 
 HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
 
@@ -57,9 +169,9 @@ REPORT = Report("Gas storage", StorageRun, _about, SECTIONS)
 
 
 def readme_picture(folder: Path) -> str:
-    """A picture of a result as SVG text that stands alone: value ladder and monthly deltas.
+    """A separate picture of a result as SVG text: value ladder and monthly deltas.
 
-    Raises `ValueError` where the run lacks either.
+    Raises `ValueError` where the run has only one or none of them.
     """
     run = StorageRun.read(Path(folder))
     values, deltas = VALUES.of(run), DELTAS.of(run)

@@ -11,31 +11,26 @@ from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
-from snapo.solver.by_block.passes import DerivativePass
+from snapo.solver.derivatives.by_block import DerivativePass
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
-from .bounds.guide import fitted_marginal
-from .bounds.innovation import innovation_table
-from .bounds.value_iteration import FittedValue, fit_guide
-from .contract.inputs import storage_inputs
-from .contract.records import StorageCase
+from .bounds.value_iteration import FittedValue, fit_guide, fitted_marginal, innovation_table
+from .contract.records import StorageCase, storage_inputs
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, simulator_of
-from .policy.fitted_guide import FittedKnots
-from .policy.innovation import Innovations
+from .policy.guide import FittedKnots, Innovations, ValueTable
 from .policy.network import StoragePolicy
-from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
 from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
-MAX_FACTORS = 3  # of a fitted guide, beside those that move all prices alike
-BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the value, of the hedge
+MAX_FACTORS = 3  # of a fitted guide, next to those that move all prices in proportion
+BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures next to the value, of the hedge
 
 
 def bare_problem(case: StorageCase) -> Problem:
@@ -90,7 +85,7 @@ def _bare(problem: Problem) -> Problem:
 def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
-    # No hedge yet, but its place: what is compiled serves before and after.
+    # No hedge yet, but room for it: the compiled code serves before and after.
     adjacent = {"innovations": _innovations(problem, fit), "hedge": np.zeros(simulator.horizon)}
     return replace(
         problem, simulator=replace(simulator, value_table=value_table(problem, fit), **adjacent)
@@ -166,7 +161,7 @@ def _hedge(setup: Setup) -> np.ndarray:
     plain = replace(problem, objective=Mean(OUTPUT))
     on = _measured_on(plain, Pseudo(setup.training.seed, stream=stream(EVALUATE, HEDGE)))
     path = DerivativePass(on, engine.bind(on), policy.value_rule, Exact(), held=True)
-    derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
+    derivatives = path.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is not used
     simulator = simulator_of(problem)
     deltas = derivatives.inputs[simulator.curve.name].value[: simulator.horizon]
     return deltas / problem.schedule.steps.gas_discount

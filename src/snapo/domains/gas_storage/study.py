@@ -1,5 +1,6 @@
 """The study of a storage case: the parts of a run, and the headline of its result."""
 
+from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +18,7 @@ from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
 from .chapters.position import POSITION
 from .chapters.risk import SHADOW_PRICES
+from .chapters.run import InputEntry
 from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .contract.records import GasMarket, StorageCase
@@ -73,7 +75,7 @@ def lines(case: StorageCase) -> list[str]:
 
 
 def study(case: StorageCase, options: Options) -> Study:
-    """All parts of a run; of a contract without a decision left, its value alone."""
+    """All parts of a run; of a contract without a decision left, only its value."""
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
@@ -122,7 +124,7 @@ class _Prepared:
 
 
 def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
-    """Known before any work: title, units, dates, notes, curve, and the words of the inputs."""
+    """Known before any work: title, units, dates, notes, curve, and the metadata of the inputs."""
     notes = ["No decision day is left."] if problem is None else []
     about = {
         "title": case.title,
@@ -143,14 +145,16 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
     if problem is None:
         return about
     inputs = {
-        name: {
-            "words": item.meaning,
-            "group": item.group,
-            "unit": item.unit,
-            "move": item.move,
-            "trade_unit": item.display_unit,
-            "trade_factor": item.display_factor,
-        }
+        name: asdict(
+            InputEntry(
+                words=item.meaning,
+                group=item.group,
+                unit=item.unit,
+                move=item.move,
+                trade_unit=item.display_unit,
+                trade_factor=item.display_factor,
+            )
+        )
         for name, item in problem.inputs_by_name.items()
     }
     forward = case.market.forward_curve.used()[: len(case.days)]

@@ -1,23 +1,23 @@
 """A case made ready to solve: the problem, its policy and its engines."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 from scipy import stats
 
 from snapo.case.objective import make_objective
 from snapo.engine import EngineName
-from snapo.problem.inputs import Input
 from snapo.problem.problem import Problem
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.study.ready import at_values, engines_for
+from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from .item.estimates import economic_lot, mean_demand, safety_factor, usual_deviation
 from .item.records import InventoryCase
-from .item.simulator import InventorySimulator, inputs_of
+from .item.simulator import InventorySimulator
 from .network.estimates import first_batches
-from .network.inputs import network_inputs
 from .network.policy import EchelonRule
 from .network.records import NetworkCase
 from .network.simulator import NetworkSimulator
@@ -32,29 +32,29 @@ def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     objective = make_objective(case.objective, "result")
     sources = evaluation.sources(training.seed)
-    problem = Problem(simulator_of(case), case_inputs(case), objective, sources)
+    problem = Problem(simulator_of(case), case.inputs(), objective, sources)
     policy = first_policy(problem, case, training.seed)
     engines = engines_for(engine, problem, policy)
-    return Setup(problem, policy, training, evaluation, engines)
+    return Setup(problem, policy, training, evaluation, engines, case=case)
 
 
 def setup_at(setup: Setup, case: AnyCase) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
-    values = {name: entry.value for name, entry in case_inputs(case).items()}
-    engine: EngineName = setup.engines.name  # pyright: ignore[reportAssignmentType]
-    return at_values(setup, simulator_of(case), values, lambda: make_setup(case, engine))
+    """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
+
+    Nothing is compiled where the case has the same form.
+    """
+    problem = replace(setup.problem, simulator=simulator_of(case), inputs=case.inputs())
+    if problem.form != setup.problem.form:
+        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
+    policy = first_policy(problem, case, setup.training.seed)
+    return setup._replace(problem=problem, policy=policy, case=case)
 
 
 def simulator_of(case: AnyCase) -> InventorySimulator | NetworkSimulator:
     """The simulator of an item, or that of a network."""
     if isinstance(case, NetworkCase):
-        return NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
-    return InventorySimulator(case)  # pyright: ignore[reportCallIssue]
-
-
-def case_inputs(case: AnyCase) -> dict[str, Input]:
-    """Every number of a case that has a sensitivity."""
-    return network_inputs(case) if isinstance(case, NetworkCase) else inputs_of(case)
+        return NetworkSimulator.of(case)
+    return InventorySimulator.of(case)
 
 
 def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | EchelonRule:
@@ -62,7 +62,9 @@ def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | Eche
     key = jax.random.key(seed)
     if isinstance(case, NetworkCase):
         batch, wait = first_batches(case)
-        return EchelonRule(case, problem.action, problem.features, key=key, batch=batch, wait=wait)
+        return EchelonRule(
+            case.network, problem.action, problem.features, key=key, batch=batch, wait=wait
+        )
     batch, wait = first_batch(case) if case.item.fixed else (0.0, 0.0)
     return OrderUpTo(problem.action, problem.features, key=key, batch=batch, wait=wait)
 
@@ -85,13 +87,11 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
 
 def case_of(setup: Setup) -> InventoryCase:
     """The item that was made ready."""
-    simulator = setup.problem.simulator
-    assert isinstance(simulator, InventorySimulator)
-    return simulator.case
+    assert isinstance(setup.case, InventoryCase)
+    return setup.case
 
 
 def network_of(setup: Setup) -> NetworkCase:
     """The network that was made ready."""
-    simulator = setup.problem.simulator
-    assert isinstance(simulator, NetworkSimulator)
-    return simulator.case
+    assert isinstance(setup.case, NetworkCase)
+    return setup.case

@@ -21,13 +21,13 @@ from .chapters.places import PLACES, network_tables, service_and_places
 from .chapters.service import SERVICE, live_tables
 from .item.records import InventoryCase
 from .network.records import NetworkCase
-from .setup import AnyCase, case_inputs, make_setup, setup_at, simulator_of
+from .setup import AnyCase, make_setup, setup_at, simulator_of
 
 
 def lines(case: AnyCase) -> list[str]:
     """The case in a few lines: nothing is trained."""
     describe = _network_lines if isinstance(case, NetworkCase) else _item_lines
-    inputs = case_inputs(case)
+    inputs = case.inputs()
     numbers = sum(entry.value.size for entry in inputs.values())
     last = f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity"
     return [*describe(case), last]  # pyright: ignore[reportArgumentType]
@@ -37,7 +37,7 @@ def _item_lines(case: InventoryCase) -> list[str]:
     item = case.item
     unmet = "lost" if item.lost else "delivered later"
     integers = "whole" if item.integer else "any"
-    problem = Problem(simulator_of(case), case_inputs(case), Mean("result"))
+    problem = Problem(simulator_of(case), case.inputs(), Mean("result"))
     level = float(problem.schedule.steps["level"][case.warm_up])
     return [
         f"{case.title}: {_periods(case)}",
@@ -49,17 +49,17 @@ def _item_lines(case: InventoryCase) -> list[str]:
 
 
 def _network_lines(case: NetworkCase) -> list[str]:
-    rows = [f"{case.title}: {len(case.sites)} places, {_periods(case)}"]
-    for position in case.sites:
-        supplier = "outside" if position.supplier is None else case.sites[position.supplier].name
-        sells = f"; demand {position.demand.describe()}" if position.demand is not None else ""
-        season = (
-            f", a season of {len(position.season.values)} {case.period}s" if position.season else ""
-        )
-        rows.append(
-            f"{position.name}: from {supplier} in {position.lead_time} "
-            f"{case.period}s{sells}{season}"
-        )
+    sites = case.network.sites
+    rows = [f"{case.title}: {len(sites)} places, {_periods(case)}"]
+    customers = dict(zip(case.network.sellers, zip(case.demands, case.seasons)))
+    for i, site in enumerate(sites):
+        supplier = "outside" if site.supplier is None else sites[site.supplier].name
+        row = f"{site.name}: from {supplier} in {site.lead_time} {case.period}s"
+        if i in customers:
+            demand, season = customers[i]
+            row += f"; demand {demand.describe()}"
+            row += f", a season of {len(season.values)} {case.period}s" if season else ""
+        rows.append(row)
     if (ordering := case.ordering) is not None:
         rows += [
             f"an order of {name} costs {cost:,.4g} {ordering.unit}, whatever its size"
@@ -70,7 +70,10 @@ def _network_lines(case: NetworkCase) -> list[str]:
             f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
             for pool, cost in zip(moving.labels, moving.values)
         ]
-    return [*rows, f"orders are {'whole' if case.integer else 'any'} numbers of {case.unit}s"]
+    return [
+        *rows,
+        f"orders are {'whole' if case.network.integer else 'any'} numbers of {case.unit}s",
+    ]
 
 
 def _periods(case: AnyCase) -> str:
@@ -79,7 +82,7 @@ def _periods(case: AnyCase) -> str:
 
 
 def study(case: AnyCase, options: Options) -> Study:
-    """Training, service and costs, an item's rule as a table, rivals, moves, lead time, outputs."""
+    """Training, service and costs, an item's rule, other rules, moves, lead time, outputs."""
     if options.reference:
         allowed = "an inventory has no references to compute; its rivals are in every run"
         raise CaseError("--reference", "", None, allowed)
@@ -106,7 +109,7 @@ def study(case: AnyCase, options: Options) -> Study:
         lambda: setup,
         setup_at=setup_at,
         today=None if is_network else today,
-        inputs=case_inputs,
+        inputs=lambda other: other.inputs(),
         live_tables=network_tables if is_network else live_tables,
     )
 
@@ -115,7 +118,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
     """The headline: the value of the trained rule, and those of the classical ones."""
     results = BASELINES.of(run)
     rules = results.rivals[1:] if results else ()
-    # A difference that is not finite is None in the files of a run.
+    # A non-finite difference is None in the files of a run.
     lead_time = [
         (x.rule, -x.difference, x.difference_error) for x in rules if x.difference is not None
     ]

@@ -1,4 +1,4 @@
-"""The user's own module: found beside the case, run once, and its mistakes put in words."""
+"""The user's own module: found next to the case, run once, with messages for its mistakes."""
 
 import hashlib
 import importlib
@@ -26,7 +26,7 @@ class LoadedCode(NamedTuple):
 
 
 def load_class(module: str, name: str, folder: Path) -> LoadedCode:
-    """The class `name` of `module`: beside the case, in the working directory, or installed.
+    """The class `name` of `module`: next to the case, in the working directory, or installed.
 
     **Raises:** `CaseError` where there is none, or the module cannot be run.
     """
@@ -72,7 +72,7 @@ def _loaded(module: str, position: Unquoted, folder: Path) -> ModuleType:
 
 
 def _run(module: str, file: Path) -> ModuleType:
-    """The module in `file`, run anew: another case may have a module of the same name."""
+    """The module in `file`, run again: another case may have a module of the same name."""
     spec = importlib.util.spec_from_file_location(module, file)
     assert spec is not None and spec.loader is not None
     made = importlib.util.module_from_spec(spec)
@@ -87,7 +87,7 @@ def _run(module: str, file: Path) -> ModuleType:
 
 @contextmanager
 def importable(folder: Path) -> Iterator[None]:
-    """Modules beside the simulator can be imported while it is run."""
+    """Modules next to the simulator can be imported while it is run."""
     sys.path.insert(0, str(folder))
     try:
         yield

@@ -1,26 +1,230 @@
-"""From the tables of a case and the user's own class to the records that a study needs."""
+"""Reads a case with a simulator of the user's own: its tables, `[inputs]` and `[objective]`."""
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+from pydantic import Field
+
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import FilePosition, positions
+from snapo.case.objective import make_objective
+from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
 from snapo.case.settings import (
     EvaluationTable,
     FollowingTable,
+    ObjectiveTable,
     check_window,
     read_evaluation,
+    read_objective,
     read_training,
+    read_weight,
 )
-from snapo.case.table import parse
+from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, parse
+from snapo.problem.inputs import Input
+from snapo.problem.objective import Objective, Weighted
 from snapo.problem.simulator import Simulator
-from snapo.study.solving.prepare import use_every_core
+from snapo.study.prepare import use_every_core
 
-from .inputs import read_inputs
 from .load import importable, load_class, readable
-from .objective import objective_of, read_aims, unit_of, words_of
 from .records import OwnCase
-from .tables import InputTable, OwnTable
+
+NumberArray = float | list[float] | list[list[float]]
+
+
+class OwnTable(CaseTable):
+    """The whole file; the tables in it are read by their own records."""
+
+    kind: str
+    title: Title = Field("", description=TITLE)
+    step: str = Field("step", description='the word for one step of the simulator, like "week"')
+    objective: dict[str, Any] | list[dict[str, Any]] = Field(
+        {}, description="a table, [objective], or several, [[objective]]"
+    )
+    inputs: dict[str, Any] = Field({}, description="a table, [inputs]")
+    units: dict[str, str] = Field(
+        {}, description="a table of units by name of a state, of the action or of an output"
+    )
+    training: dict[str, Any] = Field({}, description="a table, [training]")
+    evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
+    simulator: dict[str, Any] = Field({}, description="a table, [simulator]")
+
+
+class InputTable(CaseTable):
+    """One entry of `[inputs]`: numbers in the file or a column of a CSV, and their meaning."""
+
+    value: NumberArray | None = Field(None, description="a number, or an array of numbers")
+    file: str | None = Field(None, description="the name of a .csv file next to the case")
+    column: str | None = Field(None, description="the name of a column of the file")
+    label: str | None = Field(None, description="the name of the column that labels the numbers")
+    labels: list[str] | None = Field(None, description="one text per number")
+    unit: str = Field("", description='text, like "EUR/MWh"')
+    words: str = Field("", description="text: the meaning of the input")
+    group: str = Field("", description="text: the family of risk")
+    bump: Positive | None = Field(None, description="a number above 0, in the unit")
+    move: float | None = Field(None, description="a number other than 0, in the unit")
+    trade_unit: str = Field("", description="text: the unit that its user prefers")
+    trade_factor: Annotated[float, Field(gt=0)] = Field(
+        1.0, description="a number above 0: how many trade units make one unit"
+    )
+
+
+ATTRIBUTES = {  # keys of the table that an input has, and the names that it has for them
+    "unit": "unit", "words": "meaning", "group": "group", "bump": "bump", "move": "move",
+    "trade_unit": "display_unit", "trade_factor": "display_factor",
+}  # fmt: skip
+
+APART = Plausible(-math.inf, math.inf, "", ratio=50.0)  # numbers in a row are not so far apart
+PERCENT = re.compile("%|point|percent")
+
+
+Positions = tuple[FilePosition, ...]
+
+
+def read_inputs(
+    tables: Mapping[str, Any], file: Path, notes: list[str]
+) -> tuple[dict[str, Input], dict[str, Positions]]:
+    """{name: input} in the order of the file, and {name: positions of its numbers}.
+
+    `prepare` receives arrays under the same names.
+    """
+    pairs = {name: _input(name, table, file, notes) for name, table in tables.items()}
+    inputs = {name: entry for name, (entry, _) in pairs.items()}
+    entries = [checked_numbers(entry, name) for name, entry in inputs.items()]
+    files = CaseFiles(file, {"inputs": tables})
+    notes += implausible(entries, [*_shares(entries), APART], files).values()
+    return inputs, {name: locations for name, (_, locations) in pairs.items()}
+
+
+def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
+    """The ranges of shares: those that are shown as percentage points, or in basis points."""
+    for entry in entries:
+        if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
+            hint = "a fraction is meant, of which the trade unit is a hundredth"
+            yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
+        if entry.display_factor == 1e4 and entry.display_unit == "bp":
+            hint = "a fraction is meant, 0.0001 is 1 bp"
+            yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
+
+
+def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, Positions]:
+    where = f"inputs.{name}"
+    if not isinstance(data, Mapping):
+        message = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
+        raise CaseError(str(file), where, data, message)
+    table = parse(InputTable, data, str(file), where)
+    if table.move == 0:
+        raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
+    section = TableContext(file, where, notes)
+    values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
+    attributes = {name: getattr(table, key) for key, name in ATTRIBUTES.items()}
+    return Input(values, labels=labels, **attributes), locations
+
+
+InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
+
+
+def _in_file(section: TableContext, table: InputTable) -> InputParts:
+    """The numbers under `value`, any shape."""
+    if table.value is None:
+        message = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
+        raise section.error("value", None, message)
+    for key in ("column", "label"):
+        if getattr(table, key) is not None:
+            raise section.error(key, getattr(table, key), "it belongs to a file, not to a value")
+    try:
+        values = np.array(table.value, np.float64)
+    except ValueError:
+        raise section.error("value", table.value, "all rows must have the same length") from None
+    labels = tuple(table.labels or ())
+    if labels and len(labels) != values.size:
+        message = f"there are {values.size} numbers; give each one label"
+        raise section.error("labels", table.labels, message)
+    return values, labels, positions((*section.keys, "value"), values.shape)
+
+
+def _from_csv(section: TableContext, table: InputTable) -> InputParts:
+    """The numbers of a column, with the texts of another one as labels."""
+    assert table.file is not None
+    if table.value is not None:
+        raise section.error("value", table.value, "an input has a value or a file, not both")
+    if table.labels is not None:
+        raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
+    if not table.column:
+        raise section.error("column", table.column, "allowed is the name of a column of the file")
+    column, label = table.column.lower(), (table.label or "").lower()
+    rows = read_rows(FileReference(section, "file", table.file), [c for c in (column, label) if c])
+    values = np.array([row.number(column) for row in rows])
+    labels = tuple(row.label(label) for row in rows) if label else ()
+    return values, labels, tuple(row.position(column) for row in rows)
+
+
+class Aim(NamedTuple):
+    """`weight` times one objective of one output; `key`: its key in the case."""
+
+    key: str
+    weight: float
+    output: str
+    table: ObjectiveTable
+
+    @property
+    def description(self) -> str:
+        """The objective as a phrase."""
+        name, table = self.output.replace("_", " "), self.table
+        if table.kind == "cvar":
+            return f"mean of the worst {100 * (1 - (table.level or 0.95)):.3g} % of {name}"
+        return f"{table.kind.replace('-', ' ').replace('crra', 'expected utility')} of {name}"
+
+
+def read_aims(data: Any, file: str) -> tuple[Aim, ...]:
+    """One table, or several that are added up."""
+    many = isinstance(data, list)
+    if many and not data:
+        raise CaseError(file, "objective", data, "at least one table is needed, [objective]")
+    return tuple(
+        _aim(item, f"objective.{i}" if many else "objective", file)
+        for i, item in enumerate(data if many else [data], 1)
+    )
+
+
+def objective_of(aims: tuple[Aim, ...]) -> Objective:
+    """The sum of the aims."""
+    terms = [(aim.weight, make_objective(aim.table, aim.output)) for aim in aims]
+    return terms[0][1] if len(terms) == 1 and terms[0][0] == 1 else Weighted(*terms)
+
+
+def words_of(aims: tuple[Aim, ...]) -> str:
+    """ "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
+    text = ""
+    for aim in aims:
+        sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "
+        factor = "" if abs(aim.weight) == 1 else f"{abs(aim.weight):g} × "
+        text += f"{' ' if text else ''}{sign}{factor}{aim.description}"
+    return text
+
+
+def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
+    """The unit of the sum: that of its parts, where they all have the same."""
+    result = {units.get(aim.output, "") if aim.table.keeps_unit else "" for aim in aims}
+    return result.pop() if len(result) == 1 else ""
+
+
+def _aim(data: Any, name: str, file: str) -> Aim:
+    if not isinstance(data, Mapping):
+        raise CaseError(file, name, data, "this must be a table, [objective]")
+    output = data.get("output")
+    if not isinstance(output, str) or not output:
+        message = "it is the name of the simulator's output that is maximised"
+        message = f"this key is missing; {message}" if output is None else message
+        raise CaseError(file, f"{name}.output", output, message)
+    rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
+    table = read_objective(rest, file, name)
+    return Aim(name, read_weight(data, table, file, name), output, table)
+
 
 FORMATS = {
     "": OwnTable,

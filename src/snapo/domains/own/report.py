@@ -1,12 +1,13 @@
-"""How a run of a user's own simulator is told: the sections that every run can have, and limits."""
+"""The report of a run of a user's own simulator: the sections that every run can have, and
+limits."""
 
 from typing import Any
 
+from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.page import Mark, Section, Table, Text
 from snapo.report.quantity import NONE, SPACE, decimals, finite, measured, number
-from snapo.report.sections.proof import history, making
-from snapo.solver.limits.found import LimitFound
+from snapo.solver.limits import LimitFound
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
@@ -17,9 +18,9 @@ from snapo.study.domain import Report
 
 CAVEAT = (
     "Met nearly: missed by less than the half width of the interval, or by a thousandth of one "
-    "path's deviation. One more of the level is worth its shadow price to the objective, from "
-    "derivatives by the policy on fresh paths; a limit with room has none. Sensitivities are "
-    "those of the best value within the limits."
+    "path's deviation. One more of the level changes the objective by its shadow price, from "
+    "derivatives on fresh paths with respect to the policy; a limit with room has none. "
+    "Sensitivities are those of the best value within the limits."
 )
 
 
@@ -36,7 +37,7 @@ def limits(run: RunFiles) -> Section:
 
 
 def _row(limit: LimitFound) -> tuple[Any, ...]:
-    low, high = finite(limit.low), finite(limit.high)  # null in the file where it is not finite
+    low, high = finite(limit.low), finite(limit.high)  # null in the file where it is non-finite
     width = (high - low) / 2 if low is not None and high is not None else 0.0
     digits = max(0, decimals([width], 2)) if width else None
     price, error = finite(limit.price), finite(limit.price_error)
@@ -61,7 +62,7 @@ SECTIONS = (
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """What stands under the title."""
+    """The entries under the title."""
     steps = f"{number(run.get('horizon'), 0)} {run.get('step', 'step')}s"
     objective = str(run.get("objective", ""))
     return [("Simulator", str(run.get("simulator", ""))), ("Horizon", steps),

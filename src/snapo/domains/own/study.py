@@ -1,4 +1,4 @@
-"""What a run of a user's own simulator does: it is checked, trained, measured and told."""
+"""What a run of a user's own simulator does: it is checked, trained, measured and reported."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ import jax
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
-from snapo.checker.wanted import unknown_outputs
+from snapo.checker.shapes import unknown_outputs
 from snapo.problem.inputs import named_inputs
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
-from snapo.solver.relaxations.known import UNKNOWN, Relaxable, bounded, relaxation_of
+from snapo.solver.relaxations.stop import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.chapters.bound import BOUND
@@ -65,7 +65,7 @@ def checked(case: OwnCase) -> Findings:
 
 
 def names(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """The names of states, actions and outputs; shapes alone are computed."""
+    """The names of states, actions and outputs; only shapes are computed."""
     simulator, schedule = problem.simulator, problem.schedule
 
     def once(schedule, noise, action) -> Any:
@@ -92,7 +92,7 @@ def lines(case: OwnCase) -> list[str]:
     return [
         f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
         f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
-        f"the {case.objective_words} is made as large as possible",
+        f"the {case.objective_words} is maximised",
     ]
 
 

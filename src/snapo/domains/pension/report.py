@@ -3,9 +3,9 @@
 import numpy as np
 
 from snapo.report import evidence
+from snapo.report.missing import unless_left_out
 from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
 from snapo.report.quantity import finite, long_date, number, plus_minus
-from snapo.report.sections.lacking import unless_left_out
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
@@ -154,7 +154,7 @@ def _facts_of_pots(run: PensionRun) -> dict[str, list[Fact]]:
 
 def history(run: PensionRun) -> Section:
     """The objective and the gradient norm over the steps of training."""
-    return evidence.history(run, "objective")
+    return evidence.training_history(run, "objective")
 
 
 def about(run: PensionRun) -> list[tuple[str, str]]:

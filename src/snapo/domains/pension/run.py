@@ -56,7 +56,7 @@ class PensionRun(RunFiles):
 
     @property
     def horizon(self) -> str:
-        """The horizon in words, "after 10 years"."""
+        """The horizon as text, "after 10 years"."""
         return f"after {number(self.years, 0)} years"
 
     @property
@@ -107,7 +107,7 @@ def share(value: Any, digits: int = 1) -> str:
 
 
 def name_of(name: str, label: str = "") -> str:
-    """An input in words: "Zero rate, 10y"."""
+    """An input as text: "Zero rate, 10y"."""
     text = name.replace("plan_", "").replace("_", " ").replace("lee carter", "Lee-Carter")
     text = text[:1].upper() + text[1:]
     return f"{text}, {label}" if label else text

@@ -47,9 +47,9 @@ def bench(engine: str, progress: ProgressCallback) -> str:
 
 def _times(work: Callable[[], Any]) -> tuple[float, float]:
     """Seconds of the first call, which compiles, and the best of some more."""
-    perf_counters = []
+    seconds = []
     for _ in range(1 + REPEATS):
         started = time.perf_counter()
         work()
-        perf_counters.append(time.perf_counter() - started)
-    return perf_counters[0], min(perf_counters[1:])
+        seconds.append(time.perf_counter() - started)
+    return seconds[0], min(seconds[1:])

@@ -1,4 +1,4 @@
-"""Numbers that the owner gave, where they are used."""
+"""Numbers that the user gave, where they are used."""
 
 from collections.abc import Mapping
 from typing import Any

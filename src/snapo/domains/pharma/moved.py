@@ -35,7 +35,7 @@ PARTS = (
 
 
 def same_form(one: PharmaCase, other: PharmaCase) -> bool:
-    """Whether the cases differ in numbers of their inputs alone.
+    """Whether the cases differ only in numbers of their inputs.
 
     Which of them are zero must be the same: a term whose factor is nothing may be left out.
     """
@@ -75,7 +75,7 @@ COLUMNS = (
 
 
 class RecipeCalculation:
-    """The recipe as it stands, at any numbers of its inputs; nothing is compiled twice."""
+    """The recipe, at any numbers of its inputs; nothing is compiled twice."""
 
     def __init__(self, case: PharmaCase):
         self.case, self._named = case, pharma_inputs(case)
@@ -148,7 +148,7 @@ def _with(process: Process, case: PharmaCase) -> Process:
     new = object.__new__(Process)
     new.__dict__.update(process.__dict__)
     new.case = case
-    new.inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
+    new.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
     return new
 
 

@@ -1,4 +1,4 @@
-"""How a run of a pharma case is told."""
+"""The report of a run of a pharma case."""
 
 from snapo.report.folder import RunFiles
 from snapo.study.domain import Report
@@ -24,7 +24,7 @@ SECTIONS = (
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """What stands under the title."""
+    """The lines under the title."""
     case = stated(run)
     return [
         ("Units", " → ".join(unit.name for unit in case.units)),

@@ -15,7 +15,7 @@ HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
 def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) -> Iterable[tuple]:
     """One row for each node of a profile, and for each other number that may be chosen.
 
-    `changed`: numbers in place of the case's own, in the domain's units. `kind` "linear": the
+    `changed`: numbers instead of the case's own, in the domain's units. `kind` "linear": the
     setpoint goes straight to the next; "constant": it stays until the next; "once": it holds.
     """
     changed = changed or {}

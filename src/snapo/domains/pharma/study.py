@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.chain import Chain
-from snapo.study import choice
+from snapo.study import training
 from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
 from snapo.study.study import LiveTable, Part, PathTotals, Study, StudyRun
@@ -43,7 +43,7 @@ COLUMNS = (
 
 
 def lines(case: PharmaCase) -> list[str]:
-    """A case in a few lines, one for each side of it, for its owner to compare."""
+    """A case in a few lines, one for each side of it, for its user to compare."""
     inputs = pharma_inputs(case)
     numbers = sum(entry.value.size for entry in inputs.values())
     rows = [
@@ -80,8 +80,8 @@ def study(case: PharmaCase, options: Options) -> Study:
         }
     else:
         hooks["recalculated"] = lambda: RecipeCalculation(case)
-    selected = choice.with_needs(parts, case.parts)
-    entries = about(case) | choice.summary(parts, selected)
+    selected = training.with_needs(parts, case.parts)
+    entries = about(case) | training.summary(parts, selected)
     telling, entry = [_telling(part) for part in selected], partial(result, case)
     return PharmaStudy(case.kind, entries, telling, entry, inputs=pharma_inputs, **hooks)
 
@@ -128,7 +128,7 @@ def about(case: PharmaCase) -> dict[str, Any]:
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
-    """The value is that of the policy, or of the recipe as it stands."""
+    """The value is that of the policy, or of the recipe."""
     batches, loop, best = CAPABILITY.of(run), CLOSED_LOOP.of(run), OPTIMUM.of(run)
     state = status(run)
     entries: dict[str, Any] = {

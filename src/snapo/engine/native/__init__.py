@@ -3,20 +3,20 @@
 The compiler is `snapo.lanes`; here is the part that knows a rollout. In the order in which a
 simulator passes through it:
 
-    given, functions    trees that paths share; the phases as functions of arrays
-    rollout             the phases traced and cut
+    rollout             trees that paths share; the phases as functions of arrays, traced and cut
     kernel/             rows of memory, and all functions of a kernel:
-      layouts, context    the rows; the kernel under construction
-      phases, sweep, forward, reverse    the two sweeps of each phase
-      noise, draw         noise inside the kernel
-      shared, driver      the tables that all paths share; the loop over blocks of paths
+      context             the kernel under construction and its rows
+      sweep               a sweep of a phase while it is written
+      noise               noise inside the kernel
+      shared              the tables that all paths share
+      kernel              the two sweeps of each phase, the loop over blocks, the module
     call, runtime       trees into rows and back; memory and threads
     engine, explain     `values` and `adjoint`; every stage as text, and reasons
 """
 
-from snapo.lanes.unsupported import Unsupported as Unsupported
+from snapo.lanes import Unsupported as Unsupported
 
-from .available import unavailable as unavailable
+from .call import unavailable as unavailable
 from .engine import Native as Native
 from .explain import Explanation as Explanation
 from .explain import explain as explain

@@ -1,4 +1,4 @@
-"""One call's trees, and their way into the kernel's rows and back."""
+"""Arguments of one call as rows of the kernel's memory, and results from its rows."""
 
 import math
 from collections import OrderedDict
@@ -10,31 +10,37 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.lanes import ACCIDENTS, Unsupported, jax_private
+from snapo.lanes.machine import pipeline
 from snapo.lanes.machine.disk import cache_home, cached
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory
-from snapo.lanes.machine.processor import host
-from snapo.lanes.unsupported import ACCIDENTS, Unsupported
+from snapo.lanes.machine.linked import KernelMemory, Linked
+from snapo.lanes.machine.pipeline import host
 from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from ..arrays import with_memory
 from ..base import Engine, Window, checked
-from ..memory import with_memory
-from .available import unavailable
-from .functions import FunctionSetup
-from .given import SharedTree, cast
 from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, emit
-from .rollout import traced
+from .rollout import FunctionSetup, SharedTree, cast, traced
 from .runtime import Back, KernelInputs, Runner
 
 
-class Seats(NamedTuple):
-    """The lanes of all blocks, part by part; the last path of a part fills its last block.
+def unavailable() -> str | None:
+    """The reason why nothing can be compiled here, and the remedy; None where it can."""
+    missing = pipeline.unavailable()
+    if missing is not None:
+        return f"{missing} (pip install 'snapo[native]')"
+    return jax_private.unavailable()
 
-    - `path`: [blocks x lanes] the number of each lane's path; `local`: whether it counts there.
+
+class Seats(NamedTuple):
+    """The path of every lane of all blocks, part by part; the last path of a part fills its last
+    block.
+
+    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts there.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 
@@ -44,15 +50,15 @@ class Seats(NamedTuple):
 
     @classmethod
     def of(cls, sizes: Sequence[int], lanes: int) -> "Seats":
-        """For parts of so many paths, which follow one another."""
+        """For consecutive parts of these numbers of paths."""
         blocks = [-(-size // lanes) for size in sizes]
         starts = np.cumsum([0, *sizes[:-1]])
         slots = [np.arange(count * lanes) for count in blocks]
         path = [
             start + np.minimum(slot, size - 1) for start, slot, size in zip(starts, slots, sizes)
         ]
-        local = [seat < size for seat, size in zip(slots, sizes)]
-        return cls(np.concatenate(path), np.concatenate(local), np.cumsum([0, *blocks]))
+        inner = [seat < size for seat, size in zip(slots, sizes)]
+        return cls(np.concatenate(path), np.concatenate(inner), np.cumsum([0, *blocks]))
 
     @property
     def blocks(self) -> int:
@@ -61,7 +67,7 @@ class Seats(NamedTuple):
 
 
 KEPT = 64  # compiled kernels in memory
-COMPILED = "/snapo/compile"  # the event that tells how long a kernel took, as JAX tells of its own
+COMPILED = "/snapo/compile"  # event with the compile time of a kernel, like JAX's
 
 _runners: OrderedDict[Any, Runner] = OrderedDict()
 
@@ -72,7 +78,7 @@ def linked(kernel: Kernel) -> Linked:
 
 
 class NativeCall:
-    """One call's trees, and their way into the kernel's rows and back."""
+    """Arguments of one call as rows of the kernel's memory, and results from its rows."""
 
     def __init__(
         self,
@@ -100,7 +106,7 @@ class NativeCall:
     def runner(
         self, adjoint: bool, record: tuple[str, ...], clip: bool, wrt: tuple[str, ...]
     ) -> Runner:
-        """The compiled kernel, from memory, from disk, or made now."""
+        """The compiled kernel, from memory, from disk, or newly compiled."""
         counter = isinstance(self.draws, Counter)
         antithetic = isinstance(self.draws, Counter) and self.draws.antithetic
         setup = FunctionSetup(
@@ -128,7 +134,7 @@ class NativeCall:
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
     def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
-        """Traces and emits. An error inside the emitter is a reason, not an accident."""
+        """Traces and emits. An error of the emitter is reported as the reason."""
         missing = unavailable()
         if missing is not None:
             raise Unsupported(missing)
@@ -154,10 +160,10 @@ class NativeCall:
     def inputs(
         self, runner: Runner, weights, bounds, records: bool, parts: Sequence[int] | None = None
     ) -> KernelInputs:
-        """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
+        """All inputs of a run; `parts`: the number of paths in each of its sums, by default all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
         self.slots = Seats.of(parts or (self.paths,), lanes)
-        path, local, blocks = self.slots.path, self.slots.inner, self.slots.blocks
+        path, inner, blocks = self.slots.path, self.slots.inner, self.slots.blocks
         first, length, _ = self.window
         filled = self._filled(bounds if weights is not None else None)
         columns = 1 if weights is None else len(next(iter(weights.values())))
@@ -186,7 +192,7 @@ class NativeCall:
         for name, array in (weights or {}).items():
             rows = memory["weights"].reshape(columns, blocks, -1)
             # Paths that fill a last block count for nothing.
-            counted = np.where(local, np.asarray(array)[:, path], 0)
+            counted = np.where(inner, np.asarray(array)[:, path], 0)
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.slots.edges

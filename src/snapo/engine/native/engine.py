@@ -14,8 +14,8 @@ from snapo.problem.noise import Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
+from ..arrays import adjoint_without, values_without
 from ..base import Adjoint, Clip, Engine, Rollout, Window
-from ..memory import adjoint_without, values_without
 from .call import NativeCall
 from .runtime import SUMS
 

@@ -1,4 +1,4 @@
-"""Follows one simulator through the stages, as text; and says why one cannot be compiled."""
+"""Every stage of a simulator's compilation as text, or why it cannot be compiled."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -7,20 +7,18 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from snapo.lanes.machine.pipeline import assembly
-from snapo.lanes.machine.processor import host
-from snapo.lanes.unsupported import Unsupported
+from snapo.lanes import Unsupported
+from snapo.lanes.machine.pipeline import assembly, host
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
 from ..base import TRAJECTORY, Window
-from .available import unavailable
-from .call import KEPT, NativeCall
+from .call import KEPT, NativeCall, unavailable
 from .engine import Native
-from .functions import FunctionSetup
 from .kernel.context import KernelStages
+from .rollout import FunctionSetup
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,8 @@ def explain(
 
     **Arguments:**
 
-    - `schedule`: the result of `prepare`; without it `simulator.prepare(None)` is asked.
-    - `policy`: a small network where none is given.
+    - `schedule`: the result of `prepare`; by default that of `simulator.prepare(None)`.
+    - `policy`: by default a small network.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
     the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.

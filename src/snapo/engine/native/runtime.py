@@ -10,8 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from snapo.lanes.machine.linked import Linked
-from snapo.lanes.machine.memory import KernelMemory, address
+from snapo.lanes.machine.linked import KernelMemory, Linked, address
 from snapo.lanes.machine.threads import spread
 
 from .kernel.context import CONTEXT
@@ -97,11 +96,11 @@ class Runner:
 
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
         def one(
-            group: int, custom: np.ndarray, _held: tuple = (inputs, memory, self.machine)
+            group: int, context: np.ndarray, _held: tuple = (inputs, memory, self.machine)
         ) -> None:
             if adjoint:
-                _add_up_in(custom, memory.where["sums"] + group * columns * item, calls, item)
-            functions["run"](address(custom), int(edges[group]), int(edges[group + 1]))
+                _add_up_in(context, memory.where["sums"] + group * columns * item, calls, item)
+            functions["run"](address(context), int(edges[group]), int(edges[group + 1]))
 
         mine = partial(self._own, context, scratch)
         with mine() as local:
@@ -115,15 +114,15 @@ class Runner:
     def _back(self, memory: KernelMemory, mine, inputs: KernelInputs, shape, sizes) -> list["Back"]:
         """The sums of every column, finished: over all paths, or over each part of them."""
         (groups, columns), (calls, steps) = shape, sizes
-        rows, name, item = memory["sums"], "sums", calls + steps
+        rows, name, stride = memory["sums"], "sums", calls + steps
         if inputs.edges is None:
             rows, name = memory["total"], "total"
             sums = memory["sums"].view(np.float64).reshape(groups, -1)
             np.sum(sums, axis=0, out=rows.view(np.float64))
-        rows = rows.reshape(-1, columns, item)
+        rows = rows.reshape(-1, columns, stride)
         with mine() as local:
             for part in range(len(rows)):
-                _add_up_in(local, memory.where[name] + part * columns * item, calls, item)
+                _add_up_in(local, memory.where[name] + part * columns * stride, calls, stride)
                 for column in local:
                     self.machine.functions["finish"](address(column))
         rows = rows[0] if inputs.edges is None else rows
@@ -177,7 +176,7 @@ class Runner:
 class Spare:
     """Scratch memory between calls: of all kernels together, at most `SPARE` bytes.
 
-    Memory is given back to the kernel that had it; what has waited longest goes first.
+    Memory returns to the kernel that had it; memory unused for longest is freed first.
     """
 
     def __init__(self):
@@ -234,9 +233,9 @@ def _apart(context: np.ndarray, name: str, size: int) -> None:
     context[:, SLOTS[name]] += size * np.arange(len(context))
 
 
-def _add_up_in(context: np.ndarray, position: int, calls: int, item: int) -> None:
-    """By column, sums of the call from here on, then those of the steps: `item` bytes together."""
-    positions = position + item * np.arange(len(context))
+def _add_up_in(context: np.ndarray, position: int, calls: int, stride: int) -> None:
+    """By column, sums of the call from here on, then of the steps: `stride` bytes together."""
+    positions = position + stride * np.arange(len(context))
     context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = positions, positions + calls
 
 

@@ -1,1 +1,1 @@
-"""Environments that are not differentiable: a model is learnt of them, and the policy inside it."""
+"""Environments that are not differentiable: a model is fitted, and the policy trained in it."""

@@ -1,6 +1,6 @@
 """A small ensemble of smooth networks, fitted to transitions: a policy is trained in it.
 
-Members differ by their first weights and by the batches that they see, so that they agree where
+Members differ by their initial weights and by the batches that they see, so that they agree where
 there are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a
 handful of trials"; there too a network predicts differences of observations).
 """
@@ -14,7 +14,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PyTree
 
-from .transitions import Transitions, scale_of
+from .real import Transitions, scale_of
 
 BATCH, ROUND = 256, 250  # rows of a step; steps between two looks at the rows held out
 HELD_OUT = 0.1
@@ -30,7 +30,7 @@ class Fit(NamedTuple):
     - `raw`: the same between numbers of order one, to go on from.
     - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
       the members' mean: differences, then the reward; last the share of ends that it misjudges.
-    - `spread`: [k] the standard deviation of what the environment adds by chance.
+    - `spread`: [k] the standard deviation of the environment's own noise.
     """
 
     layers: PyTree
@@ -187,8 +187,8 @@ def _losses(raw, test: _Data) -> Float[Array, " E"]:
     count = jnp.arange(test.x.shape[0]) < test.count
 
     def one(layers):
-        item = _parts(layers, test.x, test.y, test.ended).sum(1)
-        return jnp.sum(jnp.where(count, item, 0.0)) / test.count
+        losses = _parts(layers, test.x, test.y, test.ended).sum(1)
+        return jnp.sum(jnp.where(count, losses, 0.0)) / test.count
 
     return jax.vmap(one)(raw)
 
@@ -197,18 +197,19 @@ _all_told = jax.jit(jax.vmap(_forward, (0, None)))
 
 
 def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """How far the members' mean is off, and what of it is chance."""
-    summary = np.asarray(_all_told(raw, test.x))[:, : test.count]
+    """The error of the members' mean, and the part of it that is noise."""
+    predictions = np.asarray(_all_told(raw, test.x))[:, : test.count]
     y, ended = np.asarray(test.y)[: test.count], np.asarray(test.ended)[: test.count]
-    middle = summary.mean(0)
+    middle = predictions.mean(0)
     moves = ((middle[:, :size] - y[:, :size]) ** 2).mean(0)
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
-    # The mean is off by chance and by its members' own errors, of which their spread tells.
-    local = summary[:, :, :size].var(0, ddof=1).mean(0) if len(summary) > 1 else np.zeros(size)
-    probability = np.sqrt(np.maximum(0.0, moves - local / len(summary)))
-    return error, probability * scales.y[1][:size]
+    # The mean is off by noise and by its members' own errors, which their spread shows.
+    count, means = len(predictions), predictions[:, :, :size]
+    disagreement = means.var(0, ddof=1).mean(0) if count > 1 else np.zeros(size)
+    noise = np.sqrt(np.maximum(0.0, moves - disagreement / count))
+    return error, noise * scales.y[1][:size]
 
 
 def _in_units(raw, scales: _Scales):

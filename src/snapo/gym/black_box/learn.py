@@ -15,7 +15,7 @@ from snapo.solver.train import Training
 from .learned import Learned, LearningRound
 from .model import Over, Reward
 
-LONGEST = 125  # decisions of a path in training, where nobody gives them
+LONGEST = 125  # decisions of a path in training, by default
 
 
 def learn(
@@ -54,15 +54,14 @@ def learn(
     - `reward`: `reward(observation, action, after)` in `jax.numpy`, where it is known; else it is
       learnt. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
       else the end is learnt.
-    - `progress`: told every `LearningRound`.
+    - `progress`: called with every `LearningRound`.
 
     **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
     limits an episode, or where the steps do not suffice for ten episodes, or more for more rounds.
     """
     # Late: the public names are there without Gymnasium.
-    from .loop import run
     from .real import Real
-    from .rounds import LearningPlan, fewest
+    from .rounds import LearningPlan, fewest, run
 
     real = Real(environment, hold, limit)
     minimum = fewest(rounds) * real.limit

@@ -10,7 +10,7 @@ from snapo.problem.policy import MLP
 from snapo.solver import statistics
 
 if TYPE_CHECKING:
-    from ..played import Played
+    from ..environments import Played
 
 
 class Compared(NamedTuple):
@@ -60,7 +60,7 @@ class LearningRound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A policy that was learnt in a model, and all that the real environment said of it.
+    """A policy that was learnt in a model, and all that was measured in the real environment.
 
     - `policy`: from the environment's observation to its action, both in its own units: plays by
       `snapo.gym.Agent(policy)`, is saved and exported as every policy is.
@@ -111,8 +111,8 @@ class Learned:
         **Raises:** `ValueError` where the environment came as an object: give a name or a function.
         """
         # Late: the public names are there without Gymnasium.
-        from ..installed import gymnasium
-        from ..played import play
+        from ..environments import play
+        from ..spaces import gymnasium
         from .real import HeldAction, opened
 
         if isinstance(self.environment, gymnasium.Env):

@@ -53,28 +53,29 @@ class Model(Simulator):
     def initial(self, constants, noise):
         starts = constants["starts"]
         member = _drawn(noise[0], self.members)
-        position = jnp.take(starts, _drawn(noise[1], starts.shape[0]), axis=0, mode="clip")
-        selected = (jnp.arange(self.members) == member).astype(starts.dtype)
-        return {"seen": position, "member": selected, "alive": jnp.ones((), starts.dtype)}
+        start = jnp.take(starts, _drawn(noise[1], starts.shape[0]), axis=0, mode="clip")
+        one_hot = (jnp.arange(self.members) == member).astype(starts.dtype)
+        return {"seen": start, "member": one_hot, "alive": jnp.ones((), starts.dtype)}
 
     def observe(self, constants, now, state):
         return (state["seen"] - constants["shift"]) / constants["scale"]
 
     def step(self, constants, now, state, action, noise, smooth):
         observed = state["seen"]
-        summary = _told(constants["layers"], state["member"], jnp.concatenate([observed, action]))
-        moved = observed + summary[: self.size] + constants["spread"] * noise
+        features = jnp.concatenate([observed, action])
+        prediction = _told(constants["layers"], state["member"], features)
+        moved = observed + prediction[: self.size] + constants["spread"] * noise
         low, high = constants["low"], constants["high"]
         after = self._on_circles(smooth.clip(moved, low, high, scale=high - low))
-        reward, going = summary[self.size], jnp.ones_like(state["alive"])
+        reward, going = prediction[self.size], jnp.ones_like(state["alive"])
         if self.reward is not None:
             reward = self.reward(observed, action, after)
         if self.over is not None:
             going = 1 - smooth.indicator(self.over(after))
         elif self.can_end:
-            going = jax.nn.sigmoid(-summary[self.size + 2] / _width(smooth))
+            going = jax.nn.sigmoid(-prediction[self.size + 2] / _width(smooth))
         if self.reward is None and self.may_end:
-            reward = going * reward + (1 - going) * summary[self.size + 1]
+            reward = going * reward + (1 - going) * prediction[self.size + 1]
         alive = state["alive"]
         after = {"seen": after, "member": state["member"], "alive": alive * going}
         return after, {"reward": alive * reward}
@@ -93,7 +94,7 @@ class Model(Simulator):
 
 
 def _drawn(normal: Array, count: int) -> Array:
-    """A number from 0 to count - 1, by chance."""
+    """A random number from 0 to count - 1."""
     return jnp.clip(jnp.floor(uniform(normal) * count).astype(jnp.int32), 0, count - 1)
 
 

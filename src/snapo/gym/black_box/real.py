@@ -1,15 +1,79 @@
-"""The real environment: every step is counted, and every transition kept."""
+"""The real environment: every step is counted, every transition kept and put in units."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
-from ..installed import gymnasium
-from ..played import made
-from .transitions import Transitions
+from snapo.problem.policy import MLP
+from snapo.solver.learning.features import layers, plain, scaled
 
-MAX_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
+from ..environments import made
+from ..spaces import gymnasium
+
+MINIMUM = 1e-6  # of a scale, as a share of the size of its numbers
+ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
+
+
+class Transitions(NamedTuple):
+    """Steps of the environment, one a row; with `hold`, a step is that of a held decision.
+
+    `ended` is true where the environment terminated: nothing comes after. The time limit is no such
+    end, since it does not depend on the state.
+    """
+
+    before: Float[np.ndarray, "n k"]
+    action: Float[np.ndarray, "n m"]
+    reward: Float[np.ndarray, " n"]
+    after: Float[np.ndarray, "n k"]
+    ended: Bool[np.ndarray, " n"]
+
+    @property
+    def count(self) -> int:
+        return self.before.shape[0]
+
+
+def joined(parts: list[Transitions]) -> Transitions:
+    """All of them, in their order."""
+    return Transitions(*(np.concatenate(part) for part in zip(*parts)))
+
+
+def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
+    """Pairs of observed numbers that lie on the unit circle in all rows: cosine and sine.
+
+    A model that leaves the circle slightly at every step asks its networks about states that no
+    environment has; so such pairs are put back on it.
+    """
+    pairs: list[tuple[int, int]] = []
+    free = list(range(observed.shape[1]))
+    while free:
+        i = free.pop(0)
+        for j in free:
+            on = np.abs(observed[:, i] ** 2 + observed[:, j] ** 2 - 1) < ON_CIRCLE
+            moves = min(np.ptp(observed[:, i]), np.ptp(observed[:, j])) > ON_CIRCLE
+            if on.all() and moves:
+                pairs.append((i, j))
+                free.remove(j)
+                break
+    return tuple(pairs)
+
+
+def scale_of(
+    rows: Float[np.ndarray, "n k"],
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Mean and deviation of columns; a column that never moves has a scale of one."""
+    if not len(rows):
+        return np.zeros(rows.shape[1]), np.ones(rows.shape[1])
+    mean, deviation = rows.mean(0), rows.std(0)
+    still = deviation <= MINIMUM * np.maximum(np.abs(mean), 1e-30)
+    return mean, np.where(still, 1.0, deviation)
+
+
+MAX_DECISIONS = 250  # of an episode, where the time for which a decision is held is not specified
 Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's number to action
 
 
@@ -33,7 +97,7 @@ class Real:
         self.inner = inner = opened(environment)
         observed, self.actions = _box(inner, "observation"), _box(inner, "action")
         if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
-            raise ValueError("learn: the actions need a finite low and high, to be explored.")
+            raise ValueError("learn: the actions need a finite low and high.")
         self.low, self.high = (
             np.ravel(item).astype(np.float64) for item in (observed.low, observed.high)
         )
@@ -99,7 +163,7 @@ def opened(environment: Any):
 
 FLATTEN = "gymnasium.wrappers.FlattenObservation makes a box of it"
 SCORES = (
-    "the adjoint needs numbers that can move a little. A gymnasium.ActionWrapper can take a Box of "
+    "the adjoint needs continuous numbers. A gymnasium.ActionWrapper can take a Box of "
     "scores, one for each choice, and choose the largest"
 )
 REMEDIES = {"observation": FLATTEN, "action": SCORES}
@@ -136,3 +200,78 @@ def _of_wrapper(environment: Any) -> int | None:
 
 def _flat(observed: Any) -> np.ndarray:
     return np.asarray(observed, np.float32).reshape(-1)
+
+
+class Units(NamedTuple):
+    """Shift and scale [k] of a policy's observations in training: fixed, since weights depend
+    on them."""
+
+    shift: np.ndarray
+    scale: np.ndarray
+
+    def undone(self, policy: MLP) -> MLP:
+        """The policy that takes observations as the environment gives them: an ordinary network,
+        so that it can be saved and exported like every policy."""
+        return _with_layer(policy, plain(*_layer(policy), self.shift, self.scale))
+
+    def done(self, policy: MLP) -> MLP:
+        """The inverse of `undone`."""
+        return _with_layer(policy, scaled(*_layer(policy), self.shift, self.scale))
+
+
+@dataclass
+class Known:
+    """The real environment and all episodes so far.
+
+    `units` and `circles` (see the function) are those of the random episodes.
+    """
+
+    real: Real
+    rng: np.random.Generator
+    units: Units
+    circles: tuple[tuple[int, int], ...] = ()
+    episodes: list[Episode] = field(default_factory=list)
+
+    @staticmethod
+    def of(real: Real, seed: int) -> "Known":
+        """An environment without episodes."""
+        nothing = Units(np.zeros(0), np.ones(0))
+        return Known(real, np.random.default_rng((seed, 1)), nothing)
+
+    def settled(self) -> "Known":
+        """With units from all transitions so far."""
+        observed = self.transitions
+        every = np.concatenate([observed.before, observed.after]).astype(np.float64)
+        return replace(self, units=Units(*scale_of(every)), circles=circles(every))
+
+    @property
+    def transitions(self) -> Transitions:
+        """All transitions."""
+        return joined([episode.rows for episode in self.episodes])
+
+    @property
+    def firsts(self) -> Float[np.ndarray, "n k"]:
+        """The first observations of all episodes."""
+        return np.stack([episode.start for episode in self.episodes])
+
+    def play(self, act: Act, seed: int | None = None) -> Episode:
+        """One more episode."""
+        seed = int(self.rng.integers(2**31)) if seed is None else seed
+        self.episodes.append(self.real.episode(act, seed))
+        return self.episodes[-1]
+
+    def room(self, steps: float) -> bool:
+        """Whether one more episode of any length ends within this number of steps."""
+        return self.real.steps + self.real.limit <= steps
+
+
+def _layer(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
+    """Weights and biases of the first layer, in float64, so that numbers far from zero lose no
+    digits."""
+    weights, bias = layers(policy)[0]
+    return np.asarray(weights, np.float64), np.asarray(bias, np.float64)
+
+
+def _with_layer(policy: MLP, numbers) -> MLP:
+    first = tuple(jnp.asarray(number, jnp.float32) for number in numbers)
+    return eqx.tree_at(lambda item: layers(item)[0], policy, first)

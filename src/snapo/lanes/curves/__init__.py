@@ -9,3 +9,37 @@ reductions follow Cody and Waite, "Software Manual for the Elementary Functions"
 fdlibm sources. Where the answer is denormal exp gives zero, as kernels count denormals as zero.
 The rare ones (`tan`, `asin` …, `pow` in float64) go to the C library lane by lane.
 """
+
+from collections.abc import Callable
+
+from ..emit.code import Code, Curve
+from ..emit.module import Ref
+from . import angles, exponentials, logarithms
+from .arithmetic import Arithmetic
+
+
+def _curve(name: str, arguments: int, function: Callable[..., Ref]) -> Curve:
+    """A curve from a function of an `Arithmetic` and its arguments."""
+
+    def write(code: Code, *inputs: Ref) -> Ref:
+        return function(Arithmetic(code, inputs[0].dtype, inputs[0].lanes), *inputs)
+
+    return Curve(name, arguments, write)
+
+
+CURVES: dict[str, Curve] = {
+    curve.name: curve
+    for curve in (
+        _curve("exp", 1, exponentials.exp),
+        _curve("expm1", 1, exponentials.expm1),
+        _curve("log", 1, logarithms.log),
+        _curve("log1p", 1, logarithms.log1p),
+        _curve("tanh", 1, exponentials.tanh),
+        _curve("logistic", 1, exponentials.logistic),
+        _curve("erf", 1, exponentials.erf),
+        _curve("pow", 2, logarithms.power),
+        _curve("sin", 1, angles.sin),
+        _curve("cos", 1, angles.cos),
+        _curve("atan2", 2, angles.atan2),
+    )
+}

@@ -2,7 +2,7 @@
 
 import math
 
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from .arithmetic import Arithmetic
 
 # (sin(r) - r) / r^3 and (cos(r) - 1 + r^2 / 2) / r^4 in r^2, for |r| <= pi / 4.

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Format:
     ln2_low: float
     largest: float  # the last x whose exp is finite
     smallest: float  # the first whose exp is not denormal
-    tiny: float  # x stands for x + x^2 below
+    tiny: float  # x means x + x^2 below
     normal: float  # the smallest normal number
     half_root: int  # the bits of sqrt(1/2)
 

@@ -1,10 +1,33 @@
-"""The functions, tables and declarations of one kernel, as the text of a module."""
+"""The text of a kernel's module, and typed references to the results of its instructions."""
 
 import platform
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..numbers import TYPES, number, stored
+from ..program.program import TYPES, number, stored
+
+
+@dataclass(frozen=True)
+class Ref:
+    """A result: its text in the IR, element type (NumPy's name) and number of lanes."""
+
+    text: str
+    dtype: str
+    lanes: int
+    value: object = None  # where it is a known scalar
+
+    @property
+    def type(self) -> str:
+        return f"<{self.lanes} x {TYPES[self.dtype]}>"
+
+    @property
+    def floating(self) -> bool:
+        return self.dtype.startswith("float")
+
+    @property
+    def unsigned(self) -> bool:
+        return self.dtype.startswith("uint") or self.dtype == "bool"
 
 
 class Module:

@@ -1,19 +1,57 @@
-"""Machine code kept on disk between runs."""
+"""Machine code kept on disk between runs, made in this process or in one of its own.
+
+LLVM's passes keep memory: 0.2 megabytes for a small kernel (`mallinfo2` around each of them;
+modules, contexts, pass managers and targets give all of theirs back). After many compilations a
+new process makes the code, so that this memory is bounded."""
 
 import hashlib
+import itertools
 import os
 import stat
+import subprocess
+import sys
 import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
 
-from .compiling import object_code
+from . import pipeline
 from .pipeline import PIPELINE
+
+HERE = 64  # compilations in this process; those after them take 0.3 s longer each
+
+_numbers = itertools.count()
+_CHILD = """
+import sys
+from snapo.lanes.machine.pipeline import object_code
+sys.stdout.buffer.write(object_code(sys.stdin.buffer.read().decode()))
+"""
+
+
+def object_code(text: str) -> bytes:
+    """Machine code for a module's text, ready to be linked."""
+    apart = _apart(text) if next(_numbers) >= HERE else None
+    return pipeline.object_code(text) if apart is None else apart
+
+
+def _apart(text: str) -> bytes | None:
+    """Made by a new process, whose memory goes with it; None where there can be none."""
+    if not sys.executable:
+        return None
+    root = str(Path(__file__).parents[3])
+    positions = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(positions)}
+    command = [sys.executable, "-c", _CHILD]
+    try:
+        done = subprocess.run(command, input=text.encode(), capture_output=True, env=environment)
+    except OSError:
+        return None
+    return done.stdout if done.returncode == 0 and done.stdout else None
+
 
 MARK = b"snapo kernel 2\n"  # of the layout: mark, checksum of name and code, code
 CHECKSUM = 32
-MAX_BYTES = 512 * 2**20  # of the folder; what was used longest ago goes first
+MAX_BYTES = 512 * 2**20  # of the folder; the least recently used code is removed first
 MAX_SECONDS = 60 * 86_400  # that code stays unused
 ENDING = ".o"
 
@@ -22,8 +60,8 @@ def cached(text: str, folder: Path) -> bytes:
     """Machine code for this text, from the folder where it was made before.
 
     The name of a file is a hash of the text and of the pipeline's identity: code that other passes
-    or another LLVM made, or code for another processor, is not found. A file is believed where it
-    is this user's, nobody else may write it, and its checksum is right; else code is made anew.
+    or another LLVM made, or code for another processor, is not found. A file is used if it is this
+    user's, no other user may write it, and its checksum is right; else code is compiled again.
     """
     name = key(text)
     path = folder / f"{name}{ENDING}"
@@ -49,7 +87,7 @@ def cache_home() -> Path:
 
 
 def evict(folder: Path) -> None:
-    """Removes code that nobody has used for long, and the oldest of what is too much."""
+    """Removes code that has not been used for long, and the oldest beyond the limit of size."""
     rows = []
     with suppress(OSError):
         for item in os.scandir(folder):
@@ -70,7 +108,7 @@ def _checksum(name: str, data: bytes) -> bytes:
 
 
 def _read(path: Path, name: str) -> bytes | None:
-    """The code in a file that can be believed; None for any other."""
+    """The code in a file that can be trusted; None for any other."""
     try:
         with open(path, "rb") as file:
             if not _own(os.fstat(file.fileno())):
@@ -88,7 +126,7 @@ def _read(path: Path, name: str) -> bytes | None:
 
 
 def _own(state: os.stat_result) -> bool:
-    """Whether a file is this user's, and writable by nobody else."""
+    """Whether a file is this user's, and not writable by others."""
     if not stat.S_ISREG(state.st_mode):
         return False
     if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
@@ -97,7 +135,7 @@ def _own(state: os.stat_result) -> bool:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all; a disk that cannot be written is no reason to fail."""
+    """Written completely or not at all; a disk that cannot be written is no reason to fail."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

@@ -1,10 +1,71 @@
-"""Machine code from text: one description of the passes and the target for all who need it."""
+"""Machine code from text for this processor, by llvmlite (imported when it is first needed)."""
 
+import importlib
+import re
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
-from .llvm import binding, versions
-from .processor import host
+import numpy as np
+
+OLDEST = (0, 50)  # the first release that was tested
+
+
+@cache
+def binding() -> Any:
+    """`llvmlite.binding`, ready to make code for this processor."""
+    llvm = importlib.import_module("llvmlite.binding")
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    llvm.load_library_permanently("")
+    return llvm
+
+
+def unavailable() -> str | None:
+    """The reason why there is no LLVM; None where there is one."""
+    try:
+        version = importlib.import_module("llvmlite").__version__
+        if tuple(int(part) for part in re.findall(r"\d+", version)[:2]) < OLDEST:
+            return f"llvmlite {version} is older than {'.'.join(map(str, OLDEST))}"
+        binding()
+    except ModuleNotFoundError:
+        return "llvmlite is not installed"
+    except (ImportError, OSError, RuntimeError) as error:
+        return f"llvmlite cannot be loaded: {error}"
+    return None
+
+
+def versions() -> str:
+    """The releases of llvmlite and of LLVM itself."""
+    llvmlite = importlib.import_module("llvmlite")
+    return f"{llvmlite.__version__} {binding().llvm_version_info}"
+
+
+REGISTERS = 2  # per number and block: two chains side by side hide part of the latency
+
+
+class Processor(NamedTuple):
+    """A processor as LLVM knows it; `register` are the bytes of a vector register."""
+
+    triple: str
+    name: str
+    features: str
+    register: int
+
+    def lanes(self, dtype: str) -> int:
+        """Paths in one block: two vector registers of them."""
+        return max(1, self.register // np.dtype(dtype).itemsize) * REGISTERS
+
+
+@cache
+def host() -> Processor:
+    """The processor that this process runs on."""
+    llvm = binding()
+    features = llvm.get_host_cpu_features()
+    wide = features.get("avx512f") and features.get("avx512dq") and features.get("avx512vl")
+    register = 64 if wide else 32 if features.get("avx2") else 16
+    name = llvm.get_host_cpu_name()
+    return Processor(llvm.get_default_triple(), name, features.flatten(), register)
 
 
 @dataclass(frozen=True)
@@ -24,7 +85,8 @@ class Pipeline:
     loop_interleaving: bool = False
 
     def identity(self) -> str:
-        """All that decides the code beside the text: code under another identity is not used."""
+        """All that determines the code in addition to the text: code under another identity is not
+        used."""
         processor = host()
         settings = " ".join(f"{key}={value}" for key, value in asdict(self).items())
         parts = (settings, processor.triple, processor.name, processor.features, versions())

@@ -12,7 +12,8 @@ Own = TypeVar("Own")
 
 
 def cores() -> int:
-    """The processors that this process may run on, where the system tells; else all of them."""
+    """The processors that this process may run on, where the system reports them; else all of
+    them."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -20,9 +21,9 @@ def cores() -> int:
 
 @contextmanager
 def in_thread(work: Callable[[], object]) -> Iterator[None]:
-    """Does the work in a thread of its own, beside the block, which waits for it at its end.
+    """Does the work in a thread while the block runs; the end of the block waits for it. For
 
-    It is for what is done again where it is missing, such as compiling: a failure is silent.
+    work that is repeated if its result is missing, such as compiling: a failure is ignored.
     """
 
     def done() -> None:
@@ -47,7 +48,7 @@ def spread(
     """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
 
     `local` gives each thread its own scratch memory, and `stop` is a flag that ends the work. On an
-    interrupt the others are waited for; a second one leaves them alone with their last groups, so
+    interrupt the others are waited for; a second one leaves them running with their last groups, so
     that `one` must hold all the memory that it reads and writes.
     """
     waiting = iter(range(groups))
@@ -85,7 +86,7 @@ def spread(
 
 
 class Helper(threading.Thread):
-    """A thread that waits for work: starting one anew would cost more than a small kernel."""
+    """A thread that waits for work: starting a new one would cost more than a small kernel."""
 
     def __init__(self):
         super().__init__(name="lanes", daemon=True)

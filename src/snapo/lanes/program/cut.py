@@ -21,7 +21,7 @@ CONSTANT, CALL, STEP, PATH = range(4)
 # What comes after it is the same whatever comes before it: a number that arrives from memory in
 # another kernel is computed at the same level, and is not known while compiling.
 BARRIER = "optimization_barrier"
-STILL = "stop_gradient"  # what comes after it has no derivative
+STILL = "stop_gradient"  # nothing after it has a derivative
 # Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
 LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
 
@@ -102,7 +102,7 @@ def evaluate(closed, values, caller=None):
 
 
 def _fresh(constant):
-    """A NumPy table as an array of its own: JAX remembers one by the precision it met it in."""
+    """A copy of a NumPy table: JAX caches a table with the precision of its first use."""
     return constant.copy() if isinstance(constant, np.ndarray) else constant
 
 
@@ -159,7 +159,7 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
 
 
 def differentiated(closed, count: int) -> set[int]:
-    """Which of the first `count` inputs something may have a derivative by."""
+    """Those of the first `count` inputs with respect to which derivatives may exist."""
     jaxpr, used = closed.jaxpr, set()
     for eqn in jaxpr.eqns:
         if eqn.primitive.name != STILL:

@@ -53,7 +53,7 @@ def _size(aval) -> int:
 def _evaluate(name, params, inputs, aval):
     if name in _DIRECT:
         return _DIRECT[name](*inputs)
-    if name in ("empty", "empty2"):  # an array that nobody reads
+    if name in ("empty", "empty2"):  # an array that is never read
         return np.zeros(aval.shape)
     if name == "convert_element_type":
         return inputs[0].astype(params["new_dtype"])

@@ -91,7 +91,7 @@ def fuse(program: Program) -> Program:
 
     It depends on nothing but the sum and the product. LLVM decides by who else reads the product,
     and two kernels with the same step, one with a policy and one with its recorded actions, would
-    then differ in the last place. Cotangents stay as they are.
+    then differ in the last place. Cotangents are unchanged.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     ops = [_fused(op, maker) or op for op in program.ops]
@@ -125,7 +125,7 @@ def _factors(op: Op | None) -> list[ProgramValue] | None:
 
 
 def drop(program: Program) -> Program:
-    """Dead code: operations whose outputs nobody reads."""
+    """Dead code: operations whose outputs are never read."""
     live = set(program.outputs)
     ops = []
     for op in reversed(program.ops):

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .. import Unsupported
 from ..emit.storage import ArrayPlace, Small, row_major
 from ..emit.values import EmittedValues
 from ..program import folding
 from ..program.program import BIG, Op, ProgramValue
-from ..unsupported import Unsupported
 
 Rule = Callable[[EmittedValues, Op], None]
 

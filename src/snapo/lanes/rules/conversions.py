@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 
 FLOAT = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
 SIGNED = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}

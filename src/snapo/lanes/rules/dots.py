@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from ..emit.storage import ArrayPlace
 from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue

@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..curves.catalogue import CURVES
+from .. import Unsupported
+from ..curves import CURVES
 from ..emit.code import Code
-from ..emit.ref import Ref
-from ..numbers import name_of
+from ..emit.module import Ref
 from ..program.cut import BARRIER
-from ..program.program import Op
-from ..unsupported import Unsupported
+from ..program.program import Op, name_of
 from .conversions import FLOAT, compare, convert, one_like, width, zero_like
 
 LIBRARY = {
@@ -234,7 +233,7 @@ def _shift(code: Code, instruction: str, x: Ref, by: Ref) -> Ref:
 
 
 def _total_order(strict: bool) -> Callable:
-    """Comparison in which NaN stands above everything, as sorting uses it."""
+    """Comparison in which NaN is above everything, as sorting uses it."""
 
     def rule(code: Code, a: Ref, b: Ref) -> Ref:
         if not a.floating:

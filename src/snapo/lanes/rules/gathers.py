@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
 from .positions import clamped, limit, plus, read, window_start

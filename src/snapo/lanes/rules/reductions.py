@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..emit.nest import nest
-from ..emit.ref import Ref
+from .. import Unsupported
+from ..emit.module import Ref
 from ..emit.storage import ArrayPlace, Small
-from ..emit.values import EmittedValues
+from ..emit.values import EmittedValues, nest
 from ..program.program import BIG, Op, ProgramValue
-from ..unsupported import Unsupported
 from . import elementwise
 
 REDUCERS = {

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .. import Unsupported
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from ..emit.storage import ArrayPlace, Small
 from ..emit.values import EmittedValues
 from ..program.program import BIG, Op, ProgramValue
-from ..unsupported import Unsupported
 from . import elementwise
 from .conversions import compare
 from .positions import addresses, clamped, flat_index, limit, load, plus, window_start

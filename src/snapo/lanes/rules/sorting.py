@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from .. import Unsupported
 from ..emit.code import Code
-from ..emit.ref import Ref
+from ..emit.module import Ref
 from ..emit.values import EmittedValues
 from ..program.program import Op
-from ..unsupported import Unsupported
 from . import elementwise
 from .conversions import compare, convert
 
@@ -14,7 +14,7 @@ LONGEST = 64  # of a sorted axis
 
 
 def _sort(values: EmittedValues, op: Op) -> None:
-    """Odd-even transposition would do; Batcher's merge exchange needs fewer comparisons."""
+    """Sorting by Batcher's merge exchange, which needs fewer comparisons than transposition."""
     axis, keys = op.params["dimension"], op.params["num_keys"]
     length = op.inputs[0].shape[axis]
     if length > LONGEST or op.inputs[0].size > 4 * LONGEST:

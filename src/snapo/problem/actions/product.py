@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import Actions
+from .sets import Actions
 
 
 def contains(action: Actions, kind: type[Actions]) -> bool:

@@ -1,17 +1,261 @@
 """`policy.save(file)` and `snapo.load_policy(file)`: a policy in a file that describes itself."""
 
+import dataclasses
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..policy import Network, Policy
 from ..smooth import Exact
-from . import archive
-from .tree import NotKnown, decoded, encoded
+
+
+def described(tree: Any) -> dict[str, str]:
+    """{position: text} of the kinds, plain settings and functions in a policy or a tree of
+    policies.
+
+    Positions are like "policy.activation". Nothing depends on the process: functions and classes
+    have only their names. Arrays are left out.
+    """
+    return dict(_lines(tree, ""))
+
+
+def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """The first difference as a clause, "its activation is tanh, and here it is silu"; or "".
+
+    A place that only one of the two has makes no difference: another version may have added it.
+    """
+    for position, text in now.items():
+        if stored.get(position, text) != text:
+            return f"its {position} is {stored[position]}, and here it is {text}"
+    return ""
+
+
+def _lines(value: Any, position: str):
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        yield f"{position} kind".strip(), type(value).__name__
+        for field in dataclasses.fields(value):
+            yield from _lines(
+                getattr(value, field.name, None), f"{position}.{field.name}".strip(".")
+            )
+    elif isinstance(value, Mapping):
+        for key, field in value.items():
+            yield from _lines(field, f"{position}.{key}".strip("."))
+    elif isinstance(value, list | tuple):
+        for index, field in enumerate(value):
+            yield from _lines(field, f"{position}[{index}]")
+    elif isinstance(value, jax.Array | np.ndarray):
+        return  # shapes are compared where the numbers are read
+    elif value is None or isinstance(value, bool | int | float | str):
+        yield position, repr(value)
+    elif callable(value):
+        yield position, _function_name(value)
+    else:
+        yield f"{position} kind".strip(), type(value).__name__
+
+
+def _function_name(function: Any) -> str:
+    """A function's name, with the settings of a partial one."""
+    if isinstance(function, partial):
+        values = [*map(repr, function.args), *(f"{k}={v!r}" for k, v in function.keywords.items())]
+        plain = [item for item in values if " at 0x" not in item]
+        return f"{_function_name(function.func)}({', '.join(plain)})"
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
+def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> None:
+    """Through a temporary file next to the target; `header` is data for JSON."""
+    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    partial = file.with_name(file.name + ".partial")
+    with partial.open("wb") as stream:
+        np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
+        stream.flush()
+        os.fsync(stream.fileno())
+    partial.replace(file)
+
+
+def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Any]:
+    """The arrays `leaf_0`, `leaf_1` … in their order, and the header.
+
+    **Raises:** `ValueError` whatever may be wrong with the file.
+    """
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            header = json.loads(stored["header"].tobytes().decode())
+            names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
+            return {name: stored[name] for name in names}, header
+    except Exception as error:  # a damaged byte can be a compression, a key or a size as well
+        message = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ValueError(f"{file}: this file cannot be read ({message}).") from None
+
+
+# {class: its module}. Domains' modules are loaded where a file names one of theirs.
+KINDS = {
+    **dict.fromkeys(("MLP", "Residual", "Network"), "snapo.problem.policy"),
+    **dict.fromkeys(
+        ("Constant", "Linear", "BaseStock", "Threshold"), "snapo.problem.policies.rules"
+    ),
+    **dict.fromkeys(
+        ("Box", "Choice", "Product", "Simplex", "Stop", "Integers"), "snapo.problem.actions"
+    ),
+    "Frozen": "snapo.problem.inputs",
+    "Stages": "snapo.problem.policies.composed",
+    "StoragePolicy": "snapo.domains.gas_storage.policy.network",
+    "PensionPolicy": "snapo.domains.pension.policies.network",
+    "AllocationLimits": "snapo.domains.pension.policies.limits",
+    "Cover": "snapo.domains.pension.policies.limits",
+    "Feedback": "snapo.domains.pharma.control.policy",
+}
+
+_SIMPLE = (
+    jax.nn.silu, jax.nn.tanh, jax.nn.relu, jax.nn.gelu, jax.nn.elu, jax.nn.selu, jax.nn.softplus,
+    jax.nn.sigmoid, jax.nn.leaky_relu, jax.nn.celu, jax.nn.relu6, jax.nn.soft_sign, jnp.sin,
+)  # fmt: skip
+
+
+@cache
+def functions() -> dict[str, Callable]:
+    """{name: function}: the activations that a file may name."""
+    return {item.__name__: item for item in _SIMPLE}
+
+
+def name_of(function: Callable) -> str | None:
+    """The name under which a function is known; None for any other."""
+    available = functions()
+    return next((name for name, item in available.items() if item is function), None) or (
+        "tanh" if function is jnp.tanh else None
+    )
+
+
+@cache
+def class_of(name: str) -> type:
+    """The class of a name in `KINDS`."""
+    return getattr(import_module(KINDS[name]), name)
+
+
+DEEPEST = 20  # levels of policies in policies
+
+
+class NotKnown(ValueError):
+    """A part of a policy that no file can describe: its place and kind."""
+
+
+def encoded(value: Any, arrays: list[np.ndarray], position: str = "policy") -> Any:
+    """What JSON can say of a policy; its arrays are appended to `arrays`.
+
+    **Raises:** `NotKnown` at a class or function that is not in the registry.
+    """
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"float": repr(value)}
+    if isinstance(value, np.generic):
+        return encoded(value.item(), arrays, position)
+    if isinstance(value, jax.Array | np.ndarray):
+        arrays.append(np.asarray(value))
+        return {"array": len(arrays) - 1, "numpy": not isinstance(value, jax.Array)}
+    if type(value) in (tuple, list):
+        items = [encoded(item, arrays, f"{position}[{i}]") for i, item in enumerate(value)]
+        return {type(value).__name__: items}
+    if isinstance(value, eqx.Module) and not isinstance(value, type):
+        name = type(value).__name__
+        if name not in KINDS or type(value) is not class_of(name):
+            _unknown(value, position)
+        metadata = {
+            field.name: encoded(getattr(value, field.name), arrays, f"{position}.{field.name}")
+            for field in dataclasses.fields(value)
+        }
+        return {"kind": name, "fields": metadata}
+    if callable(value) and (name := name_of(value)):
+        return {"function": name}
+    return _unknown(value, position)
+
+
+def _unknown(value: Any, position: str) -> Any:
+    name = getattr(value, "__name__", type(value).__name__)
+    raise NotKnown(
+        f"its {position} is {name}" if position != "policy" else f"it is of class {name}"
+    )
+
+
+def decoded(metadata: Any, arrays: Sequence[np.ndarray], depth: int = 0) -> Any:
+    """The inverse of `encoded`.
+
+    **Raises:** `ValueError`, `KeyError` or `TypeError` for anything that `encoded` does not write.
+    """
+    if depth > 3 * DEEPEST:
+        raise ValueError("it is nested too deeply")
+    if metadata is None or isinstance(metadata, bool | int | str | float):
+        return metadata
+    match metadata:
+        case {"array": int(index), "numpy": bool(plain)} if 0 <= index < len(arrays):
+            return arrays[index] if plain else jnp.asarray(arrays[index])
+        case {"float": "inf" | "-inf" | "nan" as text}:
+            return float(text)
+        case {"tuple": list(items)}:
+            return tuple(decoded(item, arrays, depth + 1) for item in items)
+        case {"list": list(items)}:
+            return [decoded(entry, arrays, depth + 1) for entry in items]
+        case {"function": str(name)} if name in functions():
+            return functions()[name]
+        case {"kind": str(name), "fields": dict(fields)} if name in KINDS:
+            return _made(class_of(name), fields, arrays, depth)
+    raise ValueError(f"it names {str(metadata)[:60]!r}, which this version does not know")
+
+
+def _made(kind: type, fields: dict[str, Any], arrays: Sequence[np.ndarray], depth: int) -> Any:
+    """An object with these fields; its constructor is not called."""
+    available = {item.name: item for item in dataclasses.fields(kind)}
+    if other := set(fields) - set(available):
+        raise ValueError(f"a {kind.__name__} has no {sorted(other)[0]!r} in this version")
+    made = object.__new__(kind)
+    for name, field in available.items():
+        if name in fields:
+            value = decoded(fields[name], arrays, depth + 1)
+        elif field.default is not dataclasses.MISSING:
+            value = field.default  # a field that an older version did not have
+        else:
+            raise ValueError(f"a {kind.__name__} has {name!r} in this version, and not in the file")
+        object.__setattr__(made, name, value)
+    return made
+
+
+class _Named(NamedTuple):
+    """A function of `functions`."""
+
+    name: str
+
+
+def reduced(module: eqx.Module) -> tuple:
+    """What `__reduce__` of a module with functions in its fields gives."""
+    held = {field.name: getattr(module, field.name) for field in fields(module)}  # pyright: ignore
+    return _unpacked, (type(module), {name: _packed(value) for name, value in held.items()})
+
+
+def _packed(value: Any) -> Any:
+    name = name_of(value) if callable(value) else None
+    return value if name is None else _Named(name)
+
+
+def _unpacked(kind: type, held: dict[str, Any]) -> Any:
+    made = object.__new__(kind)
+    for name, value in held.items():
+        values = functions()[value.name] if isinstance(value, _Named) else value
+        object.__setattr__(made, name, values)
+    return made
+
 
 FORMAT = 1
+AnyPolicy = TypeVar("AnyPolicy", bound=eqx.Module)
 MISTAKES = (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError)
 
 
@@ -19,10 +263,10 @@ class PolicyFileError(ValueError):
     """A policy that no file can describe, or a file that holds none."""
 
 
-def save(policy: Policy, file: Path | str) -> None:
-    """Writes a policy with its kinds, sizes, activations and weights; `load_policy` reads it.
+def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
+    """Writes a policy of so many features with its kinds, sizes, activations and weights.
 
-    **Raises:** `PolicyFileError` for a policy of a class, or with a function, of one's own.
+    **Raises:** `PolicyFileError` for a policy of a user-defined class, or with such a function.
     """
     arrays: list[Any] = []
     try:
@@ -33,18 +277,18 @@ def save(policy: Policy, file: Path | str) -> None:
             "Solution.load(folder, like=policy) a policy made by your code in its place, "
             "or carry it away with snapo.to_onnx, which takes any policy."
         ) from None
-    header = {"snapo policy": FORMAT, "features": features(policy), "policy": metadata}
-    archive.write(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
+    header = {"snapo policy": FORMAT, "features": features, "policy": metadata}
+    write_arrays(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
 
 
-def load_policy(file: Path | str) -> Policy:
-    """The policy that `policy.save(file)` wrote; its shape need not be known, nothing is executed.
+def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
+    """The policy that `save` wrote, of a class derived from `base`; nothing is executed.
 
     **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
     weights whose sizes do not fit each other.
     """
     try:
-        arrays, header = archive.read(Path(file))
+        arrays, header = read_arrays(Path(file))
     except ValueError as error:
         raise PolicyFileError(str(error)) from None
     if not isinstance(header, dict) or "snapo policy" not in header:
@@ -54,23 +298,12 @@ def load_policy(file: Path | str) -> Policy:
         raise PolicyFileError(f"{file}: it {message}.")
     try:
         policy = decoded(header["policy"], list(arrays.values()))
-        if not isinstance(policy, Policy):
+        if not isinstance(policy, base):
             raise ValueError("it holds no policy")
         if (count := header["features"]) is not None:
-            jax.eval_shape(policy, jax.ShapeDtypeStruct((count,), jnp.float32), Exact())
+            observation = jax.ShapeDtypeStruct((count,), jnp.float32)
+            jax.eval_shape(policy, observation, Exact())  # pyright: ignore[reportArgumentType]
     except MISTAKES as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PolicyFileError(f"{file}: this is no policy of this version ({text}).") from None
     return policy
-
-
-def features(policy: Policy) -> int | None:
-    """The number of features that a policy observes, where its weights tell; else None."""
-    gain = getattr(policy, "gain", None)
-    if gain is not None:
-        return int(gain.shape[1])
-    network = getattr(policy, "network", None)
-    if not isinstance(network, Network):
-        return None
-    # A head of a domain takes the first numbers of the observation for itself.
-    return int(network.weights[0].shape[1]) + getattr(policy, "head", 0)

@@ -1,1 +1,2 @@
-"""What a user's code reads beside its arguments: programs that were compiled before follow it."""
+"""What a user's code reads in addition to its arguments: programs that were compiled before follow
+it."""

@@ -2,7 +2,7 @@
 
 A rounded number does not move with what was rounded, and a comparison has no slope: of
 `floor(size * uniform)` the derivative with respect to `size` is 0 on every path, and that of its
-mean is not. Where another way stays open, as in `x - floor(x)`, nothing is said here.
+mean is not. Where another way stays open, as in `x - floor(x)`, nothing is reported here.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held: what moves them alone has rightly none. What `jax.lax.stop_gradient` takes
+    Decisions are held: what moves only them has rightly none. What `jax.lax.stop_gradient` takes
     is left out, as its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]
@@ -119,7 +119,7 @@ def _results(
 def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
     """What an equation's results depend on."""
     name, params = eqn.primitive.name, eqn.params
-    by_hand = name.startswith("custom_")  # it says its own derivative, whatever is inside
+    by_hand = name.startswith("custom_")  # it has a derivative of its own, whatever is inside
     inner = None if by_hand else jax_private.called(eqn)
     if inner is not None:
         return _results(getattr(inner, "jaxpr", inner), reaches)

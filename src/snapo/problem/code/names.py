@@ -1,4 +1,4 @@
-"""The names that a function reads beside its arguments, from its bytecode."""
+"""The names that a function reads in addition to its arguments, from its bytecode."""
 
 import dis
 from collections import deque
@@ -13,7 +13,7 @@ MEMBERS = ("LOAD_ATTR", "LOAD_METHOD", "LOAD_SUPER_ATTR", "IMPORT_FROM")
 # These add to a container, and return nothing of it.
 ADDING = ("append", "appendleft", "add", "extend", "insert")
 CONTAINERS = (list, set, deque)
-# By these a function reads what no name in it shows: names that are made, files, the environment.
+# With these a function reads more than its names show: names that are made, files, the environment.
 UNSEEN = frozenset(
     (
         *("eval", "exec", "globals", "locals", "__import__", "import_module"),

@@ -1,10 +1,13 @@
 """The version of a user's code: a number for all that it reads, such as globals and closures.
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
-of one therefore stands in `following(version)`: JAX then keeps apart what was traced under other
+of one is therefore in `following(version)`: JAX then keeps apart what was traced under other
 versions, in functions that the user compiles too. snapo's own code has no version.
+
+Programs as text: two traces that read the same things are the same text.
 """
 
+import re
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -15,13 +18,61 @@ from itertools import count
 from threading import RLock
 from typing import Any, ParamSpec, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PyTree
 
-from ..smooth import Exact
-from . import program
+from .. import inputs as inputs_
+from ..smooth import Exact, Smooth
 from .walk import ARRAYS, Walk
+
+ProgramText = tuple[str, tuple[bytes, ...]]
+
+
+def text(function: Callable[..., Any], *arguments: Any) -> ProgramText:
+    """A function's program without the addresses in its print, and digests of its constants.
+
+    `function` must be a new one: JAX keeps the traces of those that it has met.
+    """
+    closed = jax.make_jaxpr(function)(*arguments)
+    constants = tuple(blake2b(np.asarray(const).tobytes()).digest() for const in closed.consts)
+    return re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)), constants
+
+
+def preparation(simulator: Any, inputs: PyTree) -> ProgramText:
+    """The program of `prepare`."""
+    return text(lambda v: simulator.prepare(inputs_.replace(inputs, v)), inputs_.values(inputs))
+
+
+def path(simulator: Any, policy: Any) -> Callable[..., Any]:
+    """One path's start, step and end, exact and smooth."""
+
+    def step(constants, now, initial, noise, action) -> Any:
+        state = simulator.initial(constants, initial)
+        made = [state, simulator.state_scale(constants)]
+        for smooth in (Exact(), Smooth(0.1)):
+            observed = simulator.observe(constants, now, state)
+            decided = action if policy is None else policy(observed, smooth)
+            after, outputs = simulator.step(constants, now, state, decided, noise, smooth)
+            made += [observed, after, outputs, simulator.terminal(constants, state, smooth)]
+            made.append(dict(simulator.slack(constants, now, after, outputs)))
+        return eqx.filter(made, eqx.is_array)
+
+    return step
+
+
+def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
+    """The program of one step and of the end, exact and smooth, with all that is declared."""
+    sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
+    now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
+    vectors = [jnp.zeros(size) for size in sizes]
+    made = text(
+        path(simulator, policy), jax.tree.map(jnp.asarray, schedule.constants), now, *vectors
+    )
+    return made, sizes, dict(simulator.totals()), simulator.control_variates()
+
 
 KEPT = 512  # versions; one that comes again after so many others is compiled again
 Version = int | None
@@ -58,13 +109,13 @@ def followed(function: Callable[P, R], version: Version) -> Callable[P, R]:
 
 def of_preparation(simulator: Any, inputs: PyTree) -> Version:
     """The version of the code that makes schedules."""
-    return of((simulator, inputs), lambda: program.preparation(simulator, inputs))
+    return of((simulator, inputs), lambda: preparation(simulator, inputs))
 
 
 def of_rollout(simulator: Any, policy: Any, schedule: Any, smooth: Any = None) -> Version:
     """The version of the code that rolls paths."""
     trees = simulator, policy, schedule, smooth
-    return of(trees, lambda: program.rollout(simulator, policy, schedule))
+    return of(trees, lambda: rollout(simulator, policy, schedule))
 
 
 def of_policy(policy: Any, observed: Any, observe: Any = None) -> Version:
@@ -73,12 +124,12 @@ def of_policy(policy: Any, observed: Any, observe: Any = None) -> Version:
     def decided(item: Any) -> Any:
         return policy(item if observe is None else jnp.asarray(observe(item)), Exact())
 
-    return of((policy, observe), lambda: program.text(decided, observed[0]))
+    return of((policy, observe), lambda: text(decided, observed[0]))
 
 
 def of_formula(objective: Any, totals: Any) -> Version:
     """The version of the code of an objective."""
-    return of((objective,), lambda: program.text(lambda item: objective.formula(item), totals))
+    return of((objective,), lambda: text(lambda item: objective.formula(item), totals))
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
@@ -137,9 +188,9 @@ def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
     try:
         with read_context(object()), jax.enable_x64(True):
             made = repr(trace())
-    except Exception as error:  # the call itself will tell of it
+    except Exception as error:  # the call itself will report it
         made = type(error).__name__
-    # The print of a program lacks what derivatives by hand read.
+    # The print of a program is without what hand-written derivatives read.
     read = repr(content) if "custom_" in made else ""
     return blake2b((made + read).encode()).digest()
 
@@ -149,7 +200,7 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _kind(leaf: Any) -> Hashable:
-    """An array's shape and type, as it is an argument; anything else as it is."""
+    """An array's shape and type, as it is an argument; anything else itself."""
     return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
 
 

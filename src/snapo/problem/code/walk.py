@@ -1,7 +1,7 @@
-"""All that a user's code reads: from the classes and functions in a tree on to what they name.
+"""All that a user's code reads: from the classes and functions in a tree to all that they name.
 
-Functions are read by their code, constants by value, what may change in place by its content now.
-Functions of libraries are taken as they are.
+Functions are read by their code, constants by value, mutable objects by their present content.
+Functions of libraries are taken unchanged.
 """
 
 import functools
@@ -40,7 +40,7 @@ def package(x: Any) -> str:
 
 
 def is_library(name: str) -> bool:
-    """Whether a package is snapo, Python's own, or installed beside them."""
+    """Whether a package is snapo, Python's own, or installed next to them."""
     return is_known(name) or _installed(name)
 
 
@@ -284,7 +284,7 @@ class Walk:
 
 
 class _Same:
-    """A thing that is equal to itself alone."""
+    """A thing that is equal only to itself."""
 
     def __init__(self, x: Any):
         self.x = x

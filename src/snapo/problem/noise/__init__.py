@@ -5,9 +5,14 @@ from .base import draw as draw
 from .base import prepare as prepare
 from .base import size as size
 from .base import uniform as uniform
+from .chains import Correlated as Correlated
+from .chains import Empirical as Empirical
+from .chains import Markov as Markov
 from .continuous import Exponential as Exponential
+from .continuous import Gamma as Gamma
 from .continuous import LogNormal as LogNormal
 from .continuous import Normal as Normal
+from .continuous import Student as Student
 from .continuous import Uniform as Uniform
 from .counter import Counter as Counter
 from .counter import Draws as Draws
@@ -16,11 +21,6 @@ from .counts import Binomial as Binomial
 from .counts import Counts as Counts
 from .counts import NegativeBinomial as NegativeBinomial
 from .counts import Poisson as Poisson
-from .gamma import Gamma as Gamma
-from .gamma import Student as Student
-from .history import Empirical as Empirical
-from .joint import Correlated as Correlated
-from .regimes import Markov as Markov
 
 __all__ = [
     "Binomial", "Correlated", "Counts", "Empirical", "Exponential", "Gamma", "LogNormal", "Markov",

@@ -36,11 +36,11 @@ class Noise(eqx.Module):
 
     - `size`: the number of standard normals that one draw takes.
     - `separate`: whether draws are separate values (whole numbers, regimes), so that a parameter
-      that moves a little moves no path, or a few by a whole value: see `Simulator.in_mean`.
+      that moves slightly moves no path, or a few by a whole value: see `Simulator.in_mean`.
 
     Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
-    plain arrays. The derivative by a parameter is that of `draw`: where a draw jumps, it is zero
-    unless the class says otherwise.
+    plain arrays. The derivative with respect to a parameter is that of `draw`: where a draw jumps,
+    it is zero unless the class states otherwise.
 
     >>> import jax.numpy as jnp
     >>> class Logistic(snapo.Noise):
@@ -79,7 +79,7 @@ def size(noises: PyTree) -> int:
 
 
 def prepare(noises: PyTree) -> PyTree:
-    """All noises of a tree prepared, for `Simulator.prepare`; other leaves stay as they are."""
+    """All noises of a tree prepared, for `Simulator.prepare`; other leaves stay unchanged."""
     return jax.tree.map(
         lambda item: item.prepare() if _is_noise(item) else item, noises, is_leaf=_is_noise
     )
@@ -115,7 +115,7 @@ def only(normals: Float[Array, " 1"]) -> Float[Array, ""]:
 
 
 def numbers(value: Any) -> Any:
-    """A parameter as it is kept: lists are arrays, not trees of numbers."""
+    """A parameter as it is stored: lists are arrays, not trees of numbers."""
     return np.asarray(value, np.float64) if isinstance(value, list | tuple) else value
 
 
@@ -131,7 +131,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 
 def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> None:
-    """Refuses a parameter outside low < x < high, as far as it is known."""
+    """Refuses a parameter outside low < x < high, where it is known."""
     value = concrete(getattr(noise, name))
     if value is None or (np.all(value > low) and np.all(value < high)):
         return

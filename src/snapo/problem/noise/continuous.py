@@ -1,16 +1,27 @@
-"""Noise with a smooth quantile function of closed form: derivatives along the path are exact."""
+"""Noise with a smooth quantile function of closed form: derivatives along the path are exact.
 
+Gamma and Student noise: quantiles on a grid, worked out once, with implicit derivatives.
+
+The logarithm y of a gamma number is smooth in the normal z that it has the quantile of. Its values
+and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
+the quantile, for any shape. The derivative with respect to the shape is that of the equation
+P(shape, e^y) = u (implicit reparametrisation: Figurnov, Mohamed and Mnih 2018).
+"""
+
+import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import digamma, gammainc, gammaincc, gammaln, log_ndtr, ndtr
 from jaxtyping import Array, Float
 
 from .base import Noise, concrete, only, parameter, refuse, uniform
 
 
 class Uniform(Noise):
-    """Between `low` and `high`. Its derivative by both is pathwise."""
+    """Between `low` and `high`. Its derivative with respect to both is pathwise."""
 
     low: Any = parameter(default=0.0)
     high: Any = parameter(default=1.0)
@@ -121,3 +132,145 @@ def refuse_correlation(noise: Any) -> None:
         full[rows, columns] = full[columns, rows] = item
         if np.linalg.eigvalsh(full)[0] <= 0:
             raise ValueError(f"{name}: {item.tolist()} is no correlation: not positive definite.")
+
+
+END = 6.5  # normals of 32 bits end at 6.34
+INTERVALS = 512
+MINIMUM = 0.05  # of a shape: the smallest numbers then are e^-450
+GRID = np.linspace(-END, END, INTERVALS + 1)
+STEP = 2 * END / INTERVALS
+HALVINGS = 32  # after which two steps of Newton's leave only rounding
+DEEP = -30.0  # the logarithm of a number so small that P(a, x) is x^a / gamma(a + 1)
+
+
+class Logarithm(Noise):
+    """ln of a gamma number with scale 1, by `rows` [nodes, 2]: its values and slopes."""
+
+    rows: Float[Array, "nodes 2"]
+
+    @classmethod
+    def of(cls, shape: Any) -> "Logarithm":
+        shape = jnp.asarray(shape) * 1.0
+        y = _quantiles(shape)
+        density = shape * y - jnp.exp(y) - gammaln(shape)  # ln of that of y
+        slope = jnp.exp(-(GRID**2) / 2 - math.log(2 * math.pi) / 2 - density)
+        return cls(jnp.stack([y, STEP * slope], -1))
+
+    def draw(self, normals, *state):
+        position = (only(normals) + END) / STEP
+        start = jnp.clip(jnp.floor(jax.lax.stop_gradient(position)), 0, INTERVALS - 1)
+        i, t = start.astype(jnp.int32), position - start
+        left = jnp.take(self.rows, i, axis=0, mode="clip")
+        right = jnp.take(self.rows, i + 1, axis=0, mode="clip")
+        rise = right[0] - left[0]
+        bend = (1 - t) * (left[1] - rise) - t * (right[1] - rise)
+        return left[0] + t * (rise + (1 - t) * bend)
+
+
+@jax.custom_jvp
+def _quantiles(shape: Float[Array, ""]) -> Float[Array, " nodes"]:
+    """ln x at every node of the grid, where P(shape, x) is the uniform number of the node."""
+    half, tail = INTERVALS // 2, ndtr(-np.abs(GRID))
+
+    def excess(y):
+        """How far y lies above its quantile, by the smaller of both tails."""
+        x = jnp.exp(y)
+        lower = gammainc(shape, x[:half]) - tail[:half]
+        return jnp.concatenate([lower, tail[half:] - gammaincc(shape, x[half:])])
+
+    def nearer(number, result):
+        low, high, y = result
+        outside = excess(y)
+        low, high = jnp.where(outside > 0, low, y), jnp.where(outside > 0, y, high)
+        density = jnp.exp(shape * y - jnp.exp(y) - gammaln(shape))
+        newton = y - outside / jnp.where(density > 0, density, 1.0)
+        return low, high, jnp.where(number < HALVINGS, (low + high) / 2, newton)
+
+    # P(a, x) <= x^a / gamma(a + 1), and 10 deviations and 60 above the mean nothing is left.
+    low = (log_ndtr(GRID) + gammaln(shape + 1)) / shape - 1e-6
+    high = jnp.broadcast_to(jnp.log(shape + 10 * jnp.sqrt(shape) + 60), low.shape)
+    # One loop for both ways: an incomplete gamma function takes a second to compile.
+    return jax.lax.fori_loop(0, HALVINGS + 2, nearer, (low, high, (low + high) / 2))[2]
+
+
+@_quantiles.defjvp
+def _implicit(primals, tangents):
+    (shape,), (moved,) = primals, tangents
+    y = _quantiles(shape)
+    x, wide = jnp.exp(jnp.maximum(y, DEEP)), jnp.broadcast_to(shape, y.shape)
+    density = jnp.exp(shape * jnp.maximum(y, DEEP) - x - gammaln(shape))
+    usual = -jax.lax.igamma_grad_a(wide, x) / density
+    deep = (digamma(shape + 1) - y) / shape
+    return y, jnp.where(y > DEEP, usual, deep) * moved
+
+
+class Gamma(Noise):
+    """Mean shape x scale, variance shape x scale^2. Derivatives by both are pathwise (implicit).
+
+    Prepare it (`snapo.noise.prepare`): a draw from an unprepared one works its grid out at every
+    step, which the native engine leaves to XLA.
+    """
+
+    shape: Any = parameter()
+    scale: Any = parameter(default=1.0)
+    logarithm: Logarithm | None = None
+
+    def __check_init__(self):
+        refuse(self, "shape", MINIMUM)
+        refuse(self, "scale")
+
+    def prepare(self) -> "Gamma":
+        if self.logarithm is not None:
+            return self
+        return Gamma(self.shape, self.scale, Logarithm.of(self.shape))
+
+    def draw(self, normals, *state):
+        made = self.prepare().logarithm
+        assert made is not None
+        return self.scale * jnp.exp(made.draw(normals))
+
+
+class Student(Noise):
+    """mean + scale t, where t is Student's with `df` degrees of freedom: a normal over the root of
+    a gamma number. One number, or K that are correlated and share that root.
+
+    Derivatives by all parameters are pathwise. It takes one normal more than it gives numbers.
+
+    **Arguments:**
+
+    - `df`: above 0.1; any number, whole or not. The variance of t is df / (df - 2).
+    - `mean`, `scale`: numbers, or [K].
+    - `correlation`: as of `Normal`.
+    """
+
+    df: Any = parameter()
+    mean: Any = parameter(default=0.0)
+    scale: Any = parameter(default=1.0)
+    correlation: Any = parameter(default=None)
+    logarithm: Logarithm | None = None
+    root: Any = None
+
+    def __check_init__(self):
+        refuse(self, "df", 2 * MINIMUM)
+        refuse_correlation(self)
+
+    @property
+    def size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return many(self.correlation) + 1
+
+    def prepare(self) -> "Student":
+        if self.logarithm is not None:
+            return self
+        root = None if self.correlation is None else cholesky(self.correlation)
+        logarithm = Logarithm.of(jnp.asarray(self.df) / 2)
+        return Student(self.df, self.mean, self.scale, self.correlation, logarithm, root)
+
+    def draw(self, normals, *state):
+        made = self.prepare()
+        assert made.logarithm is not None
+        # chi^2 / df = 2 gamma(df / 2) / df
+        spread = jnp.exp(-made.logarithm.draw(normals[-1:]) / 2) * jnp.sqrt(
+            jnp.asarray(made.df) / 2
+        )
+        z = normals[0] if made.root is None else made.root @ normals[:-1]
+        return made.mean + made.scale * spread * z

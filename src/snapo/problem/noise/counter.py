@@ -77,7 +77,7 @@ Draws = Counter | Stored
 
 
 def only(draws: Draws, selected: np.ndarray) -> Draws:
-    """The noise of chosen paths alone."""
+    """The noise of chosen paths only."""
 
     def taken(leaf, axis):
         return leaf if axis is None else np.take(leaf, selected, axis)

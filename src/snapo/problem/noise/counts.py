@@ -1,4 +1,5 @@
-"""Whole numbers: the quantile of a discrete distribution, with a derivative by its parameters.
+"""Whole numbers: the quantile of a discrete distribution, with a derivative with respect to its
+parameters.
 
 Number k is drawn where the uniform u lies between F(k - 1) and F(k). A step function has no
 derivative of use; a draw is given
@@ -26,12 +27,13 @@ from jaxtyping import Array, Float
 
 from .base import Noise, concrete, numbers, only, parameter, refuse, uniform
 
-TAIL = 1e-10  # the chance of numbers above `maximum`
+TAIL = 1e-10  # the probability of numbers above `maximum`
 ROOM = 1.5  # parameters may rise by a half
 
 
 class Drawn(Noise):
-    """A distribution on 0, 1, …: F, the chances above, the chances, and the slope of a draw."""
+    """A distribution on 0, 1, …: F, the probabilities above, the probabilities, and the slope of a
+    draw."""
 
     separate = True
 
@@ -42,7 +44,7 @@ class Drawn(Noise):
 
     @classmethod
     def of(cls, probability: Float[Array, " K"]) -> "Drawn":
-        """The chances of 0 … K - 1; the last takes what they leave of 1."""
+        """The probabilities of 0 … K - 1; the last takes what they leave of 1."""
         below = jnp.cumsum(probability)
         above = jnp.cumsum(probability[::-1])[::-1] - probability
         # From the nearer end: the other has lost the digits of a tail.
@@ -77,10 +79,10 @@ class Drawn(Noise):
 class Counts(Noise):
     """Whole numbers 0 … `maximum`. Subclass it and write `logarithms`.
 
-    `draw` gives a number whose derivative by the parameters is right where outcomes are quadratic
-    without corners, and nearly so where corners lie at different numbers on different paths;
-    `weigh` gives a number and its likelihood, which is right always. `maximum` is static, and
-    follows from the parameters where these are known.
+    `draw` gives a number whose derivative with respect to the parameters is right where outcomes
+    are quadratic without corners, and nearly so where corners lie at different numbers on different
+    paths; `weigh` gives a number and its likelihood, which is right always. `maximum` is static,
+    and follows from the parameters where these are known.
     """
 
     separate = True
@@ -89,7 +91,7 @@ class Counts(Noise):
 
     @abc.abstractmethod
     def logarithms(self, k: Float[np.ndarray, " K"]) -> Float[Array, " K"]:
-        """ln of the chance of every number `k`."""
+        """ln of the probability of every number `k`."""
 
     def prepare(self) -> Drawn:  # pyright: ignore[reportIncompatibleMethodOverride]
         return Drawn.of(jnp.exp(self.logarithms(np.arange(self.maximum + 1.0))))
@@ -173,13 +175,13 @@ class Binomial(Counts):
 
 
 def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: float = ROOM) -> int:
-    """The largest number that is told apart."""
+    """The largest number that is distinguished."""
     if maximum is not None:
         return maximum
     values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
-            f"{type(noise).__name__}: most, the largest number told apart, is missing; it cannot "
+            f"{type(noise).__name__}: the largest number distinguished is missing; it cannot "
             "follow from a parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load

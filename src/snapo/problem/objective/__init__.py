@@ -1,4 +1,4 @@
-"""Objectives: what an objective is (`base`), and those that there are (`measures`)."""
+"""Objectives: the base class (`base`), and the measures of the field (`measures`)."""
 
 from .base import AtLeast as AtLeast
 from .base import AtMost as AtMost

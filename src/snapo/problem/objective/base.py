@@ -1,4 +1,4 @@
-"""What an objective is: the worth of all paths' totals together, to be made as LARGE as possible.
+"""What an objective is: the value of all paths' totals together, to be maximised.
 
 An objective gives a value and the weight of every path and output, its derivative; engines
 take weights, never objectives, so risk measures need no second kind of adjoint. `influence`
@@ -17,7 +17,7 @@ An objective of one's own is one formula in `jax.numpy`; weights and errors foll
         def formula(self, totals):
             return jnp.mean(totals["profit"]) / jnp.std(totals["profit"])
 
-A negative weight on it multiplies its numbers; `as_cost` says where something else is meant.
+A negative weight on it multiplies its numbers; `as_cost` states where something else is meant.
 
 A comparison with a number is a constraint that holds on average or with a probability:
 `Mean("unserved") <= 0.05`. What never may be exceeded is for the simulator.
@@ -42,7 +42,7 @@ class Objective(abc.ABC):
     """A number made from path totals {name: [N]}, the same in whatever order the paths are.
 
     A subclass is a frozen dataclass with `outputs` and `formula`. Value, weights and influence
-    follow from the formula; the objectives below have closed forms in place of it.
+    follow from the formula; the objectives below have closed forms instead of it.
     """
 
     @property
@@ -54,7 +54,7 @@ class Objective(abc.ABC):
     def linear(self) -> Any:
         """Whether the weights do not depend on the totals, which saves a forward sweep.
 
-        It is declared, not detected: a subclass says `linear = True`.
+        It is declared, not detected: a subclass sets `linear = True`.
         """
         return False
 
@@ -65,9 +65,9 @@ class Objective(abc.ABC):
 
     @property
     def by_path(self) -> Any:
-        """Whether it is a mean of numbers, each made of one path's totals alone: its `influence`.
+        """Whether it is a mean of numbers, each made only of one path's totals: its `influence`.
 
-        Such an objective has a bound from above. It is declared: a subclass says `by_path = True`.
+        Such an objective has a bound from above. It is declared: a subclass sets `by_path = True`.
         """
         return False
 
@@ -94,7 +94,7 @@ class Objective(abc.ABC):
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
-        """The total that is worth as much when it is sure; None where nothing says so."""
+        """The certainty equivalent; None where the objective does not declare one."""
         return None
 
     def used(self, totals: Totals) -> dict[str, np.ndarray]:
@@ -109,7 +109,7 @@ class Objective(abc.ABC):
 
     @property
     def as_cost(self) -> "Objective":
-        """The same measure of a cost, in place of it where the weight is negative: of a measure of
+        """The same measure of a cost, instead of it where the weight is negative: of a measure of
         risk the one that looks at the dear tail; itself for all others."""
         return self
 
@@ -341,7 +341,7 @@ class Limit:
 
     @property
     def name(self) -> str:
-        """The limit in words: "mean of unserved at most 0.05"."""
+        """The limit as text: "mean of unserved at most 0.05"."""
         return f"{self.measure.describe()} {self.relation} {self.level:g}"
 
     def __bool__(self) -> bool:
@@ -378,7 +378,7 @@ class AtLeast(Limit):
 
 
 def as_objective(objective: Objective | str) -> Objective:
-    """The mean of an output that is named; an objective as it is."""
+    """The mean of an output that is named; an objective itself."""
     return Mean(objective) if isinstance(objective, str) else objective
 
 
@@ -390,7 +390,7 @@ def as_constraints(limits: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
 def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float]) -> Objective:
     """The objective less the price of every limit's measure, in the direction of its excess.
 
-    Its derivatives are those of the best value within the limits; its value lacks the constant
+    Its derivatives are those of the best value within the limits; its value is without the constant
     `price * level`.
     """
     if not limits:

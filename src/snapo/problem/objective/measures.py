@@ -152,7 +152,7 @@ class ExpectedUtility(ByPath):
     @property
     def as_cost(self) -> Objective:
         raise ValueError(
-            f"ExpectedUtility of {self.output}: a utility is of what shall be large, so its "
+            f"ExpectedUtility of {self.output}: a utility is of a quantity to be maximised, so its "
             "weight is positive and it has no upper limit. Of a cost, let the simulator give "
             f"-{self.output} as an output, and write the utility of that."
         )
@@ -203,7 +203,7 @@ class CRRA:
         return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.risk_aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
-        """The sure x of this utility; infinite where no x has as much."""
+        """The certainty equivalent of this utility; infinite where there is none."""
         if self.risk_aversion == 1:
             return float(np.exp(utility)) - self.wealth
         power = (1 - self.risk_aversion) * utility

@@ -1,7 +1,7 @@
 """Policies that remember: recurrent networks and windows of past observations.
 
 A policy with memory decides by its observation and by numbers of its own, which it hands on to its
-next decision. The engines carry these beside the simulator's state (`Remembering`): nobody who
+next decision. The engines carry these next to the simulator's state (`Remembering`): no one who
 writes a simulator sees them, and recorded actions replay without them.
 """
 
@@ -23,7 +23,7 @@ from ..smooth import EXACT, Exact
 class Memory(Policy):
     """A policy that remembers `memory` numbers, which are zeros before the first decision.
 
-    A subclass says how many in `memory` and writes `decide`. Called as policies are, it takes
+    A subclass states how many in `memory` and writes `decide`. Called as policies are, it takes
     the observation followed by the memory, and gives the action followed by the next memory.
     """
 

@@ -4,7 +4,7 @@ The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held 
 the decisions replayed, share all their noise. Their difference block by block, the reaction
 R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
 Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
-the moved input (`Problem.moved`); a table that stands still would pass for a bad policy.
+the moved input (`Problem.moved`); a table that stays fixed would pass for a bad policy.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,8 +22,8 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
 
+from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
-from ..finite_paths import DROPPED, finite
 from ..statistics import Estimate
 
 MOVE = 0.01  # of every number of an input
@@ -50,7 +50,7 @@ class Reaction(NamedTuple):
     - `up`, `down`: value after the bump less that before, and that before less that after the
       opposite one, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
-      of costs alone, which reaches no state, changes no decision.
+      only of costs, which reaches no state, changes no decision.
     - `corner`: "kink" or "jump", where both sides differ and half the move shows the same; else "".
     """
 
@@ -92,7 +92,7 @@ class Reaction(NamedTuple):
 
 
 def one_percent(values: Input) -> np.ndarray:
-    """The bump: a hundredth of every number; where all are zero, of the input's `move`."""
+    """The bump: 1 % of every number; where all are zero, of the input's `move`."""
     if values.value.any():
         return MOVE * values.value
     return np.full(values.value.shape, MOVE * (values.move or 0.0))
@@ -101,7 +101,7 @@ def one_percent(values: Input) -> np.ndarray:
 def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
     """[B]: the objective by block of paths; their mean is the objective, where blocks are equal.
 
-    Paths that are not finite are left out; all are NaN where more than a few are not.
+    Paths that are non-finite are left out; all are NaN where more than a few are not.
     """
     valid = finite(totals, objective.outputs)
     if np.sum(~valid) > DROPPED * valid.size:
@@ -129,7 +129,7 @@ def reactions(
     Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
     and a wider move follow, the least certain input first, until about `rollouts` paths were
     valued.
-    `centre`: the totals of these paths, and perhaps more, where they are known.
+    `centre`: the totals of these paths, and possibly more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
     are all where the value is no number, as after a ruin. A held derivative that is not a number,
@@ -151,8 +151,8 @@ def reactions(
 
 
 def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool:
-    """Whether no more paths are needed: nothing reacts, or so little that it may be nothing, known
-    to a share `precise` of the held derivative; or surely less than `negligible`."""
+    """Whether no more paths are needed: nothing reacts, or so slightly that it may be nothing,
+    known to a share `precise` of the held derivative; or surely less than `negligible`."""
     if not reaction.tested or not np.isfinite(reaction.reaction).all():
         return True
     value, error = reaction.estimate
@@ -208,7 +208,7 @@ class _Bumper:
     def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
         """One input moved by `by`, on few paths.
 
-        What was built from the inputs stands still at first, which is soon done: where that shows
+        What was built from the inputs stays fixed at first, which is soon done: where that shows
         no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
         """
         if self.problem.rebuild is None:
@@ -238,7 +238,7 @@ class _Bumper:
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
-        `at_values` by default rebuilds what it can; `mirrored`: for one side alone, see `opposite`.
+        `at_values` by default rebuilds what it can; `mirrored`: for one side only, see `opposite`.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value

@@ -3,8 +3,8 @@
 The true derivative is that of the best policy's value. Two errors lie between it and an estimate:
 the sampling error of finitely many paths, and the error of the policy, which is near the best one
 and not the best one itself. A policy whose value is short of the best by a gap g has a derivative
-that is off by at most sqrt(2 g kappa), where kappa says how fast the derivative changes with the
-policy, measured against the loss (see `margin`). The value's error is of second order in the
+that is off by at most sqrt(2 g kappa), where kappa measures how fast the derivative changes with
+the policy, measured against the loss (see `margin`). The value's error is of second order in the
 policy's, the derivative's of first order: it goes with the root of the gap.
 """
 
@@ -49,7 +49,7 @@ class Curvature(NamedTuple):
 
     @classmethod
     def nothing(cls) -> "Curvature":
-        """No coordinates, and no gap: the interval is the sampling error's alone."""
+        """No coordinates, and no gap: the interval is only that of the sampling error."""
         return cls(np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
 
 

@@ -20,12 +20,11 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact
 
-from ..by_block.passes import DerivativePass
 from ..evaluate import path_totals
 from .bump import block_means, one_percent
-from .coordinates import shifted_policy
+from .by_block import DerivativePass
 from .interval import THROUGH, Curvature, Reported
-from .surface import WIDEST, Surface, distance_factor
+from .surface import WIDEST, Surface, distance_factor, shifted_policy
 from .verdict import spread_of
 
 RANDOM = 6  # directions of all weights

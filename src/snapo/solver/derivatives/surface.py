@@ -1,26 +1,136 @@
 """The value around a trained policy, as a quadratic surface in a few coordinates.
 
 The EXACT simulator is valued on fixed paths at a few dozen places around the policy. The surface
-V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is a little
-higher, and H says by how much a wrong policy would cost. Both go into the interval of every
+V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is slightly
+higher, and H measures by how much a wrong policy would cost. Both go into the interval of every
 derivative, and the policy at the top is a candidate for the one that is reported.
+
+A few coordinates of a policy, along which its value is looked at: directions of its numbers.
+
+For a network they are a shift and a gain of every raw output of its last layer, which move all
+decisions together; for many outputs a common gain, what the second half of training changed, and
+a few mixtures of the shifts. A rule with few numbers has one coordinate for each.
 """
 
 from collections.abc import Callable
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from snapo.engine import Engine
-from snapo.problem.policy import Policy
+from snapo.problem.inputs import Frozen
+from snapo.problem.policies.memory import GRU
+from snapo.problem.policy import Network, Policy, trainable
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 
 from ..evaluate import path_totals
 from ..statistics import Estimate
 from .bump import block_means
-from .coordinates import Coordinates
+
+EACH = 4  # outputs at most that have a shift and a gain of their own
+MIXTURES = 4  # of the shifts of more outputs
+FEW = 8  # numbers at most of a rule without a network that has a coordinate for each
+SMALL = 1e-3  # the size that a number of a rule has at least, in its own coordinate
+
+
+class Coordinates(NamedTuple):
+    """Directions [n, P] in the P trained numbers of a policy; `policy` is their origin."""
+
+    policy: Policy
+    directions: np.ndarray
+
+    def at(self, position: np.ndarray) -> Policy:
+        """The policy at a place [n]."""
+        return shifted_policy(self.policy, position @ self.directions)
+
+    def leading(self, count: int) -> "Coordinates":
+        """Only the first few."""
+        return self._replace(directions=self.directions[:count])
+
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        """[P] a random direction of all numbers, each drawn as large as its array's are."""
+        # In float64: JAX's arrays and NumPy's would round the same numbers to other deviations.
+        leaves = [np.asarray(x, np.float64) for x in jax.tree.leaves(trainable(self.policy)[0])]
+        drawn = [rng.standard_normal(x.shape) * max(float(np.std(x)), SMALL) for x in leaves]
+        return np.concatenate([np.zeros(0), *map(np.ravel, drawn)])
+
+
+def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
+    """The policy whose trained numbers, as one vector [P], are moved by so much."""
+    numbers, rest = trainable(policy)
+    leaves, structure = jax.tree.flatten(numbers)
+    after, first = [], 0
+    for leaf in leaves:
+        old = np.asarray(leaf)
+        step = by[first : first + old.size].reshape(old.shape)
+        new = (old.astype(np.float64) + step).astype(old.dtype)
+        # A policy may index its arrays as JAX's: they stay unchanged.
+        after.append(jnp.asarray(new) if isinstance(leaf, jax.Array) else new)
+        first += old.size
+    return eqx.combine(jax.tree.unflatten(structure, after), rest)
+
+
+def coordinates(policy: Policy, earlier: Policy | None = None) -> Coordinates:
+    """Of a policy; `earlier` is the one from halfway through its training."""
+    numbers = _vector(policy)
+    past = [] if earlier is None else [numbers - _vector(earlier)]
+    past = [change for change in past if np.any(change)]
+    shifts, gains = _of_outputs(policy)
+    if not len(shifts) and numbers.size <= FEW:
+        return Coordinates(policy, np.diag(np.maximum(np.abs(numbers), SMALL)))
+    if not len(shifts):
+        return Coordinates(policy, np.stack([numbers, *past]))
+    if len(shifts) <= EACH:
+        pairs = np.stack([shifts, gains], axis=1)
+        return Coordinates(policy, pairs.reshape(-1, numbers.size))
+    rng = np.random.default_rng(len(shifts))
+    mixtures = np.linalg.qr(rng.standard_normal((len(shifts), MIXTURES)))[0].T @ shifts
+    return Coordinates(policy, np.stack([gains.sum(0), *past, *mixtures]))
+
+
+def _of_outputs(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
+    """[outputs, P] directions: one more of a raw output, and the output once more."""
+    leaves = jax.tree.leaves(trainable(policy)[0])
+    shifts, gains = [], []
+    for network in _deciding(policy):
+        weights, bias = network.weights[-1], network.biases[-1]
+        for one in np.eye(len(bias)):
+            shifts.append(_vector_of(leaves, {id(bias): one}))
+            rows = {
+                id(weights): np.asarray(weights) * one[:, None],
+                id(bias): np.asarray(bias) * one,
+            }
+            gains.append(_vector_of(leaves, rows))
+    size = sum(int(np.size(leaf)) for leaf in leaves)
+    return np.reshape(shifts, (-1, size)), np.reshape(gains, (-1, size))
+
+
+def _vector_of(leaves: list, changes: dict[int, np.ndarray]) -> np.ndarray:
+    """Changes of some arrays, by their identity, as a vector of all numbers."""
+    parts = [np.ravel(changes.get(id(leaf), np.zeros(np.shape(leaf)))) for leaf in leaves]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _deciding(policy: PyTree) -> list[Network]:
+    """The trained networks whose outputs become decisions."""
+    if isinstance(policy, GRU):
+        return [] if policy.readout is None else [policy.readout]
+    kinds = Network | GRU | Frozen
+    nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, kinds))
+    networks = [_deciding(x) if isinstance(x, GRU) else [x] for x in nodes]
+    return [x for group in networks for x in group if isinstance(x, Network)]
+
+
+def _vector(policy: Policy) -> np.ndarray:
+    leaves = jax.tree.leaves(trainable(policy)[0])
+    return np.concatenate([np.zeros(0), *(np.ravel(np.asarray(x, np.float64)) for x in leaves)])
+
 
 SEARCH = 4  # of the evaluation's streams
 SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
@@ -97,7 +207,7 @@ class _Value:
 
 
 def fresh(source: Scenarios, number: int) -> Scenarios:
-    """Scenarios that nothing else uses; those of Sobol or of one's own serve as they are."""
+    """Scenarios that nothing else uses; those of Sobol or of one's own serve unchanged."""
     if not isinstance(source, Pseudo):
         return source
     return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))

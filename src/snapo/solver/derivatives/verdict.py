@@ -3,7 +3,7 @@
 All inputs of a run are tested together: with twenty inputs, one in a run would be refuted by chance
 by a test of each at 5 %. Holm's procedure (1979) refutes a right one in at most 1 % of all runs.
 A refuted held derivative gives way to the bump itself. One that is not refuted may still be a
-little wrong: the reaction is then added as far as it is larger than its own error (James and
+slightly wrong: the reaction is then added as far as it is larger than its own error (James and
 Stein's shrinkage) or as it takes noise away (a control variate), and the interval has room for
 the rest.
 """
@@ -19,7 +19,7 @@ from ..statistics import Estimate
 from .bump import Reaction, blocks_along, one_percent
 from .interval import HELD, RANGE, SHARE_UNSEEN, THROUGH, UNKNOWN, Curvature, Reported
 
-LEVEL = 0.01  # the chance that any right held derivative of a run is refuted
+LEVEL = 0.01  # the probability that any right held derivative of a run is refuted
 AGREE = 3.0  # standard errors between the smooth derivative and the bump
 COLUMNS = (
     "input", "source", "held", "held_error", "bump", "bump_error", "reaction", "reaction_error",
@@ -124,7 +124,7 @@ def reported(
     reactions: Mapping[str, Reaction],
     results: Mapping[str, Verdict],
 ) -> dict[str, Reported]:
-    """{input: the derivative that is reported}, with the sampling error alone."""
+    """{input: the derivative that is reported}, with only the sampling error."""
     result = {}
     for name, values in problem.inputs_by_name.items():
         by = one_percent(values)
@@ -153,7 +153,7 @@ def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
 
 
 def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
-    """The held derivative with its sampling error alone."""
+    """The held derivative with only its sampling error."""
     empty = np.zeros((0, *by.shape))
     complete = blocks_along(held, by)
     nothing = np.zeros(by.shape)

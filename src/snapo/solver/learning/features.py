@@ -4,16 +4,16 @@ A feature that stays near one number is, to an untrained network, a constant: tr
 the best decision that ignores it, and saturates there. So the first layer of a network that nobody
 has made yet is drawn, and trained, for features of mean 0 and deviation 1. That needs a mean and a
 deviation that hold whatever is decided, as those of prices, demands and times do. Features that a
-decision moves are left as they are: an untrained policy does not bring them where a trained one
+decision moves are left unchanged: an untrained policy does not bring them where a trained one
 does.
 
-So it is where many numbers are decided, each of which has to tell states apart: a battery of 24
-powers a day earns 95 % of its bound in place of 84 %. With few, a regulator, a pendulum
+So it is where many numbers are decided, each of which has to distinguish states: a battery of 24
+powers a day earns 95 % of its bound instead of 84 %. With few, a regulator, a pendulum
 and a cart train well without.
 
 And so it is where the decision is when to stop. Stopping without regard to the state is worse than
 waiting, so the first steps lower the hazard everywhere. Where features are small, it vanishes
-before the network tells states apart, and training never comes back: a max-call of five shares
+before the network distinguishes states, and training never comes back: a max-call of five shares
 ended at its European value, 23.10 for 26.14, with one seed of three, and at 26.14 with scaled
 features.
 
@@ -37,7 +37,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at
 from snapo.problem.smooth import Exact
 
-from ..windows.critic import observations
+from .windows import observations
 
 PATHS = 64
 MANY = 8  # more decided numbers than these: the network is wider there too
@@ -48,16 +48,16 @@ MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see w
 class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
-    A network's first layer has weights for features as they are. Training moves those for scaled
-    features, which say the same: `scaled` and `plain` go there and back. So do all first layers of
-    a policy that has several.
+    A network's first layer has weights for unscaled features. Training moves those for scaled
+    features, which are equivalent: `scaled` and `plain` go there and back. So do all first layers
+    of a policy that has several.
     """
 
     mean: tuple[float, ...]
     deviation: tuple[float, ...]
 
     def plain(self, policy: Policy) -> Policy:
-        """The policy of features as they are that does what `policy` does with scaled ones."""
+        """The policy of unscaled features that does what `policy` does with scaled ones."""
         return self._applied(policy, plain)
 
     def scaled(self, policy: Policy) -> Policy:
@@ -91,7 +91,7 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 
 
 def networks(policy: Policy) -> list[Network | None]:
-    """The networks of a policy that see the features; None in place of each that is not drawn.
+    """The networks of a policy that see the features; None instead of each that is not drawn.
 
     Empty for a policy without any, such as a rule, and for one of which that is not known: the
     stages of a chain, a class of one's own.
@@ -123,7 +123,7 @@ def layers(policy: Policy) -> list[tuple[Any, Any]]:
 
 
 def plain(weights, bias, mean, deviation) -> tuple[Any, Any]:
-    """The layer of features as they are that does what this one does with scaled ones."""
+    """The layer of unscaled features that does what this one does with scaled ones."""
     weights = weights / deviation
     return weights, bias - weights @ mean
 

@@ -61,7 +61,7 @@ def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.Gra
 
 
 class _Numbers(NamedTuple):
-    """A plan as numbers alone."""
+    """A plan as numbers only."""
 
     steps: int
     learning_rate: float
@@ -129,7 +129,7 @@ class Parts(NamedTuple):
     def of(cls, policy: PyTree) -> "Parts":
         """Those of `trainable`."""
         moving, fixed = trainable(policy)
-        # Where a leaf is trained, what is fixed has a hole.
+        # Where a leaf is trained, the fixed tree has a hole.
         complete = jax.tree.map(lambda _: True, moving), jax.tree.map(lambda _: False, fixed)
         marks = jax.tree.leaves(eqx.combine(*complete))
         leaves, structure = jax.tree.flatten(policy)
@@ -161,7 +161,7 @@ def initial_state(plan: Plan, policy: PyTree, updates: int) -> PyTree:
 
 
 def restarted(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
-    """An optimiser that remembers no gradient; its schedule goes on where `state` stands."""
+    """An optimiser that remembers no gradient; its schedule goes on where `state` is."""
     fresh = initial_state(plan, policy, updates)
     return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
 

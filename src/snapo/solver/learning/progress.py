@@ -10,17 +10,15 @@ from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
-from ..limits.dual import Dual
-from ..windows.critic import Learner, learner
-from ..windows.window import UPDATES
+from ..limits import Dual
+from .conditioning import Growth
 from .features import FeatureScale
-from .following import resolve_auto
-from .growth import Growth
 from .optimiser import initial_state, restarted
-from .settings import Training, TrainingPlan
+from .settings import Training, TrainingPlan, resolve_auto
+from .windows import UPDATES, Learner, learner
 
 SLOWER = 0.25  # of the rate, after a step that broke
-MAX_SLOWED = 3  # times that a run whose rate nobody gave goes on after it broke, with a lower one
+MAX_SLOWED = 3  # times that a run that broke goes on at a lower rate, if no rate is specified
 
 
 class Record(NamedTuple):
@@ -70,12 +68,12 @@ class Progress:
     steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
     `window`, `critic`: of training on windows, given or chosen.
     `clip` is the bound in force, if there is one, and `keep` the share; `since` the step at which
-    the optimiser began, or began anew, its gradients having exploded. `growth`: the adjoints, where
+    the optimiser began, or restarted, its gradients having exploded. `growth`: the adjoints, where
     they were measured.
     `dual`: the prices of the problem's limits.
     `raced`: the rounds in which starts fell out, where there were several.
     `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
-    `redrawn`: the steps at which it began anew from other first weights (see `verdict.idle`);
+    `redrawn`: the steps at which it restarted from other initial weights (see `verdict.constant`);
     `unchanged`: the validations in a row in which every path earned the same.
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """
@@ -105,7 +103,7 @@ class Progress:
     scale: FeatureScale | None = None
 
     def __str__(self) -> str:
-        """One line: `callbacks=[print]` tells it at every validation."""
+        """One line: `callbacks=[print]` prints it at every validation."""
         if not self.history:
             return f"step {self.step:>5}"
         last = self.history[-1]
@@ -126,7 +124,7 @@ class Progress:
     @property
     def last_two(self) -> tuple[float, float] | None:
         """The exact values of the last two starts of a race at the same step, the better one first;
-        None without a race. Their distance tells how much of a value is the start's."""
+        None without a race. Their distance shows how much of a value is the start's."""
         if not self.raced:
             return None
         (_, better), (_, other) = self.raced[-1].values
@@ -183,8 +181,8 @@ def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
 
 
 def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:
-    """On from the best policy so far, with a lower rate; the optimiser, the critic and the prices
-    of limits, which the steps before led astray too, begin anew."""
+    """On from the best policy so far, with a lower rate; the optimiser, the critic and the dual
+    variables of the limits, which the steps before led astray too, restart."""
     step = progress.step + 1
     moved = _begun_with(problem, training, progress, progress.best, step)
     return replace(moved, slowed=(*progress.slowed, step), status="training")

@@ -1,16 +1,44 @@
-"""The settings of a training."""
+"""The settings of a training.
 
+Settings that are chosen from the problem where they are not given: paths, steps, rates and shares.
+
+A path of many steps holds many decisions, so fewer paths are as informative; and a step of training
+over a short horizon is cheap, so there is time for more of them. Work counts the products that a
+network takes over a path: horizon times parameters. It is the same on every machine.
+
+More steps bear a higher rate, which falls to zero in the end; wider layers a lower one, since all
+their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its features are
+scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
+
+Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
+leads out of: a battery that always discharges at midnight, when it is empty. Two remedies are
+taken. A tenth of every decision is drawn at random at first, which visits states that the rule does
+not. And weights decay, since nothing holds against it there: to a quarter over all steps, however
+many they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with
+the decay only, 95.7 to 97.7 % with both; of the first five with exploration only, one earned 94.4
+%. Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
+both; .45 and .48 % with a decay of .2, seven times as large.
+
+A `Choice`, `Integers` or a `Stop` decides between few values, so that where the weights begin
+matters more: several of them begin, and the better half goes on (`starts`).
+"""
+
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Literal
 
+import jax
 import numpy as np
 
-from snapo.problem.actions.base import count
+from snapo.problem.actions import Actions, Choice, Integers, Stop, contains
+from snapo.problem.actions.sets import count
+from snapo.problem.policy import Network, Policy, parameters
+from snapo.problem.problem import Problem
 
 Auto = Literal["auto"]
 RATE = 0.01  # of Adam, where nothing else is chosen
-FOLLOWING = (  # what may be "auto"
+FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
 EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
@@ -18,10 +46,10 @@ EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a tr
 
 @dataclass(frozen=True)
 class Training:
-    """How a policy is trained; what is "auto" is chosen when the problem is known.
+    """How a policy is trained; an "auto" is chosen when the problem is known.
 
     - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": they follow the
-      horizon and the size of the policy (`solver.learning.following`).
+      horizon and the size of the policy (below: where they are "auto").
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, and where the steps are "auto" too, it follows them.
     - `decay`: the share that a step takes off every trained number, times the rate (AdamW). "auto":
@@ -31,21 +59,22 @@ class Training:
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
       steps ("auto": every 50, in a short training at every quarter); after `patience` validations
       without a new best the run stops (None: never).
-    - `window`: go back through windows of this many steps, after which a critic tells the worth of
-      all that comes (see `windows`); for means only.
+    - `window`: backpropagate through windows of this many steps, after which a critic gives the
+      continuation value (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
-      where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
+      where gradients explode and leaves all others unchanged (`learning.conditioning`); None:
+      never.
     - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
       `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": all
-      but where adjoints grow and gradients leap (`solver.learning.clipping`); 1.0: all, always.
+      but where adjoints grow and gradients leap (`learning.conditioning`); 1.0: all, always.
     - `spread`: the normals of `initial` times this, in training only: wider starting states.
     - `exploration`: the share of a decision that is drawn at random in training (see
       `learning.practice`); it falls to 0 with the temperature. 0: none. "auto": as the decay, if
       the decisions have bounds.
-    - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
+    - `starts`: so many initial weights of the policy's networks begin, and after every tenth of the
       steps the better half goes on (`solver.learning.starts`). "auto": four where `solve`
       draws them, the steps are "auto" too and a `Choice`, `Integers` or `Stop` decides; else one.
-    - `seed`: of the network's first weights and of all scenarios.
+    - `seed`: of the network's initial weights and of all scenarios.
     """
 
     steps: int | Auto = "auto"
@@ -104,7 +133,7 @@ class Training:
 
 @dataclass(frozen=True)
 class TrainingPlan(Training):
-    """A training with numbers in place of every "auto"; `automatic`: the settings that were."""
+    """A training with numbers instead of every "auto"; `automatic`: the settings that were."""
 
     steps: int = 0
     paths: int = 2
@@ -129,7 +158,7 @@ class TrainingPlan(Training):
 
     @classmethod
     def of(cls, training: Training, **numbers: Any) -> "TrainingPlan":
-        """The plan of a training, with these numbers in place of what is "auto" in it."""
+        """The plan of a training, with these numbers instead of every "auto"."""
         by_name = {field.name: getattr(training, field.name) for field in fields(training)}
         free = tuple(name for name in FOLLOWING if by_name[name] == "auto")
         available = {name: value for name, value in by_name.items() if name not in free}
@@ -155,7 +184,7 @@ COUNTS = {
 
 
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
-    """Refuses what is no finite number, or not one of those allowed: a test and its words."""
+    """Refuses what is no finite number, or not one of those allowed: a test and its text."""
     plain = isinstance(value, int | float | np.integer | np.floating)
     available = float(value) if plain and not isinstance(value, bool) else np.nan
     if not (np.isfinite(available) and allowed[0](available)):
@@ -170,3 +199,75 @@ NUMBERS = {
     "learning_rate": ABOVE, "decay": NOT_BELOW, "temperature_start": ABOVE,
     "temperature_end": ABOVE, "average": SHARE, "spread": ABOVE, "exploration": BELOW_ONE,
 }  # fmt: skip
+
+
+WORK = 1.2e8  # products of one step of training: some 0.01 s on two cores
+PATHS = (16, 512)  # at least, at most
+ALIKE = 64  # at most, where all paths are one
+STEPS = (240, 3840)
+USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
+WIDTH = 32  # of hidden layers at which it is
+MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
+LEFT = 1 / 4  # of a weight that nothing holds, after all steps
+EXPLORED = 0.1  # share of a decision
+SEVERAL = 4  # initial weights, where decisions are of few values
+LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
+RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
+
+
+def resolve_auto(
+    training: Training, problem: Problem, policy: Policy, fresh: bool = False
+) -> TrainingPlan:
+    """The training with numbers instead of all that is chosen from the problem.
+
+    `fresh`: the policy's networks were drawn for it, so that others may be.
+    """
+    if isinstance(training, TrainingPlan):
+        return training
+    paths, steps, rate = training.paths, training.steps, training.learning_rate
+    decay, exploring, free = training.decay, training.exploration, training.steps == "auto"
+    if exploring == "auto":
+        exploring = EXPLORED if free and _explores(problem.action, training) else 0.0
+    horizon, certain = problem.simulator.horizon, exploring == 0 and not problem.is_random
+    if paths == "auto":
+        work = horizon * max(1, parameters(policy).size)
+        paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
+        paths = min(paths, ALIKE) if certain else paths
+    # The gradient of fewer paths is noisier, which more steps average out.
+    noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not certain else 1.0
+    if steps == "auto":
+        steps = round(noisy * _within(STEPS, LONG // horizon))
+    if rate == "auto":
+        rate = RATE
+        if free and not contains(problem.action, Stop):
+            usual = _within(STEPS, RATED // horizon)
+            many = usual / STEPS[0] if usual > USUAL else 1.0
+            rate *= math.sqrt(noisy * many)
+            rate *= min(1.0, WIDTH / _width(policy)) ** 0.25
+    if decay == "auto":
+        # The rate falls to zero by a cosine, so that it is half as large on average.
+        decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
+    few_values = any(contains(problem.action, kind) for kind in (Choice, Integers, Stop))
+    starts = SEVERAL if fresh and free and few_values else 1
+    return TrainingPlan.of(
+        training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=exploring,
+        validation_every=every(steps), starts=starts,
+    )  # fmt: skip
+
+
+def _explores(action: Actions, training: Training) -> bool:
+    """Whether a share of these decisions can be drawn, and they are many; without bounds it is not
+    known knows how far, and the share falls with the temperature."""
+    bounded = all(np.isfinite(bound).all() for bound in action.bounds())
+    return action.exploration_size > MANY and bounded and training.cools
+
+
+def _width(policy: Policy) -> int:
+    """The number of units in the widest layer of all networks; 1 where there is none."""
+    nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, Network))
+    networks = [node for node in nodes if isinstance(node, Network)]
+    return max((bias.size for network in networks for bias in network.biases[:-1]), default=1)
+
+
+def _within(limits: tuple[int, int], number: int) -> int:
+    return min(limits[1], max(limits[0], number))

@@ -1,33 +1,130 @@
-"""Several starts at little cost: all begin, and after every round the better half goes on.
+"""Several starts at low cost: all begin, and after every round the better half goes on.
 
-Successive halving (Jamieson and Talwalkar 2016): starts differ in the first weights of their
-networks alone and see the same scenarios, so they are told apart by the exact value on the
+Successive halving (Jamieson and Talwalkar 2016): starts differ in the initial weights of their
+networks only and see the same scenarios, so they are distinguished by the exact value on the
 validation's paths, which all share. The last one goes on as a run of one start would.
 
 They run one after another: the paths of one start are work for all cores already, so that several
 at once would take as long, in more memory; and all of them share the kernels of the first one.
+
+A policy that does as a rule does: a warm start for `solve`.
 """
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.policy import Network, Policy
+from snapo.engine import EngineName, choose
+from snapo.problem.actions import Box
+from snapo.problem.inputs import Frozen
+from snapo.problem.meant import takes_problem
+from snapo.problem.objective import Mean
+from snapo.problem.policy import MLP, Network, Policy, without_memory
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Around, Simulator
 
+from ..train import Training, initial_progress, train
 from .progress import Progress, Round
 
+DISTANCE = "distance"
+SHORT = Training(steps=300, paths=128, validation_paths=512)
+
+
+class Imitating(Around):
+    """The rule moves the state; the policy is charged for the square of its distance."""
+
+    rule: Frozen
+    scale: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, simulator: Simulator, rule: Policy, scale: tuple[float, ...]):
+        self.inner, self.rule, self.scale = simulator, Frozen(rule), scale
+
+    def step(self, constants, now, state, action, noise, smooth):
+        right = self.rule.array(self.inner.observe(constants, now, state), smooth)
+        after, _ = self.inner.step(constants, now, state, right, noise, smooth)
+        away = (action - jax.lax.stop_gradient(right)) / jnp.asarray(self.scale, action.dtype)
+        return after, {DISTANCE: jnp.sum(away**2) / self.inner.horizon}
+
+    def terminal(self, constants, state, smooth):
+        return {}
+
+    def totals(self):
+        return {}
+
+    def control_variates(self):
+        return ()
+
+    def slack(self, constants, now, state, outputs):
+        return {}
+
+
+class Imitation(NamedTuple):
+    """A policy that imitates a rule.
+
+    - `distance`: the root of the mean square by which its decisions differ from the rule's, a
+      component's range being 1 where it has one.
+    """
+
+    policy: Policy
+    distance: float
+
+
+@takes_problem(objective=False)
+def imitate(
+    problem: Problem,
+    rule: Policy,
+    policy: Policy | None = None,
+    *,
+    training: Training | None = None,
+    engine: EngineName = "auto",
+) -> Imitation:
+    """Trains a policy to decide as `rule` does, in the states that the rule itself meets.
+
+        begun = snapo.imitate(problem, snapo.BaseStock(12.0))
+        solution = snapo.solve(problem, policy=begun.policy)
+
+    **Arguments:**
+
+    - `rule`: a policy without a memory. `policy`: as in `solve`; it may have one.
+    - `training`: by default 300 steps with 128 paths.
+    """
+    without_memory(rule, "imitate")
+    training = training or SHORT
+    rule = rule.for_problem(problem.interface, jax.random.key(training.seed))
+    followed = Imitating(problem.simulator, rule, _ranges(problem))
+    # The rule's outputs are gone, and with them limits on them: the next training has those.
+    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), constraints=())
+    policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
+    engines = choose(engine, problem, policy)
+    progress = train(problem, initial_progress(policy, training, problem), training, engines.train)
+    return Imitation(progress.best, float(np.sqrt(max(0.0, -progress.best_value))))
+
+
+def _ranges(problem: Problem) -> tuple[float, ...]:
+    """The range of every component of a decision; 1 where it is not bounded."""
+    action = problem.action
+    if not isinstance(action, Box):
+        return (1.0,) * action.size
+    low, high = action.bounds()
+    with np.errstate(invalid="ignore"):
+        width = high - low
+    return tuple(np.where(np.isfinite(width) & (width > 0), width, 1.0).tolist())
+
+
 ROUND = 0.1  # of the steps of a run, between two halvings: four starts cost .4 of a run more
-APART = 1.0  # percent between two starts at the same step, from which more of them are worth a try
+APART = 1.0  # percent between two starts at the same step, from which more of them should be tried
 
 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
-    """`count` untrained policies: the given one, and others with first weights of their own.
+    """`count` untrained policies: the given one, and others with initial weights of their own.
 
-    Each weight of a `Network`, or of a layer of Equinox, is drawn anew, as large as those of its
+    Each weight of a `Network`, or of a layer of Equinox, is drawn again, as large as those of its
     layer for the same feature are; numbers of one axis, such as biases, stay.
 
     **Raises:** `ValueError` where the policy has no network: its starts would all be one.
@@ -62,7 +159,7 @@ def race(
 
 
 def describe(rounds: tuple[Round, ...]) -> str:
-    """Who won a race, how far apart the starts were at equal steps, and what to try."""
+    """Who won a race, how far apart the starts were at equal steps, and remedies."""
     count, winner = len(rounds[0].values), rounds[-1].values[0][0]
     summary, furthest = [], 0.0
     for step, values in rounds:

@@ -1,4 +1,4 @@
-"""What a training is worth: the policy that is reported, its value, and its derivatives."""
+"""The value of a training: the policy that is reported, its value, and its derivatives."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -17,9 +17,8 @@ from snapo.problem.smooth import EXACT, Smooth
 from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
-from ..derivatives.coordinates import coordinates
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
-from ..derivatives.surface import Surface, rollouts, surface_of
+from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (
     Value,
@@ -30,16 +29,26 @@ from ..evaluate import (
     totals_and_decisions,
     value_of,
 )
-from ..learning.convergence import AS_BEGUN, ending
+from ..learning.log import start_notes
 from ..learning.settings import TrainingPlan
-from ..learning.told import start_notes
-from ..limits.found import limits_found, notes_of
-from ..provenance.broken import why_broken
+from ..limits import limits_found, notes_of
+from ..provenance import why_broken
 from ..sensitivity import Sensitivities, sensitivities_and_totals, through_policy
 from ..statistics import of_shares
 from ..train import Progress
-from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
-from .settings import FEWEST, PAIR, Effort, Evaluation
+from ..verdict.convergence import AS_BEGUN, ending
+from .selection import (
+    FEWEST,
+    HIGHEST,
+    NEWEST,
+    PAIR,
+    START,
+    TOP,
+    Effort,
+    Evaluation,
+    Selection,
+    select,
+)
 
 GAP_PATHS = 4096  # at most: paths are paired, so the gap is known far better than the value
 TAIL = 200  # paths in a tail, below which the error of its measure is not known well
@@ -64,7 +73,7 @@ class MeasuredRun(NamedTuple):
 
     @property
     def effort(self) -> Effort:
-        """What the derivatives may take beside the training."""
+        """What the derivatives may take in addition to the training."""
         steps, maximum = (
             max(1, self.progress.step),
             min(self.evaluation.search_paths, self.held_paths),
@@ -150,7 +159,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
 
 
 def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
-    """Compiles the smooth derivatives beside the work of the block, where the engine's programs
+    """Compiles the smooth derivatives during the work of the block, where the engine's programs
     serve any number of paths and the objective is known already."""
     problem, engine = run.problem, run.engines.evaluate
     requested = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
@@ -225,7 +234,7 @@ def _sensitivities(
 
 def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Surface) -> float:
     """By how much the best policy may be above the reported one: by all that the search gained and
-    its error, and a part of the loss that it could not tell from noise."""
+    its error, and a part of the loss that it could not distinguish from noise."""
     gain, error = selection.search
     floor = floor_of(problem.action) * surface.target
     return max(abs(gain) + error, surface.gain, floor, _spread(progress))
@@ -290,5 +299,5 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
         notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
-        notes.append(f"Paths left out since they are not finite: {counts}.")
+        notes.append(f"Paths left out since they are non-finite: {counts}.")
     return tuple(notes)

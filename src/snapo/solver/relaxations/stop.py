@@ -1,14 +1,15 @@
-"""The bound from above of any stopping problem, with nothing asked of its user.
+"""The bound from above of any stopping problem, without input from its user.
 
-The inner problem is to stop best in hindsight, with any number of rights (Rogers 2002; Haugh and
-Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each decision is
-charged the surprise in its earnings and in a fitted value of what is left afterwards. Their
+The inner problem is to stop best with perfect foresight, with any number of rights (Rogers 2002;
+Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each
+decision is charged the innovation in its earnings and in a fitted continuation value. Their
 expectations come from nested draws of one step: points of low discrepancy, shifted at random
 for every path and step, so that they are unbiased and their noise is small (Andersen and Broadie
 2004 draw at random, and many steps).
 """
 
 from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +19,14 @@ from scipy.stats import qmc
 
 from snapo.engine import Rollout
 from snapo.engine.base import cast
+from snapo.problem.actions import Stop
 from snapo.problem.code.version import followed
 from snapo.problem.noise import Draws, Stored
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.simulator import at
 
-from .decisions import NotStopping, decisions, states_of
-from .value import better, fit, value
+from .value import NotStopping, better, decisions, fit, states_of, value
 
 FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
 FITTING = 258  # stream of the paths of the regression
@@ -38,11 +39,11 @@ class StopRelaxation:
     """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
     nested draws of every path and step.
 
-    **Raises:** `NotStopping` where the problem has no such bound; it says why.
+    **Raises:** `NotStopping` where the problem has no such bound, with the reason.
     """
 
     terms = 1
-    description = "the surprises of a fitted value of the rights"
+    description = "the innovations of a fitted value of the rights"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
@@ -63,7 +64,7 @@ class StopRelaxation:
         with jax.enable_x64(True):
             ahead = self._end(rollout.state)
             for earned, innovation in zip(earnings[::-1], innovations[::-1]):
-                # `better` adds the worth of what is left to what a decision earns less its penalty.
+                # `better` adds the continuation value to what a decision earns less its penalty.
                 ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]
 
@@ -76,8 +77,8 @@ class StopRelaxation:
         return scale[0] * result
 
     def _table(self, rollout: Rollout, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
-        """[T, N, rights + 1, 2] twice: every decision's earnings, and the surprise in them and in
-        the value of what is left."""
+        """[T, N, rights + 1, 2] twice: every decision's earnings, and the innovation in them and in
+        the continuation value."""
         for available, earnings, innovations in self._kept:
             if available is rollout:
                 return earnings, innovations
@@ -92,7 +93,7 @@ class StopRelaxation:
         return earnings, innovations
 
     def _compiled(self) -> tuple[Callable, Callable]:
-        """What every step computes on all paths, and what the last states earn."""
+        """The computations of every step on all paths, and the earnings of the terminal states."""
         problem, schedule, resolved, last = (
             self.decisions,
             self.schedule,
@@ -101,7 +102,7 @@ class StopRelaxation:
         )
 
         def value_at(t, state):
-            """The value at step t, or of the last state."""
+            """The value at step t, or of the terminal state."""
             return jax.lax.cond(
                 t == last,
                 lambda: problem.end(schedule, state),
@@ -109,7 +110,7 @@ class StopRelaxation:
             )
 
         def decided(t, state, noise):
-            """[rights + 1, 2] of every decision: its earnings, and with what is left after it."""
+            """[rights + 1, 2] of every decision: its earnings, and with the continuation value."""
             after, earnings = problem.step(schedule, t, state, noise)
             ahead = value_at(t + 1, after)
             left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)
@@ -138,3 +139,58 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
         return np.asarray(draws.step_noise)[t]
     many = jax.vmap(lambda item: item.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
     return np.asarray(many(draws))
+
+
+class Relaxation(Protocol):
+    """The inner problem of a simulator: best decisions of one path with perfect foresight,
+    penalised.
+
+    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
+    - `description`: the penalty in a phrase, for a report.
+    """
+
+    @property
+    def terms(self) -> int: ...
+
+    @property
+    def description(self) -> str: ...
+
+    def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the most that each path can add to the objective, or more; penalties subtracted.
+
+        `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
+        paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
+        penalty's parts (zeros: perfect foresight).
+        """
+        ...
+
+    def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the penalties of the policy's own decisions: of mean zero."""
+        ...
+
+
+@runtime_checkable
+class Relaxable(Protocol):
+    """A simulator that knows its relaxation."""
+
+    def relaxation(self, problem: Problem) -> Relaxation: ...
+
+
+UNKNOWN = "its simulator has no method `relaxation` and is no stopping problem; see docs/bounds.md"
+
+
+def bounded(problem: Problem) -> bool:
+    """Whether `relaxation_of` knows one, as far as that is known without work."""
+    return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
+
+
+def relaxation_of(problem: Problem) -> Relaxation:
+    """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
+
+    **Raises:** `ValueError` where there is none, with the reason.
+    """
+    if isinstance(problem.simulator, Relaxable):
+        return problem.simulator.relaxation(problem)
+    if isinstance(problem.action, Stop):
+        return StopRelaxation(problem)
+    raise ValueError(UNKNOWN)

@@ -1,12 +1,18 @@
 """An approximate value of a stopping problem, by regression on simulated paths.
 
-Backwards in time, the worth of waiting is fitted to the value a step later (Longstaff and
+Backwards in time, the value of waiting is fitted to the value a step later (Longstaff and
 Schwartz 2001; Tsitsiklis and Van Roy 2001), and the value is the better one of stopping and
-waiting. It is used for penalties alone: its error widens a bound, and never makes it wrong.
+waiting. It is used only for penalties: its error widens a bound, and never makes it wrong.
+
+The earnings of every decision of a stopping problem, on states that the decisions do not move.
+
+A state is split in two: the weights of `Stop` (the rights left), and all else, which no decision
+may move. Then one path's states serve every way of stopping: a step's earnings are computed for
+every number of rights left, with and without using one.
 """
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +20,142 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from snapo.engine import Xla
+from snapo.problem.actions import Stop
 from snapo.problem.code.version import followed
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from .decisions import Decisions, states_of
+PATHS = 16  # on which decisions are tried, to see which states they move
+
+
+class NotStopping(ValueError):
+    """A problem that has no bound of its own as a stopping problem; the message has the reason."""
+
+
+class Decisions(NamedTuple):
+    """A stopping problem: its parts, and where in the state the rights are.
+
+    - `rights`: how many there are; `right`: the number of their leaf in the flattened state.
+    - `values`: {output: its weight in the objective}.
+    """
+
+    problem: Problem
+    rights: int
+    right: int
+    values: dict[str, float]
+
+    def step(self, schedule, t: Array, state: PyTree, noise: Array) -> tuple[PyTree, Array]:
+        """One path: the next state, and the earnings [rights + 1, 2] with 0, 1, … rights left,
+        of waiting and of using one. The rights within both states mean nothing."""
+        simulator, now = self.problem.simulator, at(schedule.steps, t)
+
+        def decided(left, use):
+            action = jnp.full(self.rights, use, noise.dtype)
+            values = self.having(state, left)
+            return simulator.step(schedule.constants, now, values, action, noise, Exact())
+
+        def earned(left, use):
+            return self.earned(decided(left, use)[1])
+
+        both = jax.vmap(jax.vmap(earned, (None, 0)), (0, None))
+        earnings = both(jnp.arange(self.rights + 1), jnp.arange(2.0))
+        return decided(self.rights, 0.0)[0], earnings
+
+    def end(self, schedule, state: PyTree) -> Array:
+        """One path: the earnings of its terminal state [rights + 1], by the rights left."""
+        terminal, constants = self.problem.simulator.terminal, schedule.constants
+
+        def earned(left):
+            return self.earned(terminal(constants, self.having(state, left), Exact()))
+
+        return jax.vmap(earned)(jnp.arange(self.rights + 1))
+
+    def observe(self, schedule, t: Array, state: PyTree) -> Array:
+        """One path: the policy's observation with all rights left."""
+        simulator, now = self.problem.simulator, at(schedule.steps, t)
+        return simulator.observe(schedule.constants, now, self.having(state, self.rights))
+
+    def having(self, state: PyTree, left: Any) -> PyTree:
+        """A state with so many rights left."""
+        leaves, tree = jax.tree.flatten(state)
+        weights = (jnp.arange(1, self.rights + 1) == left).astype(leaves[self.right].dtype)
+        leaves[self.right] = weights
+        return jax.tree.unflatten(tree, leaves)
+
+    def earned(self, outputs: dict[str, Array]) -> Array:
+        """The value of outputs to the objective."""
+        weights = [
+            weight * outputs[name] for name, weight in self.values.items() if name in outputs
+        ]
+        return jnp.asarray(sum(weights), jnp.float64)
+
+    def left(self, states: PyTree) -> np.ndarray:
+        """[…] whole numbers: the rights left in states of any leading axes."""
+        weights = np.asarray(jax.tree.leaves(states)[self.right])
+        return np.rint(weights @ np.arange(1, self.rights + 1)).astype(int)
+
+
+def decisions(problem: Problem) -> Decisions:
+    """The problem as a stopping problem.
+
+    **Raises:** `NotStopping` where it is none, or has no bound: another action than one `Stop`,
+    another objective than means of sums, or a decision that moves the state.
+    """
+    simulator, objective = problem.simulator, problem.objective
+    if not isinstance(simulator.action, Stop):
+        kind = type(simulator.action).__name__
+        raise NotStopping(f"its action is a {kind}; only a `Stop` is bounded without a relaxation")
+    totals = simulator.totals()
+    if not objective.linear or any(totals.get(n, "sum") != "sum" for n in objective.outputs):
+        raise NotStopping("its objective is no mean of outputs that are summed over the path")
+    right = _right(problem, simulator.action)
+    one = {name: np.zeros(1) for name in objective.outputs}
+    value = {name: float(weight[0]) for name, weight in objective.weights(one).items()}
+    return Decisions(problem, simulator.action.rights, right, value)
+
+
+def _right(problem: Problem, action: Stop) -> int:
+    """The leaf of the state that holds the rights, the only one that decisions move."""
+    source, simulator = problem.sources.evaluation, problem.simulator
+    paths = np.arange(min(PATHS, source.available(PATHS)))
+    draws, engine = source.draws(paths, simulator), Xla(precision="float64")
+    shape = (simulator.horizon, len(paths), action.size)
+    never, ever = (
+        _states(engine.bind(problem).values(
+            None, draws, Exact(), actions=np.full(shape, use), record=("state",)
+        ))
+        for use in (0.0, 1.0)
+    )  # fmt: skip
+    moved = [i for i, (a, b) in enumerate(zip(never.values(), ever.values())) if np.any(a != b)]
+    start = np.asarray(action.initial())
+    for i in moved:
+        name, result = list(never.items())[i]
+        if result.shape[2:] != (action.rights,) or np.any(result != start):
+            raise NotStopping(f"its decisions move the state {name or 'itself'}, not only rights")
+    if len(moved) != 1:
+        message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
+        raise NotStopping(f"it holds the rights in {message}")
+    return moved[0]
+
+
+def _states(rollout) -> dict[str, np.ndarray]:
+    """{name: [T + 1, N, …]} of every leaf of the states."""
+    return {
+        jax.tree_util.keystr(path): leaf
+        for path, leaf in jax.tree_util.tree_leaves_with_path(states_of(rollout))
+    }
+
+
+def states_of(rollout) -> PyTree:
+    """The states of a rollout, leaves [T + 1, N, …]: those of every step and the last ones."""
+    return jax.tree.map(
+        lambda a, b: np.concatenate([np.asarray(a), np.asarray(b)[None]]),
+        rollout.record["state"],
+        rollout.state,
+    )
+
 
 MAXIMUM, DEGREE = 100, 6  # functions, and the degree of a polynomial
 REACH = 4.0  # standard deviations
@@ -81,7 +217,7 @@ def value(
 
 
 def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Float[Array, " left"]:
-    """The value of the better decision, from the worth of what is left afterwards."""
+    """The value of the better decision, from the continuation value."""
     waiting, using = earnings[:, 0] + after, earnings[1:, 1] + after[:-1]
     return jnp.concatenate([waiting[:1], jnp.maximum(waiting[1:], using)])
 

@@ -1,8 +1,18 @@
-"""Constant decisions: those that a trained rule takes itself, and those that it should beat."""
+"""Constant decisions: those that a trained rule takes itself, and those that it should beat.
+
+Trainings that end at doing nothing: every path earns the same, whatever is random.
+
+A store that never buys has nothing to sell, and one that never sells has no use for what it buys:
+no gradient leads out of there, from whichever side a training got in. It is seen by validations
+that have the same value on every path. Training then restarts from other initial weights,
+with a part of every decision drawn at random, so that it meets what a rule that does nothing never
+sees.
+"""
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -10,12 +20,69 @@ import numpy as np
 
 from snapo.problem.actions import Actions, Choice, Product
 from snapo.problem.actions.product import decision_names
+from snapo.problem.objective import Totals
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
+
+from ..learning.progress import Progress, Record
+from ..learning.settings import TrainingPlan
+
+MAXIMUM = 3  # times that a training restarts
+DRAWN = 0.3  # of every decision, at random, in one that restarted
+LAST = 0.5  # of the steps: later on too few are left
+NONE = 1e-9  # of a total: a difference that is round-off
+
+
+def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
+    """Whether every path has the same totals of the objective, although paths are random.
+
+    An error of zero does not say so: antithetic pairs have none where noise counts linearly.
+    """
+    results = [np.asarray(totals[name]) for name in problem.objective.outputs]
+    return problem.is_random and all(
+        np.isfinite(total).all() and np.ptp(total) <= NONE * np.max(np.abs(total))
+        for total in results
+    )
+
+
+def caught(progress: Progress, training: TrainingPlan) -> bool:
+    """Whether training should restart: the last two validations say that it does nothing."""
+    early = progress.step <= LAST * training.steps and progress.status == "training"
+    return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
+
+
+def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
+    """The training with more of every decision drawn, where decisions have bounds."""
+    bounded = all(np.isfinite(bound).all() for bound in action.bounds())
+    if not (bounded and action.exploration_size and training.cools):
+        return training
+    return replace(training, exploration=max(training.exploration, DRAWN))
+
+
+def describe_idle(steps: Sequence[int], history: Sequence[Record]) -> str:
+    """One sentence on the steps at which training restarted."""
+    *first, last = map(str, steps)
+    where = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
+    value = history[steps[0] - 1].exact
+    return (
+        f"Training restarted from other initial weights at {where}, since every path earned the "
+        f"same ({value:,.6g})."
+    )
+
+
+def idle_advice(value: float) -> str:
+    """One sentence where the trained rule does nothing."""
+    return (
+        f"Every path earns the same ({value:,.6g}): the decisions do nothing with what is random. "
+        "If that is not meant, try another seed, a wider exploration (exploration=0.4), or a rule "
+        "to begin from (snapo.Residual)."
+    )
+
 
 SAME = 1e-3  # of the width of its set, or of its size: a decision that varies less never changes
 CORNERS = 4  # constant decisions at the limits that are tried at most
 TOLD = 3  # decisions that are named at most
-LONG = 6  # numbers that are told at most
+LONG = 6  # numbers that are listed at most
 
 
 class ConstantDecision(NamedTuple):
@@ -74,7 +141,7 @@ def describe(constants: list[ConstantDecision], of: int) -> str:
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
     """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
-    [T, paths, size]; empty where all are taken, or one alone, which is a constant decision."""
+    [T, paths, size]; empty where all are taken, or one only, which is a constant decision."""
     messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)
@@ -120,7 +187,7 @@ def constant_baselines(action: Actions, actions: np.ndarray) -> list[np.ndarray]
 
 
 def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarray]:
-    """The extreme values of one decision; its mean where they are not finite or not known."""
+    """The extreme values of one decision; its mean where they are non-finite or not known."""
     low, high = (bound[group] for bound in action.bounds())
     if len(group) == 1:
         return [low, high] if np.isfinite(high - low).all() else [mean[group]]
@@ -130,7 +197,7 @@ def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarra
 
 
 def numbers_text(numbers: np.ndarray) -> str:
-    """The numbers of a decision in words."""
+    """The numbers of a decision as text."""
     if numbers.size > LONG:
         return f"{numbers.size} numbers"
     return ", ".join(f"{number:.4g}" for number in numbers)

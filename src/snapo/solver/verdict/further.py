@@ -1,26 +1,88 @@
-"""What more steps would bring: the gain of the second half of a training, extrapolated.
+"""What more steps would bring, and how much a policy can still gain.
 
-A training's rate rises in the warm-up and falls to zero, so that late steps change little whether
+What more steps would bring: the gain of the second half of a training, extrapolated.
+
+A training's rate rises in the warm-up and falls to zero, so that late steps hardly change whether
 or not there is something left to gain. Gains are therefore seen over the sum of the rates, the way
 that a training can go, and not over its steps. Along it the shortfall falls like one over the way:
 a training of a cosine whose second half gained 1 would gain 2.25 with as many steps again. Eight
-problems of known course were between 1 and 4.
+problems with a known optimum were between 1 and 4.
+
+Whether a decision acts as one of when to stop, although it is not written with `Stop`.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+
+from snapo.problem.actions import Actions, Box, Choice, Integers, Stop
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
 
 from ..learning.optimiser import schedule
 from ..learning.progress import Progress
 from ..learning.settings import TrainingPlan
 
+
+def ends_for_good(problem: Problem) -> bool:
+    """Whether one extreme of the only decision takes a flag of the state from 1 to 0, or from 0 to
+    1, for good, and the other one leaves it unchanged: an option that is exercised, a plant that is
+    closed. From the initial state, with all noise zero.
+    """
+    extremes = _extremes(problem.action)
+    if extremes is None:
+        return False
+    # Arrays of JAX, as in an engine: user code may index them as such.
+    simulator, schedule = problem.simulator, jax.tree.map(jnp.asarray, problem.schedule)
+    noise = jnp.zeros(simulator.noise_size)
+    now = at(schedule.steps, 0)
+
+    @jax.jit
+    def after(state, action):
+        return simulator.step(schedule.constants, now, state, action, noise, Exact())[0]
+
+    start = jnp.zeros(simulator.initial_noise_size)
+    first = jax.jit(lambda: simulator.initial(schedule.constants, start))()
+    for stop, go in (extremes, extremes[::-1]):
+        stopped = after(first, stop)
+        later = [after(stopped, action) for action in extremes]
+        states = [_numbers(item) for item in (first, after(first, go), stopped, *later)]
+        if any(_is_flag(*leaves) for leaves in zip(*states)):
+            return True
+    return False
+
+
+def _extremes(action: Actions) -> tuple[np.ndarray, np.ndarray] | None:
+    """The two ends of a decision of one number, or the two options of a choice; None elsewhere."""
+    if isinstance(action, Choice) and action.size == 2:
+        return np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    low, high = action.bounds()
+    one = isinstance(action, Box | Integers) and not isinstance(action, Stop) and action.size == 1
+    return (low, high) if one and np.isfinite(high - low).all() else None
+
+
+def _numbers(state) -> list[np.ndarray]:
+    return [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(state)]
+
+
+def _is_flag(first, gone_on, stopped, *later) -> bool:
+    """Whether a number of the state is 0 or 1, changes only by a stop, and never again."""
+    if first.size != 1 or first.item() not in (0.0, 1.0):
+        return False
+    selected = gone_on == first and all(item == stopped for item in later)
+    return bool(selected and stopped == 1.0 - first)
+
+
 SIGNIFICANT = 2.0  # standard errors
 SHARE = 0.01  # of the size: as many steps again would bring more
-UNSURE = 0.03  # of the size: two errors above this tell nothing
-WARMUPS = 5  # a training of fewer warm-ups than this tells nothing
+UNSURE = 0.03  # of the size: two errors above this are inconclusive
+WARMUPS = 5  # a training of fewer warm-ups than this is inconclusive
 SETTLED = 2.0  # times its noise: a gradient norm below it may be that of an optimum
-MATTERS = 0.001  # of the size: what a gradient could bring over the way of the second half
+MATTERS = 0.001  # of the size: the gain of a gradient step of the length of the second half
 
 
 class Further(NamedTuple):
@@ -42,7 +104,7 @@ class Further(NamedTuple):
 
     @property
     def improving(self) -> bool:
-        """Whether that is much, and sure."""
+        """Whether that is much, and significant."""
         return self.late > SIGNIFICANT * self.late_error and self.more > SHARE * self.size
 
     @property
@@ -53,14 +115,14 @@ class Further(NamedTuple):
 
 
 def compared_step(progress: Progress, training: TrainingPlan) -> int:
-    """The step of `Progress.halfway`, or that at which training began anew since."""
+    """The step of `Progress.halfway`, or that at which training restarted since."""
     marks = [training.steps >> k for k in range(training.steps.bit_length())]
     reached = [mark for mark in marks if mark <= progress.step]
     began = progress.redrawn[-1] if progress.redrawn else 0
     return max(reached[1] if len(reached) > 1 else 0, began)
 
 
-def times(progress: Progress, training: TrainingPlan) -> float:
+def times_of(progress: Progress, training: TrainingPlan) -> float:
     """What the gain since `compared_step` is multiplied by; at least 1.
 
     With a shortfall of c / way, that gain is c / half - c / way, and twice the way gains c / 2 way.
@@ -71,14 +133,14 @@ def times(progress: Progress, training: TrainingPlan) -> float:
 
 
 def too_short(training: TrainingPlan, step: int) -> bool:
-    """Whether so many steps tell nothing: the warm-up is a large part of them."""
+    """Whether so many steps are inconclusive: the warm-up is a large part of them."""
     return step < WARMUPS * training.warmup
 
 
 def restless(norm: float, noise: float, path: float, size: float) -> bool:
     """Whether the policy's gradient is surely not zero, and could still bring something.
 
-    Without noise nothing says so: at a bend of the smooth value it is not zero either.
+    Without noise nothing shows it: at a bend of the smooth value it is not zero either.
     """
     available = np.isfinite([norm, noise]).all() and noise > 0
     return bool(available and norm > SETTLED * noise and norm * path > MATTERS * size)
@@ -86,5 +148,64 @@ def restless(norm: float, noise: float, path: float, size: float) -> bool:
 
 def _way(training: TrainingPlan, step: int) -> float:
     """The sum of the rates of the steps before this one."""
-    rates = np.asarray(schedule(training)(np.arange(max(1, step))))
+    # Of all steps: a length that followed `step` would be another program for every step.
+    rates = np.asarray(schedule(training)(np.arange(max(1, training.steps))))
     return float(np.sum(rates[:step]))
+
+
+NEAR = 0.005  # of the bound: nothing is left that a longer training should look for
+USEFUL = 0.05  # of the bound: one that leaves more room is no evidence on a training
+
+
+class Room(NamedTuple):
+    """The share of a value that can be gained at most, and the sentence on it."""
+
+    share: float
+    description: str
+
+    @property
+    def near(self) -> bool:
+        """Whether that is next to nothing."""
+        return self.share <= NEAR
+
+
+def room(
+    value: float | None,
+    error: float | None,
+    bounds: Mapping[str, Any] | None = None,
+    exact: float | None = None,
+) -> Room | None:
+    """What is known of a value; None where nothing is, or no more than `USEFUL` could say.
+
+    - `bounds`: as `Bound.row` has it; `exact`: the exact value, of which no policy has more.
+    """
+    results = [_below_exact(value, error, exact), _below_bound(bounds)]
+    available = [item for item in results if item is not None and item.share <= USEFUL]
+    return min(available, key=lambda entry: entry.share) if available else None
+
+
+def _below_exact(value, error, exact) -> Room | None:
+    if value is None or not exact or not np.isfinite([value, exact]).all():
+        return None
+    share = max(0.0, (exact - value + SIGNIFICANT * (error or 0.0)) / abs(exact))
+    return Room(share, f"{_at_most(share)}: the exact value is {exact:,.6g}.")
+
+
+def _below_bound(bounds) -> Room | None:
+    if not bounds:
+        return None
+    gap, upper = bounds["gap"]["high"], bounds["upper"]
+    if None in (gap, upper["value"]) or not upper["value"] or not np.isfinite(gap):
+        return None
+    share = max(0.0, gap / abs(upper["value"]))
+    error = upper["standard_error"] or 0.0
+    return Room(
+        share,
+        f"{_at_most(share)}: no policy is worth more than {upper['value']:,.6g} ± {error:,.2g}.",
+    )
+
+
+def _at_most(share: float) -> str:
+    if share == 0:
+        return "Nothing can be gained over this policy"
+    return f"At most {100 * share:.2g} % can be gained over this policy"

@@ -1,15 +1,13 @@
-"""The value between two bounds: the policy's from below, hindsight with a penalty from above."""
+"""Bounds on the value: the policy from below, perfect foresight with a penalty from above."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw
+from snapo.report.drawing import LIGHT, draw, number_axis
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Section, Text
 from snapo.report.quantity import decimals, finite, number, percent
 from snapo.report.rows import Column, table
-from snapo.report.theme import LIGHT
 from snapo.solver import bound as solver
 from snapo.solver.bound import Penalty
 
@@ -55,7 +53,7 @@ class ValueBounds:
 def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
     """The bounds of the run's value: upper is never below the value that the run reports.
 
-    **Raises:** `ValueError` where the study has no bound; it says why.
+    **Raises:** `ValueError` where the study has no bound, with the reason.
     """
     relaxation, setup = run.study.relaxation, run.setup
     if isinstance(relaxation, str):
@@ -82,9 +80,7 @@ def value_bounds(run: RunFiles) -> Section:
     section = BOUND(run)
     if BOUND.name in run.parts or BOUND.of(run) is not None:
         return section
-    text = (
-        "The value of this run was not bounded from above: `snapo certify` does, or says why not."
-    )
+    text = "The value of this run was not bounded from above: `snapo certify` does this."
     return replace(section, blocks=[Text(text)])
 
 
@@ -107,7 +103,7 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     low, high = result.sure
     if low is not None and high is not None:
         values = f"from {number(low, decimals([low], 4))} to {number(high, decimals([high], 4))}"
-        blocks.append(Text(f"As sure outcomes of the same utility, the two values are {values}."))
+        blocks.append(Text(f"As certain outcomes of equal utility, the two values are {values}."))
     return blocks
 
 
@@ -153,8 +149,8 @@ def _chart(
 
     svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
     caption = (
-        "The upper bound is the value and the gap: the mean over fresh paths of what the best"
-        " decisions of each path earn when its future is known, less what the policy earns."
+        "The upper bound is the value and the gap: the mean over fresh paths of the earnings"
+        " of the best decisions with perfect foresight, less those of the policy."
         f" A penalty for knowing it costs nothing on average to those who do not ({result.words})."
     )
     return Chart(svg, caption)

@@ -1,4 +1,4 @@
-"""Why to believe the number: the adjoint against bumps, and the limits of the simulator."""
+"""Evidence for the value: the adjoint against bumps, and the limits of the simulator."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from ..study import Setup, StudyRun
 
 BUMP_PATHS, LIMIT_PATHS = 256, 4096
 ROUND_OFF = 1e-9  # of the largest number among the inputs, at least of one
-TITLE = "Certificate: why to believe this number"
+TITLE = "Certificate: evidence for this number"
 
 
 @dataclass(frozen=True)
 class BumpRow:
     """The adjoint against central differences of a family of inputs, per unit of the input.
 
-    - `inputs`: the direction in words, or how many inputs were bumped.
+    - `inputs`: a description of the direction, or how many inputs were bumped.
     - `worst_error`, `allowed`: of the adjoint, in the unit of the value.
     - `passed`: None where most paths are at a kink; `crossing`: the share of paths at one.
     """
@@ -97,7 +97,8 @@ def certificate(
     **Arguments:**
 
     - `bump_paths`: of the differences.
-    - `tolerance`: by how much a limit may be missed; `near`: the problem a little away from kinks.
+    - `tolerance`: by how much a limit may be missed; `near`: the problem at a small distance from
+      kinks.
     - `problem_of`: the problem to certify.
     - `result`: the class of the result, with the further fields that `more` returns.
     - `show`: the blocks of its section, if they are not those of `show_certificate`.
@@ -188,7 +189,7 @@ def limit_table(
 
 
 def _direction(inputs: str | float | None) -> str:
-    """What was bumped: a direction in words, or how many inputs."""
+    """The bump: a description of the direction, or how many inputs."""
     count = None if isinstance(inputs, str) else finite(inputs)
     return str(inputs or "") if count is None else number(count, 0)
 

@@ -1,10 +1,10 @@
-"""The value of a run with its standard error, and the numbers that stand beside it."""
+"""The value of a run with its standard error, and the numbers next to it."""
 
 from snapo.report.evidence import gradient, notes
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Section
 from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
-from snapo.report.sections.lacking import why_missing
 
 from .certificate import checks
 

@@ -71,7 +71,7 @@ class BandSeries:
 
 @dataclass(frozen=True)
 class BandProfile:
-    """All series; `paths`: over which their bands are; `notes`: sentences on what is left out."""
+    """All series; `paths`: over which their bands are; `notes`: sentences on omissions."""
 
     series: tuple[BandSeries, ...] = ()
     paths: Number = 0

@@ -9,6 +9,7 @@ from snapo.problem.inputs import Input
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles, Sensitivity
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table, Text
 from snapo.report.quantity import (
     SPACE,
@@ -23,7 +24,6 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.derivatives.bump import one_percent
 from snapo.solver.derivatives.verdict import Verdict
 from snapo.solver.sensitivity import Sensitivities
@@ -72,7 +72,7 @@ class InputMove(ReportedInterval):
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
       reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to the size of
       this move, where it is along the same direction; `more`, `less`: of the move and of its
-      opposite alone, where they differ.
+      opposite separately, where they differ.
     """
 
     input: str
@@ -99,7 +99,7 @@ class InputMove(ReportedInterval):
 
     @property
     def size(self) -> str:
-        """By how much the input moves, in words."""
+        """By how much the input moves, as text."""
         if self.amount is None:
             return f"+{percent(0.01 if self.share is None else self.share, 0)}"
         single = self.amount == 1 and self.unit == "points"

@@ -25,7 +25,7 @@ def certified(name: str, paths: int):
     setup, relaxation = ready(name)
     return bound(
         setup.problem,
-        setup.policy.value_table,
+        setup.policy.value_rule,
         relaxation=relaxation,
         paths=paths,
         engine=setup.engines.evaluate,
@@ -71,7 +71,7 @@ def test_intervals_cover_the_exact_value_and_a_bad_policy_has_a_wide_gap():
     found = [
         bound(
             problem,
-            setup.policy.value_table,
+            setup.policy.value_rule,
             relaxation=relaxation,
             paths=128,
             engine=engine,

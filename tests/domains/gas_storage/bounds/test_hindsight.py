@@ -7,7 +7,7 @@ import pytest
 from tests.domains.gas_storage.bounds.test_basis import paths
 from tests.domains.gas_storage.references import reference_schedules as cases
 
-from snapo.domains.gas_storage.bounds.hindsight import Hindsight
+from snapo.domains.gas_storage.bounds.relaxation import Hindsight
 from snapo.domains.gas_storage.bounds.value_iteration import FittedValue, fit_value
 from snapo.domains.gas_storage.references.day_terms import end_value, unit_prices
 from snapo.domains.gas_storage.references.intrinsic import intrinsic

@@ -107,7 +107,7 @@ def sample_details() -> dict:
             "upper": _estimate(78466.6, 9.4),
             "gap": _estimate(204.0, 5.2),
             "penalty": "value",
-            "words": "the surprises of a fitted value of the store",
+            "words": "the innovations of a fitted value of the store",
             "scale": [1.0, 1.0, 1.0],
             "paths": 1024,
         },

@@ -13,7 +13,7 @@ from tests.domains.gas_storage.chapters.sample_run import RESULT, sample_details
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.report import SECTIONS, readme_picture
 from snapo.report import drawing
-from snapo.study.report import write_report
+from snapo.study.carry_out import write_report
 
 NAMES = [
     "headline",

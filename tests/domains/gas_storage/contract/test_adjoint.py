@@ -17,8 +17,8 @@ from tests.domains.gas_storage.storage_cases import changed, read
 
 from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.guide import Knots, ValueTable, readings
 from snapo.domains.gas_storage.policy.network import StoragePolicy
-from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, readings
 from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.domains.gas_storage.setup import bare_problem, factors
 from snapo.engine import Xla

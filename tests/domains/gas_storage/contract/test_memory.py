@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from snapo.domains.gas_storage.policy.observation import curve_ahead
+from snapo.domains.gas_storage.policy.network import curve_ahead
 
 YEARS = 15 * 365
 

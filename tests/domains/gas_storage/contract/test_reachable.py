@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.gas_storage.contract.reachable import InventoryLimits, reachable
+from snapo.domains.gas_storage.contract.feasibility import InventoryLimits, reachable
 
 DAYS = 2
 

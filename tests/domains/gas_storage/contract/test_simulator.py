@@ -27,8 +27,7 @@ from snapo.domains.gas_storage.study import value_without_decisions
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact

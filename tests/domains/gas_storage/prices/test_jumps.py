@@ -118,7 +118,7 @@ def test_a_store_earns_the_spikes():
         assert made.problem.simulator.control_variates() == ("forward_hedge",)
         engine = made.engines.evaluate
         values[intensity] = evaluate(
-            made.problem, made.policy.value_table, paths=4096, engine=engine
+            made.problem, made.policy.value_rule, paths=4096, engine=engine
         )
     calm, wild = values.values()
     assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

@@ -152,8 +152,6 @@ def test_a_store_earns_the_regimes():
     for premium in (0.0, 1.5):
         made = make_setup(case(premium=premium), "native")
         engine = made.engines.evaluate
-        values[premium] = evaluate(
-            made.problem, made.policy.value_table, paths=32768, engine=engine
-        )
+        values[premium] = evaluate(made.problem, made.policy.value_rule, paths=32768, engine=engine)
     calm, tight = values.values()
     assert tight.value - calm.value > 5 * np.hypot(calm.standard_error, tight.standard_error)

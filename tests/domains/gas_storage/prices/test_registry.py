@@ -3,7 +3,7 @@
 import equinox as eqx
 import pytest
 
-from snapo.domains.gas_storage.prices.one_factor import OneFactor
+from snapo.domains.gas_storage.prices.factors import OneFactor
 from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, missing_members, register
 from snapo.domains.gas_storage.prices.registry import kinds
 
@@ -27,7 +27,7 @@ def test_a_process_without_dynamics_is_refused():
         kind = "dull"
 
     assert set(missing_members(Dull)) >= PARTS
-    with pytest.raises(TypeError, match=r"price process Dull lacks .*forward.*noise_size.*step"):
+    with pytest.raises(TypeError, match=r"price process Dull has no .*forward.*noise_size.*step"):
         register(Dull)
     with pytest.raises(TypeError):
         Dull()
@@ -40,7 +40,7 @@ def test_one_missing_method_is_named(part):
     abstract = getattr(PriceProcess, part)
     Almost = type(eqx.Module)("Almost", (OneFactor,), {part: abstract, "kind": "almost"})
     assert missing_members(Almost) == [part]
-    with pytest.raises(TypeError, match=f"Almost lacks {part}"):
+    with pytest.raises(TypeError, match=f"Almost has no {part}"):
         register(Almost)
 
 

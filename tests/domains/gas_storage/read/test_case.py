@@ -11,7 +11,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.error import CaseError
-from snapo.domains.gas_storage.contract.end import LevelAtEnd, PriceAtEnd, ValueAtEnd
+from snapo.domains.gas_storage.contract.records import LevelAtEnd, PriceAtEnd, ValueAtEnd
 from snapo.domains.gas_storage.prices.supplied import SuppliedPrices
 from snapo.domains.gas_storage.prices.three_factor_seasonal import ThreeFactorSeasonal
 from snapo.domains.gas_storage.study import (

@@ -12,11 +12,11 @@ from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.csv import Row
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage.contract.feasibility import attainable
+from snapo.domains.gas_storage.read.case import month_days, quotes
 from snapo.domains.gas_storage.read.case import read_case as resolve
-from snapo.domains.gas_storage.read.market import month_days, quotes
-from snapo.domains.gas_storage.read.settlement import months_after
+from snapo.domains.gas_storage.read.contract import months_after
 
 D = datetime.date
 FLAGSHIP = Path(__file__).parents[1] / "cases" / "G1"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage.read.case import read_case
 
 CASES = Path(__file__).parents[1] / "cases"

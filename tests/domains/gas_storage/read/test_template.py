@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from snapo.case.load import load
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable

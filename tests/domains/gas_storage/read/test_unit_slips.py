@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.read.case import read_case
 from snapo.study.commands import check

@@ -12,14 +12,14 @@ from numpy.testing import assert_allclose
 from tests.domains.gas_storage.references import reference_schedules as cases
 from tests.domains.gas_storage.references.reference_schedules import Factor
 
-from snapo.domains.gas_storage.references.black import black_call
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
-from snapo.domains.gas_storage.references.lattice import lattice, relevant_factors
-from snapo.domains.gas_storage.references.linear_program import intrinsic_by_linear_program
-from snapo.domains.gas_storage.references.marginal import DEGREE, marginal_values
-from snapo.domains.gas_storage.references.perfect_foresight import perfect_foresight
-from snapo.domains.gas_storage.references.refined import refined
-from snapo.domains.gas_storage.references.slope_table import ROWS
+from snapo.domains.gas_storage.references.lattice import lattice, refined, relevant_factors
+from snapo.domains.gas_storage.references.linear_program import (
+    black_call,
+    intrinsic_by_linear_program,
+    perfect_foresight,
+)
+from snapo.domains.gas_storage.references.marginal import DEGREE, ROWS, marginal_values
 
 
 def small(factors, days=40, interpolation="linear", seed=3, **terms):

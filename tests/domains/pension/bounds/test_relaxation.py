@@ -15,7 +15,7 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.setup import make_setup
 from snapo.problem.objective import CRRA, CVaR, ExpectedUtility, Mean
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.solver.bound import bound
@@ -36,8 +36,8 @@ def test_mertons_problem_is_certified_within_a_thousandth(merton):
     problem, policy, relaxation = merton
     found = bound(problem, policy, relaxation=relaxation, paths=512)
     lower, upper = found.sure
-    assert problem.objective.sure(found.lower.low) <= EQUIVALENT * (1 + 1e-8)
-    assert problem.objective.sure(found.upper.high) >= EQUIVALENT
+    assert problem.objective.certainty_equivalent(found.lower.low) <= EQUIVALENT * (1 + 1e-8)
+    assert problem.objective.certainty_equivalent(found.upper.high) >= EQUIVALENT
     assert lower < upper < 1.001 * lower
 
 

@@ -16,7 +16,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import named_inputs, values
 from snapo.problem.inputs import replace as with_values
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 from snapo.solver.adjoint import float64, pull_back

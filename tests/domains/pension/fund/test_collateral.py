@@ -18,7 +18,7 @@ from snapo.domains.pension.policies.limits import AllocationLimits
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.balance import Headroom, headroom
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.smooth import Exact
 
 

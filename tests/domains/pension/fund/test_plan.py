@@ -22,7 +22,7 @@ from snapo.domains.pension.records.plan import CashPlan
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import plain
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact, Smooth
 

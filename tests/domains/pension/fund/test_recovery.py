@@ -21,8 +21,8 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.results.figures.plausible import remarks
 from snapo.engine import Xla
-from snapo.problem.policy import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 

@@ -17,8 +17,7 @@ from snapo.engine.native import Native, unsupported
 from snapo.problem.inputs import named_inputs, values
 from snapo.problem.inputs import replace as with_values
 from snapo.problem.objective import CRRA, ExpectedUtility, Mean
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Pseudo, Sobol
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import float64, pull_back, value_and_gradient

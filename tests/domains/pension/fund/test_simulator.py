@@ -30,9 +30,8 @@ from snapo.domains.pension.records.market import Correlation, SuppliedScenarios
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.objective import CRRA, ExpectedUtility, Mean
-from snapo.problem.policy import Constant
-from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
+from snapo.problem.policies.rules import Constant
+from snapo.problem.problem import Problem, prepare
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import pull_back

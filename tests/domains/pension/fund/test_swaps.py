@@ -19,8 +19,8 @@ from snapo.domains.pension.results.balance import Headroom
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import pull_back

@@ -20,7 +20,7 @@ from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import unsupported
 from snapo.problem.policy import parameters
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.smooth import Exact, Smooth
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from snapo.domains.pension.policies.classical import OneOf
-from snapo.problem.policy import Constant, Linear
+from snapo.problem.policies.rules import Constant, Linear
 from snapo.problem.smooth import Exact
 
 SEEN = jnp.asarray([0.3, -0.2])

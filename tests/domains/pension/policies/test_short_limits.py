@@ -20,7 +20,7 @@ from snapo.domains.pension.policies.limits import AllocationLimits
 from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.records.assets import AssetGroup, Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.smooth import Exact, Smooth
 
 pytestmark = pytest.mark.prove

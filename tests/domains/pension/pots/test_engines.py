@@ -12,7 +12,7 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.smooth import Exact

@@ -7,7 +7,7 @@ import pytest
 from tests.domains.pension.miniature import TEMPLATES
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.pension import DOMAIN
 from snapo.study.domain import Options
 
@@ -48,6 +48,10 @@ MISTAKES = {
     "one number for two factors": (
         "case.toml", 'kind = "hull-white"', 'kind = "g2++"',
         ["rates.volatility", "g2++", "2 of them"],
+    ),
+    "no number for a factor": (
+        "case.toml", "mean_reversion = 0.03", "mean_reversion = []",
+        ["rates.mean_reversion", "hull-white", "1 of them"],
     ),
     "missing rate of the basis": (
         "case.toml", "rate = 0.002", "# ",

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.pension.miniature import TEMPLATES
 
 from snapo.case.error import CaseError
-from snapo.case.table import load
+from snapo.case.load import load
 from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.chapters import stress
 from snapo.domains.pension.chapters.stress import zero_rates

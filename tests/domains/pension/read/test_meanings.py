@@ -4,7 +4,7 @@ import datetime
 from pathlib import Path
 
 import pytest
-from tests.domains.pension.every_key import CASES, MARKET
+from tests.domains.pension.every_key import CASES, MARKET, written
 from tests.domains.pension.test_every_key import every_table
 
 from snapo.case.error import CaseError
@@ -14,6 +14,15 @@ from snapo.domains.pension.read.case import FORMATS, parsed, read_case
 from snapo.domains.pension.read.tables import PensionTable
 
 FILE = Path("case.toml")
+
+
+@pytest.fixture(autouse=True)
+def files(tmp_path, monkeypatch):
+    """The CSVs that a key may name lie beside the case."""
+    written(tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+
 # Tables that a case may add without any other key of theirs.
 OPTIONAL = ("plan", "plan.indexation", "plan.revaluation", "plan.contribution", "liability",
             "reconcile")  # fmt: skip

@@ -54,17 +54,17 @@ def test_the_recovery_plan_is_worth_the_deficit():
     found = side_by_side(scheme(amount=40.0), due()).recovery
     annuity = (1 - 1.05**-6) / 0.05
     assert found.years == 6 and found.deficit > 0
-    assert found.probability == pytest.approx(found.deficit / annuity, rel=1e-12)
-    assert found.total == pytest.approx(6 * found.probability)
-    assert side_by_side(scheme(amount=90.0), due()).recovery.probability == 0
+    assert found.payment == pytest.approx(found.deficit / annuity, rel=1e-12)
+    assert found.total == pytest.approx(6 * found.payment)
+    assert side_by_side(scheme(amount=90.0), due()).recovery.payment == 0
     soon = due()._replace(years=np.arange(31.0) / 3, discount=1.04 ** -(np.arange(31.0) / 3))
     short = side_by_side(scheme(amount=40.0), soon)
     assert short.mature and short.recovery.years == 3
     part = side_by_side(scheme(amount=40.0, recovery_years=2.5), due()).recovery
     at = discounted(due(), 0.01)
     worth = at[1] + at[2] + 0.5 * (at[2] + at[3]) / 2
-    assert part.probability == pytest.approx(found.deficit / worth, rel=1e-12)
-    assert part.total == pytest.approx(2.5 * part.probability)
+    assert part.payment == pytest.approx(found.deficit / worth, rel=1e-12)
+    assert part.total == pytest.approx(2.5 * part.payment)
 
 
 def test_rules_have_a_date():

@@ -19,8 +19,8 @@ from tests.domains.pension.market_cases import (
 from snapo.domains.pension.chapters.attribution import ROWS, Explained
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
-from snapo.problem.policy import Constant
-from snapo.problem.prepare import prepare
+from snapo.problem.policies.rules import Constant
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 

@@ -18,7 +18,7 @@ from snapo.domains.pension.records.people import FEMALE, MALE
 from snapo.domains.pension.results import balance
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
-from snapo.study.report import write_report
+from snapo.study.carry_out import write_report
 
 pytestmark = pytest.mark.study  # two minutes and more of compiling
 

@@ -20,7 +20,7 @@ from snapo.domains.pension.run import PensionRun
 from snapo.report.bands import Layer, stack
 from snapo.report.page import Table
 from snapo.report.quantity import number
-from snapo.study import report
+from snapo.study import carry_out
 from snapo.study.run_folder import plain_json
 
 YEARS = 10
@@ -233,7 +233,7 @@ def keep(folder, details: dict) -> None:
 
 
 def write_report(folder):
-    return report.write_report(DOMAIN, folder)
+    return carry_out.write_report(DOMAIN, folder)
 
 
 def written(folder, details: dict) -> str:

@@ -84,7 +84,7 @@ def test_the_report_of_a_run_shows_the_boundary(tmp_path):
     body = re.findall(r"<tr>.*?</tr>", section, re.S)
     assert len(body) == 3  # the head, and an end along either axis
     shown = found.details["design_space"]["ends"]
-    assert len(shown) == len(rows) and np.isfinite([each["place"] for each in shown]).all()
+    assert len(shown) == len(rows) and np.isfinite([each["position"] for each in shown]).all()
     assert f"{float(near[0]['boundary']):.4g}" in body[2]
 
 

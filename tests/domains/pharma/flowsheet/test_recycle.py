@@ -201,7 +201,7 @@ def test_what_cannot_go_around():
     wrong["parameters"] = wrong["parameters"][-1:]
     wrong["attributes"] = [{"name": "T", "measure": "cold.temperature", "unit": "K"}]
     wrong["connections"][2]["from"] = "cold.product"
-    with pytest.raises(CaseError, match="cold runs over time and stands in a loop, mix -> cold"):
+    with pytest.raises(CaseError, match="cold runs over time and is in a loop, mix -> cold"):
         resolve(TEMPLATE, wrong)
     batch = data("slurry")
     del batch["feeds"]["charge"]["duration"]

@@ -24,13 +24,13 @@ COLD = '"5 K", "308 K", "295 K", "278.15 K"'
 GROWTH = 'of = "crystalliser.kinetics.growth"\ndistribution = { kind = "lognormal", spread = 0.1 }'
 REFUSED = {
     "crystalliser at 5 K": (
-        '"313.15 K", "308 K", "295 K", "278.15 K"', COLD, "from 100 K to 1000 K"),
+        '"313.15 K", "308 K", "295 K", "278.15 K"', COLD, "from 100 to 1,000 K"),
     "reactor at 5,000 K": (
         'duration = "3600 s"\ntemperature = "313.15 K"', 'duration = "3600 s"\ntemperature = '
-        '"5000 K"', "from 100 K to 1000 K (25 degC is 298.15 K)"),
+        '"5000 K"', "from 100 to 1,000 K (25 degC is 298.15 K)"),
     "Celsius typed as kelvin": (
         'temperature = "323.15 K"\nrate', 'temperature = "25 K"\nrate', "25 degC is 298.15 K"),
-    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "allowed is from 0.1 to 0.95"),
+    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "allowed is a number from 0.1 to 0.95"),
     "seed that fills the vessel": (
         'loading = "0.02 kg/m^3"', 'loading = "2000 kg/m^3"',
         "units.crystalliser.seed: the seed takes 166.7 % of the volume; allowed is less than 50 %"),
@@ -38,9 +38,9 @@ REFUSED = {
         "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
         "units.crystalliser.solubility: at 278.15 K, which crystalliser comes to, it is -5."),
     "density of another unit": (
-        'density = "1200 kg/m^3"', 'density = "1.2 kg/m^3"', "from 300 to 10000 kg/m^3"),
+        'density = "1200 kg/m^3"', 'density = "1.2 kg/m^3"', "from 300 to 10,000 kg/m3"),
     "solvent in kilograms a litre": (
-        'solvent = "887.6 kg/m^3"', 'solvent = "887.6 kg/L"', "from 0 to 3000 kg/m^3"),
+        'solvent = "887.6 kg/m^3"', 'solvent = "887.6 kg/L"', "from 0 to 3,000 kg/m3"),
     "a liquid heavier than any": (
         'A = "0.33 mol/L", B', 'A = "33 mol/L", B', "weigh 4204.1 kg in a cubic metre"),
     "normal rate constants below zero": (
@@ -53,7 +53,7 @@ REFUSED = {
     "a studied wash ratio below zero": (
         "range = [1, 4]", "range = [-1, 4]", "filter.wash_ratio is at least 0"),
     "a studied temperature at 5 K": (
-        'range = ["303 K", "323 K"]', 'range = ["5 K", "323 K"]', "from 100 K to 1000 K"),
+        'range = ["303 K", "323 K"]', 'range = ["5 K", "323 K"]', "from 100 to 1,000 K"),
 }  # fmt: skip
 
 
@@ -79,7 +79,7 @@ ODD = {
         "units.crystalliser.seed.size: crystalliser.seed.size is 20 mm (0.02)"),
     "activation in joules": (
         'activation = "3.0e4 J/mol"', 'activation = "30 J/mol"',
-        "reactions[impurity].activation: kinetics.activation impurity is 30 J/mol"),
+        "reactions[1].activation: kinetics.activation impurity is 30 J/mol"),
     "pressure in bar": ('pressure = "1e5 Pa"', 'pressure = "1e5 bar"', "units.filter.pressure: "),
     "a viscosity": ('"4.6e-4 Pa*s"', '"4.6e3 Pa*s"', "units.filter.viscosity: "),
     "a diffusivity in cm": ('"7e-10 m^2/s"', '"7e-2 m^2/s"', "units.tablet.diffusivity: "),

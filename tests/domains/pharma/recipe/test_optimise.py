@@ -162,7 +162,7 @@ def test_deviations_of_the_batches_stay_within_the_limit():
             [{"of": "reactor.duration", "low": "30 min", "high": "2 h"}] * 2,
             "this number is decided twice",
         ),
-        ("starts", 0, "a whole number, 1 or more"),
+        ("starts", 0, "a whole number from 1 to 1,000"),
     ],
 )
 def test_mistakes_are_named(key, value, words):

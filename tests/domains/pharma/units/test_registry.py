@@ -21,7 +21,7 @@ def test_an_incomplete_operation_is_an_error_at_import():
     class Half(Instant):
         type = "half"
 
-    with pytest.raises(TypeError, match=r"Half lacks deliver, equations, inlets.*variant, title"):
+    with pytest.raises(TypeError, match=r"Half has no deliver, equations, inlets.*variant, title"):
         catalogue([*OPERATIONS, Half])
     with pytest.raises(TypeError, match='Two unit operations are of type "tank"'):
         catalogue([*OPERATIONS, Tank])

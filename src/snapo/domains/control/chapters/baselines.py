@@ -11,10 +11,10 @@ from snapo.engine import Xla
 from snapo.problem.inputs import plain
 from snapo.problem.policy import Policy
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Text
 from snapo.report.quantity import decimals, number, plus_minus
 from snapo.report.rows import Bar, Column, WithError, ladder, table
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.statistics import of_shares
 from snapo.study.chapter import Chapter, Number
@@ -140,7 +140,7 @@ def agent(plant: Plant, policy: Policy, inputs: Any) -> "Agent":
 
 def play_twin(run: StudyRun) -> TwinReward:
     """The trained policy in the environment that has the plant's numbers."""
-    from snapo.gym.played import play
+    from snapo.gym.environments import play
 
     problem, plant, policy = run.setup.problem, plant_of(run), run.solution.policy
     _check_same(plant, plain(problem.inputs))

@@ -1,10 +1,10 @@
 """The reward of an episode by part: the cost of each state and of each action."""
 
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Section, Table
 from snapo.report.quantity import decimals, measured, percent, readable
 from snapo.report.rows import Bar, ladder
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapters.distribution import DISTRIBUTION, OutputTotal
 from snapo.study.study import LiveTable, PathTotals
 

@@ -13,12 +13,10 @@ from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, unit_above
+from snapo.report.drawing import LIGHT, draw, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import readable, with_unit
-from snapo.report.theme import LIGHT
 from snapo.study.chapter import Chapter, Floats, floats
 from snapo.study.chapters.profile import recorded
 from snapo.study.study import StudyRun
@@ -117,7 +115,7 @@ def _decisions(problem: Problem, policy: Policy, names, across, up) -> np.ndarra
 def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
     """A phase portrait; behind it the map of the policy where these are all the states."""
     if not plane.states:
-        return [Text("The plant has one state alone.")]
+        return [Text("The plant has only one state.")]
     count = len(plane.paths)
     alt = f"{plane.label(0)} and {plane.label(1)}: {count} paths from initial states, as dots."
     svg = draw("plane", alt, lambda axes: _paint(axes, plane), 330)

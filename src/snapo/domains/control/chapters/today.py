@@ -15,7 +15,7 @@ from ..plants.plant import Plant
 
 
 def today(setup: Setup, policy: Policy) -> Today:
-    """The physical action of the first step, from the mean of the first state."""
+    """The physical action of the first step, from the mean of the initial state."""
     plant, schedule = setup.problem.simulator, setup.problem.schedule
     assert isinstance(plant, Plant)
     start = schedule.constants["start"]

@@ -11,7 +11,7 @@ from .plant import Plant, PlantParameter, Variable
 class DoubleIntegrator(Plant):
     """position' = position + speed dt, speed' = speed + force dt / mass.
 
-    The cost of a step is position^2 + speed^2 + force^2, each with its weight; the last state
+    The cost of a step is position^2 + speed^2 + force^2, each with its weight; the terminal state
     costs `final` times its own. Where the force has no effective bound, the best rule is linear.
     """
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.policy import Threshold
+from snapo.problem.policies.rules import Threshold
 from snapo.problem.smooth import Exact
 
 from .plant import Plant, PlantParameter, Variable, outputs

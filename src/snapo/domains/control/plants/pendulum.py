@@ -71,6 +71,6 @@ class Pendulum(Plant):
         return observed / np.array([1.0, 1.0, p["max_speed"]])
 
     def proportional(self, p):
-        # Twice the torque that holds the rod beside its rest; a tenth of it for the speed.
+        # Twice the torque that holds the rod next to its rest; a tenth of it for the speed.
         hold = p["mass"] * p["gravity"] * p["length"]
         return {"angle": np.array([hold]), "speed": np.array([hold / 5])}

@@ -1,7 +1,7 @@
 """What every plant has: states with units, equations of one step, a cost by parts.
 
 A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
-distribution of its first state and its disturbances are inputs, so that each has a sensitivity.
+distribution of its initial state and its disturbances are inputs, so that each has a sensitivity.
 """
 
 import abc
@@ -72,7 +72,7 @@ class Plant(Simulator):
     sees_time: ClassVar[bool] = False
     portrait: ClassVar[tuple[str, ...]] = ()  # two states to draw; the first two where empty
     twin: ClassVar[str] = ""  # the environment of Gymnasium with the same numbers
-    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is a rival
+    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is compared
 
     horizon: int = eqx.field(static=True)
     time_feature: bool = eqx.field(static=True)
@@ -88,7 +88,7 @@ class Plant(Simulator):
         horizon: int | None = None,
         timer: bool | None = None,
     ):
-        """The plant for `inputs` (see `inputs.py`): their shapes and keys alone count."""
+        """The plant for `inputs` (see `inputs.py`): only their shapes and keys count."""
         self.horizon = self.steps if horizon is None else horizon
         self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
@@ -139,7 +139,7 @@ class Plant(Simulator):
         """The cost of a step by part, on the state before it."""
 
     def final_cost(self, w: PlantValues, p: PlantValues, state: PlantState) -> PlantState:
-        """The cost of the last state by part."""
+        """The cost of the terminal state by part."""
         return {}
 
     @abc.abstractmethod
@@ -164,7 +164,7 @@ class Plant(Simulator):
         return {}
 
     def hand_rules(self, p: PlantValues) -> dict[str, Policy]:
-        """Classical rules of this plant alone, by name."""
+        """Classical rules of only this plant, by name."""
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
@@ -182,9 +182,8 @@ class Plant(Simulator):
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
         for name in self.disturbed_parts:
             values = jnp.asarray(inputs["noise"][name])
-            every = (
-                values if values.ndim == 3 else values[None]
-            )  # a matrix of its own for each step
+            # Of three axes: a matrix of its own for each step.
+            every = values if values.ndim == 3 else values[None]
             steps[name] = jnp.broadcast_to(every, (self.horizon, *every.shape[1:]))
         return Schedule(constants, steps)
 

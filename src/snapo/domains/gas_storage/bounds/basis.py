@@ -2,8 +2,8 @@
 
 Products of normalised Hermite polynomials he_n = He_n / sqrt(n!) in whitened factors y, and hinges
 (y - k)+ in the fast one, since every decision leaves a kink there; all times the exponential g of
-the factors that move all prices alike (a martingale of mean 1). Beside such an exponential stands
-the constant: proportional costs do not scale with it.
+the factors that move all prices in proportion (a martingale of mean 1). Next to such an exponential
+is the constant: proportional costs do not scale with it.
 
     Y(t + 1) = R Y(t) + noise,   E[he_a(Y(t + 1)) | Y(t)] = sum over |b| = |a| of M[a, b] he_b(Y(t))
 
@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from ..prices.process import GaussianFactors
 
 DEGREES = {1: 6, 2: 4, 3: 4}  # of products of so many factors, in all; of more of them: 3
-# Hinges, in standard deviations of the fast factor: many where it is alone.
+# Hinges, in standard deviations of the fast factor: many where it is the only one.
 ALONE, FEW = np.arange(-3.0, 3.1, 0.25), np.arange(-1.75, 2.0, 0.5)
 REACH = 4.0  # standard deviations of a factor beyond which nothing is fitted
 NOTHING = 1e-14  # a variance below this is none

@@ -1,7 +1,10 @@
-"""One day of a store on a grid of inventories: which ends of the day each start can reach.
+"""One day of a store on a grid of inventories: the reach of each start, and the best flows.
 
-Nothing here depends on prices: all paths share it. Positions at the end of the day are counted in
-nodes of the grid there.
+The grid does not depend on prices: all paths share it. Positions at the end of the day are counted
+in nodes of the grid there. The value after the day is linear between nodes. The best flow to a
+node or to an end of the reach is then exact at every start-of-day node. Between two nodes the value
+is convex except for its bends (`DayGrid.buy_bends`): with one more gain there, a line between
+raised nodes is an upper bound.
 """
 
 from typing import NamedTuple
@@ -11,6 +14,7 @@ import numpy as np
 from ..references.day_terms import (
     DayRates,
     Interpolation,
+    UnitPrices,
     flow_ends,
     holding_cost,
     moves,
@@ -31,7 +35,7 @@ GridRows = slice | np.ndarray  # numbers of rows: a slice where they follow one 
 
 
 class ReachableLevels(NamedTuple):
-    """The ends of the day that one direction of flow leads to, by start-of-day node.
+    """The ends of the day that one direction of flow reaches, by start-of-day node.
 
     - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
       cover all nodes within reach.
@@ -62,8 +66,8 @@ class Bends(NamedTuple):
 class DayGrid(NamedTuple):
     """A decision day between two grids.
 
-    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: what is left
-      without a flow, and the present value of keeping it.
+    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the gas without
+      a flow, and the present value of keeping it.
     - `buy`, `sell`, and the bends of each.
     """
 
@@ -80,7 +84,7 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; `inventories` points from 0 to the largest inventory, and others beside them.
+    """All T days; `inventories` points from 0 to the largest inventory, and others next to them.
 
     Without `bends` the grids are for values of the best flow, not for values above them.
 
@@ -231,3 +235,72 @@ def _rows(numbers: np.ndarray) -> GridRows:
     if last - first == len(numbers) - 1 and (numbers[1:] - numbers[:-1] == 1).all():
         return slice(int(numbers[0]), int(numbers[-1]) + 1)
     return numbers
+
+
+def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool) -> np.ndarray:
+    """The value at the start of the day [n, columns] of the best flow, from that at its end.
+
+    **Arguments:**
+
+    - `prices`: present values of a unit bought and sold, [columns] each.
+    - `after` [m, columns]: the value on the day's last nodes, linear between them.
+    - `above`: the result, linear between nodes, nowhere lies below the value of the best flow from
+      there; otherwise it is that value at the nodes, and may lie below it in between.
+    """
+    keep = day.keep[:, None]
+    buying = _less(after, day.after, prices.pay)
+    selling = _less(after, day.after, prices.earn)
+    value = _best_within(buying, day.buy, len(keep))
+    value += keep * prices.pay
+    other = _best_within(selling, day.sell, len(keep))
+    other += keep * prices.earn
+    np.maximum(value, other, out=value)
+    if above:
+        excess = np.zeros((len(keep) - 1, after.shape[1]))
+        _exceed(excess, value, buying, prices.pay, day.buy_bends)
+        _exceed(excess, value, selling, prices.earn, day.sell_bends)
+        # A node serves two cells, and is raised by the larger gap of the two.
+        if len(excess):
+            value[0] += excess[0]
+            value[-1] += excess[-1]
+            value[1:-1] += np.maximum(excess[:-1], excess[1:])
+    if day.cost.any():
+        value -= day.cost[:, None]
+    return value
+
+
+def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray:
+    """The value after the day less that of the gas at a price: [m, columns]."""
+    value = np.multiply.outer(nodes, price)
+    return np.subtract(after, value, out=value)
+
+
+def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndarray:
+    """[rows, columns] the most of a line, given on nodes and linear between them, within reach."""
+    best = np.full((rows, line.shape[1]), -np.inf)
+    levels = [line]
+    for k, selected, first, last in reach.inside:
+        while len(levels) <= k:
+            wide, step = levels[-1], 1 << (len(levels) - 1)
+            levels.append(np.maximum(wide[:-step], wide[step:]))
+        best[selected] = np.maximum(levels[k][first], levels[k][last]) if k else line[first]
+    for selected, left, right, share in reach.endpoints:
+        result = line[right] - line[left]
+        result *= share
+        result += line[left]
+        best[selected] = np.maximum(best[selected], result)
+    return best
+
+
+def _exceed(excess, value, line, price, bends: Bends | None) -> None:
+    """The most by which a bend of a cell lies above the chord of `value`, into `excess`."""
+    if bends is None:
+        return
+    reduceat = value[bends.left] - value[bends.right]
+    reduceat *= bends.share
+    reduceat -= value[bends.left]
+    reduceat += line[bends.target]
+    reduceat += bends.keep * price
+    if bends.starts is not None:
+        reduceat = np.maximum.reduceat(reduceat, bends.starts, axis=0)
+    excess[bends.cells] = np.maximum(excess[bends.cells], reduceat)

@@ -1,19 +1,60 @@
-"""The regression of values of a store on a basis: everything of it that the prices do not move.
+"""The regression of values of a store on a basis: all of it that does not depend on prices.
 
-Nodes, functions and normal equations follow from the price factors alone: those of the last
-factors are kept.
+Nodes, functions and normal equations follow from the price factors only; the latest are cached.
 """
 
+from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 from .basis import REACH, PolynomialBasis
-from .product import product
-from .recent import Recent
+
+MAXIMUM = 1 << 18  # multiplications; OpenBLAS takes one thread below
+
+
+def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """left [n, k] @ right [k, m], some columns at a time."""
+    wide = max(MAXIMUM // max(left.size, 1), 1)
+    if right.shape[1] <= wide:
+        return left @ right
+    result = np.empty((len(left), right.shape[1]))
+    for first in range(0, right.shape[1], wide):
+        block = slice(first, first + wide)
+        np.matmul(left, right[:, block], out=result[:, block])
+    return result
+
+
+T = TypeVar("T")
+
+
+class Recent(Generic[T]):
+    """The results of the last few different calls; safe between threads.
+
+    A page that moves a curve, or a table of sensitivities that moves one input after another, asks
+    for the same ones again and again.
+    """
+
+    def __init__(self, maximum: int):
+        self._most = maximum
+        self._known: tuple[tuple[Hashable, T], ...] = ()
+
+    def of(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The result for this key, made where it is not among the last."""
+        others = tuple(item for item in self._known if item[0] != key)
+        results = next((result for available, result in self._known if available == key), None)
+        if results is None:
+            results = make()
+        self._known = ((key, results), *others)[: self._most]
+        return results
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._known = ()
+
 
 ALONE, FAST = 121, 37  # uniform nodes of the fast factor, to REACH standard deviations
 COUNTS = {
@@ -32,7 +73,7 @@ class RegressionDay(NamedTuple):
     """One day, or the end date. K functions, of which n are no hinges, on Q nodes.
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
-    - `ahead` [K, Q]: the functions of the next date as they are expected (none on the end date).
+    - `ahead` [K, Q]: the expected functions of the next date (none on the end date).
     - `plain` [K, n]: coefficients of the functions as the best ones without hinges.
     - `drift` [K, n]: those of `ahead`.
     """

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from snapo.report import charts
-from snapo.report.axes import days as date_numbers
+from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
@@ -171,7 +171,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
+    """Paints the monthly deltas into one `Axes`; also used by the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.moved, x.intrinsic) for x in months]
     values, halves, moved, intrinsic = np.array(columns, np.float64).T
     options = {

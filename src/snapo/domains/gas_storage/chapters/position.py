@@ -9,11 +9,11 @@ from snapo.engine import TRAJECTORY
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.report import charts
-from snapo.report.axes import days as date_numbers
+from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Missing, Section
 from snapo.report.quantity import quantity
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import Setup, StudyRun
@@ -53,7 +53,7 @@ class LowHigh:
 
 @dataclass(frozen=True)
 class Cycles:
-    """How often the working volume is turned over."""
+    """Turnovers of the working volume."""
 
     mean: Number = np.nan
     unit: str = "injected volume / working volume"

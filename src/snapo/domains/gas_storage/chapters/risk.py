@@ -14,10 +14,10 @@ import numpy as np
 
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
 from snapo.report.rows import Column, table
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
@@ -26,7 +26,7 @@ from .run import SPAN, ReportedInput, Sensitivity, StorageRun
 
 PATHS = 2048  # of shadow prices
 UNITS = 1.0  # of the capacity; small against it, large against rounding
-# Families of inputs; every input says to which it belongs.
+# Families of inputs; every input has one.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
     "First order only: the change is each shift times its reported derivative."
@@ -36,7 +36,7 @@ CAVEAT = (
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
     "For a move of the forward curve the change is that of the present plan; with the decisions"
-    " chosen anew the contract is worth at least as much, and the gap grows with the square of the"
+    " chosen again the contract has at least this value, and the gap grows with the square of the"
     " move. "
 )
 
@@ -139,7 +139,7 @@ def show(run: StorageRun, result: ShadowPrices) -> Sequence[Block]:
     digits = decimals([x for price in prices for x in (price.up, price.down)], 4)
     columns = (
         Column("Capacity", lambda price: price.name.capitalize()), Column("Unit", "unit"),
-        Column("One more is worth", "up", run.currency, sign=True),
+        Column("Value of one more", "up", run.currency, sign=True),
         Column("One less costs", "down", run.currency, sign=True),
     )  # fmt: skip
     return [table(prices, columns, "Shadow prices of volume and capacity", decimal_places=digits)]
@@ -163,7 +163,7 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
 
     Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
     The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is left
-    out. Where there is one, it tells how many digits mean anything.
+    out. Where there is one, it shows how many digits are significant.
     """
     first = members[0]
     metadata = run.input_number(first.input, first.unit)
@@ -252,9 +252,8 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
     """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for item in run.group("volatility", RATE):
-        by_name = (
-            run.input_number(item.input).group != RATE and len(item.label) < 10
-        )  # no delivery day
+        # A label of ten letters is a delivery day.
+        by_name = run.input_number(item.input).group != RATE and len(item.label) < 10
         totals[item.input, item.label if by_name else ""] += item.value or 0.0
     return [
         _slider(run.input_number(name), label, slope) for (name, label), slope in totals.items()

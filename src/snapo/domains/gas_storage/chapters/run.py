@@ -1,7 +1,10 @@
 """The files of a storage run as its report reads them, with the units of gas."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from snapo.report.folder import RunFiles
 from snapo.report.folder import Sensitivity as Sensitivity
@@ -12,8 +15,23 @@ SPAN = 10
 
 
 @dataclass(frozen=True)
+class InputEntry:
+    """An input in run.json: its metadata in its own unit."""
+
+    words: str = ""
+    group: str = ""
+    unit: str = ""
+    move: float | None = None
+    trade_unit: str = ""
+    trade_factor: float = 1.0
+
+
+ENTRIES = TypeAdapter(dict[str, InputEntry])
+
+
+@dataclass(frozen=True)
 class ReportedInput:
-    """All that an input says about itself; see `snapo.problem.inputs.Input`.
+    """The metadata of an input; see `snapo.problem.inputs.Input`.
 
     `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
     """
@@ -35,18 +53,18 @@ class ReportedInput:
 class StorageRun(RunFiles):
     """A run folder with the units of the contract."""
 
+    @cached_property
+    def inputs(self) -> dict[str, InputEntry]:
+        """The metadata of the inputs by name."""
+        return ENTRIES.validate_python(self.get("inputs", {}))
+
     def input_number(self, name: str, unit: str = "") -> ReportedInput:
-        """All that the input `name` says about itself; a move of one unit where it says nothing."""
-        result = self.get("inputs", {}).get(name, {})
-        move, factor = result.get("move") or 1.0, result.get("trade_factor") or 1.0
+        """The metadata of the input `name`; a move of one unit where it has none."""
+        entry = self.inputs.get(name, InputEntry())
+        move, factor = entry.move or 1.0, entry.trade_factor or 1.0
         plain = unit if unit not in ("", "1") else "unit"
         return ReportedInput(
-            name,
-            str(result.get("words") or ""),
-            str(result.get("group") or ""),
-            float(move),
-            float(move * factor),
-            str(result.get("trade_unit") or plain),
+            name, entry.words, entry.group, move, move * factor, entry.trade_unit or plain
         )
 
     def group(self, *groups: str) -> list[Sensitivity]:

@@ -9,9 +9,9 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.report import charts
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import finite, long_date, number, quantity
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Number
 from snapo.study.study import Setup, Today
@@ -70,7 +70,7 @@ def first_decision(
 ) -> FirstDecision:
     """The first day's decision; `levels`: see `levels_of`; `prices`: the triggers at them."""
     now, ladder = _decisions(problem, policy_of(solution), levels, prices)
-    # The network's own price of gas is exact at the trigger alone; the adjoint's everywhere.
+    # The network's own price of gas is exact at the trigger only; the adjoint's everywhere.
     marginal = float("nan")
     if solution.sensitivities is not None:
         marginal = float(solution.sensitivities.of(case.contract.inventory.name).value.sum())
@@ -162,7 +162,7 @@ def _chart(run: StorageRun, now: FirstDecision) -> Chart:
     )
     caption = (
         "Below the lower line the policy injects, above the upper line it withdraws, between them"
-        " costs and fuel are worth more than the trade."
+        " costs and fuel exceed the gain of the trade."
     )
     return Chart(svg, caption)
 

@@ -8,9 +8,9 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.report import charts
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Facts, Section, Table, Text
 from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
@@ -19,9 +19,9 @@ from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
 from ..contract.simulator import simulator_of
-from ..policy.fitted_guide import FittedKnots
+from ..policy.guide import FittedKnots
 from ..references.intrinsic import intrinsic
-from ..references.refined import refined
+from ..references.lattice import refined
 from ..setup import OUTPUT, case_of, factors, on_independent_paths, policy_of
 from .position import working_volume
 from .run import StorageRun
@@ -92,8 +92,8 @@ class CashFlow:
 class ContractValues:
     """The value ladder from the least to the best method, and the spread of the earnings.
 
-    - `break_even_fee`: per unit of working volume, paid today, at which the contract is worth
-      nothing; NaN without a working volume.
+    - `break_even_fee`: per unit of working volume, paid today, at which the contract has no
+      value; NaN without a working volume.
     """
 
     break_even_fee: Number = np.nan
@@ -136,7 +136,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         note = f"lattice in at most two price factors; finer grids move it by {moved:,.2g}"
         ladder.append(ContractValue("Dynamic programming", exact, None, note))
     if (bounds := BOUND.of(run)) is not None:
-        note = "hindsight with a penalty: no policy earns more"
+        note = "perfect foresight with a penalty: no policy earns more"
         if small := bounds.says_little:
             note = f"{note}; {small}"
         above = bounds.upper
@@ -153,7 +153,7 @@ def _guide_value(setup: Setup, value: Value) -> ContractValue:
     if guide is not None and isinstance(guide.knots, FittedKnots):
         name, note = "Fitted rule", "value iteration in the price factors, before training"
     else:
-        name, note = "One-factor rule", "dynamic program in the fastest factor alone"
+        name, note = "One-factor rule", "dynamic program in the fastest factor only"
     return ContractValue(name, value.value, value.standard_error, note)
 
 
@@ -228,7 +228,7 @@ def cash_flow(run: StorageRun) -> Section:
         lambda axes: charts.histogram(axes, cash.edges, cash.counts, marks, unit),
     )  # fmt: skip
     caption = (
-        "Earnings of the storage alone on one path, unhedged; trading the deltas above takes most"
+        "Earnings of only the storage on one path, unhedged; trading the deltas above takes most"
         " of this spread out."
     )
     return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])

@@ -1,25 +1,145 @@
 """A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
-without ratchets). Index T stands for the end date. Days are
+without ratchets). Index T is the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
 `CaseInput` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
 A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
 """
 
+import abc
 import datetime
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
+from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.problem.inputs import Input
 
-from ..prices.process import PriceProcess
-from .end import EndRule
+from ..prices.process import PriceProcess, use
+
+
+class EndTerms(NamedTuple):
+    """Worth of the inventory left: linear between `levels`, plus `fraction` of its spot value.
+
+    `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
+    """
+
+    levels: Float[Array, " M"]
+    values: Float[Array, " M"]
+    fraction: Float[Array, ""]
+
+
+def _no_table() -> tuple[Array, Array]:
+    return jnp.zeros(2), jnp.zeros(2)
+
+
+class EndRule(eqx.Module):
+    """A rule for the end date; prices and money are those of the end date, undiscounted.
+
+    As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
+    `needs_price` and `value_known` are for the reader and the study.
+    """
+
+    @property
+    def owed(self) -> float | None:
+        """The inventory that must be in store; None where any is allowed."""
+        return None
+
+    @property
+    def needs_price(self) -> bool:
+        """Whether the value depends on the spot price of the end date."""
+        return False
+
+    def interval(self, inputs: dict[str, Any], low: Array, high: Array) -> tuple[Array, Array]:
+        """The inventories allowed on the end date, out of those within its limits."""
+        return low, high
+
+    @abc.abstractmethod
+    def terms(self, inputs: dict[str, Any]) -> EndTerms:
+        """The numbers of the value, for the schedule."""
+
+    @abc.abstractmethod
+    def end_value(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
+        """Worth of the inventory left on one path; `price` gives that day's spot price."""
+
+    @abc.abstractmethod
+    def value_known(self, inventory: float, price: float) -> float:
+        """The same in NumPy where price and inventory are known: no decision is left."""
+
+
+class LevelAtEnd(EndRule):
+    """The inventory that must be in store on the end date: one number, index []."""
+
+    inventory: CaseInput
+
+    @property
+    def owed(self) -> float:
+        return float(self.inventory.used())
+
+    def interval(self, inputs, low, high):
+        level = use(inputs, self.inventory)
+        return level, level
+
+    def terms(self, inputs):
+        return EndTerms(*_no_table(), jnp.asarray(0.0))
+
+    def end_value(self, terms, inventory, price):
+        return jnp.zeros_like(inventory)
+
+    def value_known(self, inventory: float, price: float) -> float:
+        return 0.0
+
+
+class PriceAtEnd(EndRule):
+    """Gas left on the end date has a value of `fraction` of that day's spot price: one number,
+    index [].
+
+    It is paid on the end date. With a fraction of 0 the gas left is worthless, and the end date
+    needs no price.
+    """
+
+    fraction: CaseInput
+
+    @property
+    def needs_price(self) -> bool:
+        return bool(self.fraction.values[0] != 0)
+
+    def terms(self, inputs):
+        return EndTerms(*_no_table(), use(inputs, self.fraction))
+
+    def end_value(self, terms, inventory, price):
+        return inventory * terms.fraction * price()
+
+    def value_known(self, inventory: float, price: float) -> float:
+        return float(self.fraction.used()) * inventory * price if self.needs_price else 0.0
+
+
+class ValueAtEnd(EndRule):
+    """Worth of the inventory on the end date: linear between M points, paid on that date.
+
+    - `inventory`: levels, strictly rising, index [M]; `value`: currency, index [M].
+    """
+
+    inventory: CaseInput
+    value: CaseInput
+
+    def terms(self, inputs):
+        return EndTerms(use(inputs, self.inventory), use(inputs, self.value), jnp.asarray(0.0))
+
+    def end_value(self, terms, inventory, price):
+        return jnp.interp(inventory, terms.levels, terms.values)
+
+    def value_known(self, inventory: float, price: float) -> float:
+        return float(np.interp(inventory, self.inventory.used(), self.value.used()))
 
 
 class Ratchets(eqx.Module):
@@ -98,14 +218,14 @@ class GasMarket(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class StorageCase:
-    """Everything that a gas-storage case says.
+    """All data of a gas-storage case.
 
     - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
     - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
       day before `end`; empty when the valuation leaves none.
     - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
     - `expired`: the valuation date lies after the end date; the value is zero.
-    - `notes`: remarks for the owner of the case, one sentence each.
+    - `notes`: remarks for the user of the case, one sentence each.
     """
 
     file: Path
@@ -133,3 +253,17 @@ class StorageCase:
     def has_end_price(self) -> bool:
         """Whether the value of the gas left depends on the spot price of the end date."""
         return self.contract.at_end.needs_price
+
+
+def storage_inputs(case: StorageCase) -> dict[str, Input]:
+    """{name: Input} of contract, market and prices: forward prices, rates, ratchets, costs …"""
+    numbers: dict[str, CaseInput] = {}
+    for entry in numbers_of(case):
+        if numbers.setdefault(entry.name, entry) is not entry:
+            raise ValueError(f"{entry.name}: two inputs of a case share this name.")
+    return {name: entry.input() for name, entry in numbers.items()}
+
+
+def numbers_of(case: StorageCase) -> Iterator[CaseInput]:
+    """Every number of contract, market and prices."""
+    return numbers_in((case.contract, case.market, case.model))

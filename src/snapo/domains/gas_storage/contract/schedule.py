@@ -19,7 +19,7 @@ class Day(NamedTuple):
 
     Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
     `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
-    `price` is the row of the price process, `ahead` tells the curve's shape to the network,
+    `price` is the row of the price process, `ahead` is the curve's shape for the network,
     `value_table` holds the marginal value of gas that the policy starts from, `hedge` the forward
     volume of the control variate, `innovation` the fitted value of the other one.
     """

@@ -24,13 +24,11 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..policy.innovation import Innovations, of_day, of_end
-from ..policy.observation import curve_ahead, observation
-from ..policy.value_table import ValueTable
+from ..policy.guide import Innovations, ValueTable, of_day, of_end
+from ..policy.network import curve_ahead, observation
 from ..prices.process import PriceProcess, use
-from .end import EndTerms
-from .reachable import InventoryLimits, reachable
-from .records import Contract, StorageCase
+from .feasibility import InventoryLimits, reachable
+from .records import Contract, EndTerms, StorageCase
 from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 
 
@@ -44,11 +42,11 @@ class StorageSimulator(Simulator):
     - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
       used; `discounts`: of its payments.
     - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
-    - `value_table`: the marginal values that the policy starts from (see `policy.value_table`).
+    - `value_table`: the marginal values that the policy starts from (see `policy.guide`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
-    - `innovations`: of a fitted value of the store: the control variate `value_surprise` in place
-      of that of a hedge; its total is zero on average too.
+    - `innovations`: of a fitted value of the store: the control variate `value_surprise` instead of
+      that of a hedge; its total is zero on average too.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate.
     """
@@ -109,7 +107,7 @@ class StorageSimulator(Simulator):
         return self.contract.ratchets.interpolation
 
     def on_paths(self):
-        # What the policy sees of guide and surprises is in the schedule.
+        # The policy's view of guide and innovations is in the schedule.
         names = ("contract", "process", "curve", "rate", "discounts", "value_table", "innovations")
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
         return replace(self, **dict(zip(names, bare)))
@@ -136,7 +134,7 @@ class StorageSimulator(Simulator):
         return replace(self, value_table=None, hedge=None, innovations=None), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
-        """With the guide, the hedge and the surprises, which no input makes here."""
+        """With the guide, the hedge and the innovations, which no input makes here."""
         table, hedge, innovations = self.value_table, self.hedge, self.innovations
         steps = schedule.steps._replace(
             value_table=None if table is None else table.knots,

@@ -1,10 +1,14 @@
-"""The storage policy: a network that prices gas in store, and the flows that follow from it.
+"""The storage policy: its observation, a network that prices gas in store, and the flows.
 
-The network corrects the guide's marginal value of gas at the end of the day, as a line in the
-inventory. Gas is injected as far as it is worth more in store than it costs, and withdrawn as
-far as it fetches more than it is worth in store: where the value crosses the price, clipped to
-the feasible. That is exact on fast storage too, gives the trigger prices for free, and loses
-almost nothing when it is made hard.
+The network corrects the baseline's marginal value of gas at the end of the day, as a line in the
+inventory. Gas is injected while its value in store exceeds its cost, and withdrawn while its price
+exceeds its value in store: where the value crosses the price, clipped to the feasible. That is
+exact on fast storage too, gives the trigger prices at no cost, and loses almost nothing when it is
+made hard.
+
+The first `HEAD` numbers of the observation are those of the decision rule, the economics of today's
+flows; the others are features of order one for the network. Prices are divided by the case's mean
+forward price, volumes by its largest daily rate.
 """
 
 from typing import ClassVar, NamedTuple
@@ -12,12 +16,110 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 
 from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
-from .observation import HEAD, Economics
+from ..prices.process import YEAR, PriceProcess
+
+
+class Economics(NamedTuple):
+    """Today's flows in money, prices in units of the mean forward price.
+
+    `first_in`, `last_in`, `first_out` and `last_out` are the guide's marginal values of gas at the
+    end of the day, as of its gas payment: of the first and the last unit of the most injection,
+    and of the most withdrawal. Where the value has a corner, a first unit in has the value of
+    the slope above it and a last one of the slope below; of units out it is the other way round.
+    `buy` is the cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and
+    `room_out` are the free flows in units of the largest rate, `level` the joint level of the slow
+    price factors.
+    """
+
+    first_in: Array
+    last_in: Array
+    first_out: Array
+    last_out: Array
+    buy: Array
+    sell: Array
+    room_in: Array
+    room_out: Array
+    level: Array
+
+
+HEAD = len(Economics._fields)
+
+
+def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economics:
+    """The economics of a free flow on one day, at one state."""
+    scale, discount = terms.price_scale, now.gas_discount
+    level = process.slow_level(terms.price, now.price, state.price)
+    keep = flows.keep + flows.base
+    room_in, room_out = flows.maximum - flows.base, flows.base - flows.minimum
+    if now.value_table is None:
+        first_in = last_out = last_in = first_out = jnp.asarray(1.0)
+    else:
+        # The guide is data: it has no derivatives, and the adjoint need not form them.
+        guide, sides = (
+            jax.lax.stop_gradient(now.value_table),
+            ((keep, keep - room_out), (keep + room_in, keep)),
+        )
+        result = guide.values(process, terms, now, state.price, *sides)
+        first_in, last_out, last_in, first_out = (item / discount / scale for item in result)
+    buy = spot * (1 + now.injection_fuel)
+    buy += now.injection_cost * now.injection_cost_discount / discount
+    sell = spot * (1 - now.withdrawal_fuel)
+    sell -= now.withdrawal_cost * now.withdrawal_cost_discount / discount
+    rate = terms.rate_scale
+    values = (first_in, last_in, first_out, last_out)
+    return Economics(*values, buy / scale, sell / scale, room_in / rate, room_out / rate, level)
+
+
+def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
+    """Economics first, then the features of the network."""
+    observed = economics(process, terms, now, state, spot, flows)
+    year = 2 * jnp.pi * now.day / YEAR
+    left = (terms.last_day - now.day) / YEAR
+    span = jnp.maximum(now.high - now.low, 1e-6 * terms.rate_scale)
+    filling = (state.inventory - now.low) / span
+    to_full = (now.high - state.inventory) / (20 * terms.rate_scale)
+    to_empty = (state.inventory - now.low) / (20 * terms.rate_scale)
+    mid = (observed.buy + observed.sell) / 2
+    keep = (observed.first_in + observed.first_out) / 2
+    features = [
+        jnp.stack([jnp.sin(year), jnp.cos(year), jnp.sin(2 * year), jnp.cos(2 * year)]),
+        jnp.stack([jnp.tanh(left), jnp.tanh(20 * left), 2 * filling - 1, filling * filling]),
+        jnp.stack([jnp.tanh(to_full), jnp.tanh(to_empty)]),
+        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (keep, observed.last_in, observed.last_out)]),
+        process.observe(terms.price, now.price, state.price),
+        now.ahead,
+    ]
+    return jnp.concatenate([jnp.stack(observed), *features])
+
+
+def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
+    """Today's forward price relative to those ahead: mean of 30 and 120 days and of all,
+    highest and lowest, less today's, in units of half the mean price."""
+    t = forward.shape[0]
+    first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
+    # Running sums of a curve around zero, so that nothing is lost; memory grows with T only.
+    middle = jnp.mean(forward)
+    sums = jnp.append(0.0, jnp.cumsum(forward - middle))
+
+    def mean(days):
+        last = np.maximum(np.minimum(np.arange(t) + days + 1, t), first + 1)
+        return middle + (sums[last] - sums[first]) / (last - first)
+
+    def extremes(result, price):
+        both = jnp.maximum(result[0], price), jnp.minimum(result[1], price)
+        return both, both
+
+    # By a loop: the derivative of a running maximum takes a thousand operations to compile.
+    _, (high, low) = jax.lax.scan(extremes, (forward[-1], forward[-1]), forward, reverse=True)
+    columns = [mean(30), mean(120), mean(t), high, low]
+    return 2 * (jnp.stack(columns, axis=1) - forward[:, None]) / scale
+
 
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
@@ -49,7 +151,7 @@ class StoragePolicy(Policy):
 
     @property
     def value_rule(self) -> "StoragePolicy":
-        """The guide alone, by a network that adds nothing: one program runs both."""
+        """The guide only, by a network that adds nothing: one program runs both."""
 
         def last(policy: StoragePolicy):
             return policy.network.weights[-1], policy.network.biases[-1]

@@ -1,7 +1,7 @@
 """Decisions of a policy: trigger prices by day, and today's decision by inventory.
 
-All at the price state in which only the fastest factor moves: a spot price then says the state.
-Prices are undiscounted spot prices in currency per unit.
+All at the price state in which only the fastest factor moves: a spot price then determines the
+state. Prices are undiscounted spot prices in currency per unit.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,7 @@ from snapo.problem.smooth import Exact
 
 from ..contract.schedule import StoreState
 from ..contract.simulator import StorageSimulator, simulator_of
-from .network import StoragePolicy
-from .observation import HEAD, Economics
+from .network import HEAD, Economics, StoragePolicy
 
 ROUND = 256  # inventories and prices of one call
 SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price

@@ -51,7 +51,8 @@ class JumpTable(SingleFactorTable):
 
 
 class JumpConstants(NamedTuple):
-    """Of the first shock and of every day: decays, deviation of a day, jump chance and size."""
+    """Of the first shock and of every day: decays, deviation of a day, jump probability and
+    size."""
 
     first_deviation: Array
     decay: Array
@@ -84,9 +85,10 @@ class OneFactorJumps(PriceProcess):
 
     A spike is eta x max(0, E - ln(1 / p)) with E = (z1^2 + z2^2) / 2 of two standard normals, which
     is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. It is continuous in
-    p, so that pathwise derivatives by the intensity are those of the expectation. Source: the jump
-    sizes are those of Kou (2002), upward only, around a mean-reverting spot as in Merton (1976).
-    The state is (f, y). `gap`, `last`: days from valuation to the first and the last price.
+    p, so that pathwise derivatives with respect to the intensity are those of the expectation.
+    Source: the jump sizes are those of Kou (2002), upward only, around a mean-reverting spot as in
+    Merton (1976). The state is (f, y). `gap`, `last`: days from valuation to the first and the
+    last price.
     """
 
     kind = "one-factor-jumps"
@@ -169,7 +171,7 @@ class OneFactorJumps(PriceProcess):
         return jnp.asarray(1.0)
 
     def factors(self, schedule):
-        """The calm factor alone, as a guide; a lattice in it is not exact."""
+        """The calm factor only, as a guide; a lattice in it is not exact."""
         constants, steps = schedule.constants, schedule.steps
         count = len(steps.forward)
         shock = np.full((count, 1, 1), constants.deviation)

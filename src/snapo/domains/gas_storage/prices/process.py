@@ -1,6 +1,6 @@
 """A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
 
-Everything that depends on the kind of price stands in its class: its table in the case file, its
+Everything that depends on the kind of price is in its class: its table in the case file, its
 parameters, noise, dynamics, forward price, description. Nothing outside asks which kind it is.
 """
 
@@ -125,7 +125,7 @@ class PriceProcess(Process):
     As it is read it has the numbers of the case; in a simulator it has none of them (see
     `snapo.problem.form`), so that methods for paths ask their `inputs`.
 
-    The level is the spot price in currency per unit; the state is that of the prices alone.
+    The level is the spot price in currency per unit; the state is that of the prices only.
     `prepare` gives T + 1 rows: the decision days, and the end date.
 
     **Class attributes:** `kind`, the name in `[model]`; `table`, its keys.
@@ -171,7 +171,7 @@ class PriceProcess(Process):
         return None
 
     def sources(self, seed: int) -> Sources | None:
-        """Scenarios of its own for every role, in place of drawn normals."""
+        """Scenarios of its own for every role, instead of drawn normals."""
         return None
 
 
@@ -184,10 +184,10 @@ KINDS: dict[str, type[PriceProcess]] = {}
 
 
 def register(process: type[PriceProcess]) -> type[PriceProcess]:
-    """Makes a process known under its `kind`; one that lacks a part of its behaviour is refused."""
+    """Makes a process known under its `kind`; one without a part of its behaviour is refused."""
     missing = missing_members(process)
     if missing:
-        raise TypeError(f"price process {process.__name__} lacks {', '.join(missing)}")
+        raise TypeError(f"price process {process.__name__} has no {', '.join(missing)}")
     if process.kind in KINDS:
         raise TypeError(f"price process {process.__name__}: {process.kind!r} is known already")
     KINDS[process.kind] = process

@@ -19,7 +19,7 @@ for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
 
 
 def kinds() -> dict[str, type[PriceProcess]]:
-    """Every known process under its name in `[model]`."""
+    """Every known process by its name in `[model]`."""
     return dict(KINDS)
 
 

@@ -15,7 +15,7 @@ from snapo.case.plausible import Plausible
 from snapo.case.table import CaseTable
 from snapo.problem.process import Factors
 
-from .factor_prices import FactorPrices
+from .factors import FactorPrices
 from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use
 
 

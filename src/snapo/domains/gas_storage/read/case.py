@@ -1,13 +1,20 @@
-"""Reads a gas-storage case: a TOML file and the CSVs beside it become a `StorageCase`."""
+"""Reads a gas-storage case, a TOML file and its CSVs: `[market]`, plausible numbers."""
 
+import calendar
 import dataclasses
-from collections.abc import Mapping
+import datetime
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import CaseInput, SheetCell
+from snapo.case.plausible import CaseFiles, Plausible, implausible
 from snapo.case.settings import (
     EvaluationTable,
     ObjectiveTable,
@@ -20,14 +27,175 @@ from snapo.case.settings import (
 from snapo.case.table import TableContext, parse
 
 from ..contract.feasibility import check_feasible
-from ..contract.records import StorageCase
+from ..contract.records import GasMarket, StorageCase, numbers_of
 from ..prices.process import Delivery
 from ..prices.registry import check_curve, kinds, read_prices
-from .contract import decision_days, pays_by_price, read_contract
+from .contract import decision_days, payment_days, pays_by_price, read_contract
 from .limits import read_limits
-from .market import read_market
-from .plausible import end_too_early, free_money, unit_slips
-from .tables import ContractTable, MarketTable, StorageTable
+from .tables import FORWARD, ContractTable, MarketTable, StorageTable
+
+
+def read_market(
+    section: TableContext,
+    table: MarketTable,
+    days: Sequence[datetime.date],
+    price_days: Sequence[datetime.date],
+    moving: np.ndarray,
+    unit: str,
+) -> GasMarket:
+    """The market of a contract that trades on `days` and needs prices on `price_days`.
+
+    `moving`: [T] whether gas can move on the day.
+    """
+    curve = read_curve(section, table.forward_curve, price_days, unit)
+    valuation = table.valuation_date
+    rate, rate_day = _nodes(table.interest_rate, valuation)
+    gas_day = payment_days(section, "settlement", table.settlement, days, valuation, moving)
+    return GasMarket(curve, rate, rate_day, gas_day)
+
+
+def read_curve(
+    section: TableContext, name: str, days: Sequence[datetime.date], unit: str
+) -> CaseInput:
+    """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
+    rows = read_rows(FileReference(section, "forward_curve", name), ("date", "price"))
+    by_day, by_month = quotes(rows)
+    both = [day for day in days if day in by_day and (day.year, day.month) in by_month]
+    if both:
+        more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
+        section.notes.append(
+            f"In {name} {both[0]}{more} a quote of the day and one of the month: the day's counts."
+        )
+    prices = []
+    for day in days:
+        price = by_day.get(day, by_month.get((day.year, day.month)))
+        if price is None:
+            message = (
+                "there is no price for this day; the contract needs a quote for every day, or "
+                f"its month, from {days[0]} to {days[-1]}"
+            )
+            raise CaseError(name, day.isoformat(), None, message)
+        prices.append(price)
+    labels = [day.isoformat() for day in days]
+    forward = replace(FORWARD, unit=unit)
+    positions = tuple(price.cell for price in prices)
+    return forward.input(
+        "forward_curve", [price.value for price in prices], labels, positions=positions
+    )
+
+
+class Quote(NamedTuple):
+    """A price of the curve and its position."""
+
+    value: float
+    cell: SheetCell
+
+
+CurveQuotes = tuple[Mapping[datetime.date, Quote], Mapping[tuple[int, int], Quote]]
+
+
+def quotes(rows: Sequence[Row]) -> CurveQuotes:
+    """Prices by day and by (year, month), each quoted once; in any order."""
+    by_day: dict[datetime.date, Quote] = {}
+    by_month: dict[tuple[int, int], Quote] = {}
+    for row in rows:
+        price = Quote(FORWARD.cell(row), row.position("price"))
+        period = row.period("date")
+        if period is None:
+            raise row.error("date", "a day is written YYYY-MM-DD, a whole month YYYY-MM")
+        _once(by_month if isinstance(period, tuple) else by_day, period, price, row)
+    return by_day, by_month
+
+
+def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
+    if period in quotes:
+        raise row.error("date", "this period has a price already, further up")
+    quotes[period] = price
+
+
+def month_days(year: int, month: int) -> list[datetime.date]:
+    """All days of a month."""
+    count = calendar.monthrange(year, month)[1]
+    return [datetime.date(year, month, day) for day in range(1, count + 1)]
+
+
+def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.ndarray]:
+    """The rates of all nodes, and their days since the valuation date."""
+    starts = rate.starts
+    days = np.zeros(1, np.int64) if starts is None else starts - valuation.toordinal()
+    return replace(rate, index=np.arange(len(rate.values))), days
+
+
+# Energy of a volume unit in MWh, and minor units of a currency in major ones.
+ENERGY = {"MWh": 1.0, "kWh": 1e-3, "GWh": 1e3, "therm": 0.0293071, "MMBtu": 0.293071, "GJ": 1 / 3.6}
+MONEY = {"EUR": 1.0, "USD": 1.0, "GBP": 1.0, "CHF": 1.0, "p": 0.01, "GBp": 0.01, "ct": 0.01}
+PRICES = (1.0, 1000.0)  # per MWh, in one of these currencies
+APART = 20.0  # a forward price is less than so many times its neighbours
+
+
+def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
+    """Notes on numbers that are likely to be in another unit; `data`: the tables of the case."""
+    ranges = [*_by_price(case), *_by_size(case)]
+    return implausible(numbers_of(case), ranges, CaseFiles(case.file, data)).values()
+
+
+def _by_price(case: StorageCase) -> Iterator[Plausible]:
+    """The range of prices, and those of costs per unit of volume."""
+    unit = ENERGY.get(case.volume_unit, math.nan) / MONEY.get(case.currency, math.nan)
+    low, high = (0.0, math.inf) if math.isnan(unit) else (PRICES[0] * unit, PRICES[1] * unit)
+    name = f"{case.currency}/{case.volume_unit}"
+    hint = f"the curve is in {name}"
+    yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
+    highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
+    if highest > 0:
+        paid = f"a cost is in {name}, and the dearest gas costs {highest:.6g}"
+        names = ("injection_cost", "withdrawal_cost")
+        yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
+        paid = f"it is in {name} a day, and the dearest gas costs {highest:.6g}"
+        yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
+
+
+def _by_size(case: StorageCase) -> Iterator[Plausible]:
+    """The range of rates, by the volume of the store: from 10,000 days to a tenth of a day."""
+    size = float(np.max(case.contract.max_inventory.values, initial=0.0))
+    if size > 0:
+        hint = f"a rate is in {case.volume_unit} a day, and the store has up to {size:.6g}"
+        names = ("ratchet_injection", "ratchet_withdrawal", "min_injection", "min_withdrawal")
+        yield Plausible(size / 1e4, 10 * size, hint, names=names)
+
+
+def end_too_early(start: datetime.date, end: datetime.date) -> str:
+    """The note where `end` is the last day of a period of whole months; "" where it is not."""
+    last = calendar.monthrange(end.year, end.month)[1]
+    if start.day != 1 or end.day != last or (end - start).days <= 31:
+        return ""
+    after = end + datetime.timedelta(1)
+    return (
+        f"contract.end: {end} is the first day without a decision, and that is the last day of "
+        f"its month: a contract that includes it has end = {after}."
+    )
+
+
+def free_money(case: StorageCase) -> Iterator[str]:
+    """Remarks where the contract pays for moving gas, whatever the price: often a wrong sign."""
+    contract = case.contract
+    inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
+    if not len(case.days):
+        return
+    price = case.market.forward_curve.used()[: len(case.days)]
+    paid = price * (1 + contract.injection_fuel.used()) + inward < 0
+    if np.any(paid & (price > 0)):
+        t = int(np.argmax(paid & (price > 0)))
+        yield (
+            f"On {case.days[t]} an injection is paid: injection_cost is {inward[t]:g}, and gas "
+            f"costs {price[t]:g}. Is the sign of the cost right?"
+        )
+    elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
+        yield (
+            "Injecting gas and withdrawing it again pays by itself: the least injection_cost and "
+            f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
+        )
+
 
 FORMATS = {
     "": StorageTable,
@@ -43,7 +211,7 @@ FORMATS = {
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    Other files are looked for beside it. **Raises:** `CaseError` where a table, a file or a number
+    Other files are looked for next to it. **Raises:** `CaseError` where a table, a file or a number
     is wrong, or where the contract cannot be met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")

@@ -1,20 +1,158 @@
-"""Reads the bounds of the flows: inventory limits, rates by inventory, and outages."""
+"""Reads the bounds of the flows: inventory limits, rates by inventory (ratchets), and outages."""
 
 import datetime
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from snapo.case.csv import DAY, FileReference, read_rows
+from snapo.case.csv import DAY, FileReference, Row, read_rows
 from snapo.case.dates import ordinals
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.quantity import NOT_NEGATIVE, Quantity
 from snapo.case.table import TableContext
 
 from ..contract.records import Ratchets
-from .ratchets import read_ratchets, small_move
-from .tables import ContractTable
+from .tables import FLOW, GROUP, ContractTable
+
+COLUMNS = ("date", "inventory", "max_withdrawal", "max_injection")
+LEVEL = Quantity(
+    "{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0, column="inventory",
+    meaning="inventories of the ratchet rows",
+)  # fmt: skip
+INJECTION = replace(
+    LEVEL, unit=FLOW, column="max_injection", meaning="most injection per day, by inventory"
+)
+WITHDRAWAL = replace(
+    LEVEL, unit=FLOW, column="max_withdrawal", meaning="most withdrawal per day, by inventory"
+)
+
+
+def read_ratchets(
+    section: TableContext,
+    table: ContractTable,
+    days: Sequence[datetime.date],
+    minimum: np.ndarray,
+    maximum: np.ndarray,
+) -> Ratchets:
+    """The rates of `days` [T]; `minimum`, `maximum`: the inventory limits that rows must span."""
+    plain = [key for key in ("max_injection", "max_withdrawal") if getattr(table, key) is not None]
+    if table.ratchets is None:
+        return _plain_rates(section, table, plain, days)
+    if plain:
+        message = f"give either {plain[0]} or ratchets, not both"
+        raise section.error(plain[0], getattr(table, plain[0]).written, message)
+    rows = read_rows(FileReference(section, "ratchets", table.ratchets), COLUMNS)
+    blocks = read_blocks(rows)
+    index = _rows_by_day(table.ratchets, blocks, days)
+    ratchets = _ratchets(rows, blocks, index, table)
+    _check_span(table, ratchets, days, minimum, maximum)
+    return ratchets
+
+
+def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
+    for key in ("max_injection", "max_withdrawal"):
+        if key not in plain:
+            raise section.error(key, None, "this key is missing; give both max rates, or ratchets")
+
+    def rate(numbers: CaseInput) -> CaseInput:
+        numbers = numbers.on(days, section.notes)
+        return replace(numbers, index=numbers.index[:, None])
+
+    assert table.max_injection is not None and table.max_withdrawal is not None
+    everywhere = np.zeros((len(days), 1), np.int64)
+    level = replace(LEVEL, unit=table.volume_unit)
+    # No file has this inventory: plain rates hold at every one.
+    inventory = level.input("ratchet_inventory", [0.0], index=everywhere, positions=(None,))
+    return Ratchets(inventory, rate(table.max_withdrawal), rate(table.max_injection), "step")
+
+
+def small_move(ratchets: Ratchets) -> float:
+    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
+    rates = (ratchets.injection.used(), ratchets.withdrawal.used())
+    largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
+    return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
+
+
+RatchetBlock = tuple[datetime.date, list[int]]
+
+
+def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
+    """Groups rows by date: each block with its date and its row numbers, inventories rising.
+
+    A row continues the block when its date is empty, or the same again.
+    """
+    blocks: list[RatchetBlock] = []
+    for number, row in enumerate(rows):
+        date = row.day("date") if row.cells["date"] else None
+        if date is None and not blocks:
+            raise row.error("date", "the first row needs the date from which its block holds")
+        if date is None or (blocks and date == blocks[-1][0]):
+            _check_rises(rows[blocks[-1][1][-1]], row)
+            blocks[-1][1].append(number)
+        elif blocks and date < blocks[-1][0]:
+            message = f"blocks must be in order of date, and the one before is of {blocks[-1][0]}"
+            raise row.error("date", message)
+        else:
+            blocks.append((date, [number]))
+    return blocks
+
+
+def _check_rises(before: Row, row: Row) -> None:
+    level = before.number("inventory", 0.0)
+    if row.number("inventory", 0.0) <= level:
+        message = f"within a block inventories must rise, and the row before has {level:g}"
+        raise row.error("inventory", message)
+
+
+def _rows_by_day(name: str, blocks: Sequence[RatchetBlock], days) -> np.ndarray:
+    """[T, K] row numbers of the block of each day; short blocks repeat their last row."""
+    maximum = max(len(numbers) for _, numbers in blocks)
+    padded = np.array([numbers + numbers[-1:] * (maximum - len(numbers)) for _, numbers in blocks])
+    starts = ordinals([date for date, _ in blocks])
+    if days and blocks[0][0] > days[0]:
+        message = f"ratchets are needed from {days[0]} on, and the first block holds from then"
+        raise CaseError(name, "date", blocks[0][0], message)
+    return padded[np.searchsorted(starts, ordinals(days), side="right") - 1]
+
+
+def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets:
+    dates = {number: date for date, numbers in blocks for number in numbers}
+    levels = [row.number("inventory", 0.0) for row in rows]
+    labels = [f"{dates[number]} at {level:g}" for number, level in enumerate(levels)]
+    units = {"currency": table.currency, "volume_unit": table.volume_unit}
+
+    def column(name: str, quantity: Quantity) -> CaseInput:
+        quantity = replace(quantity, unit=quantity.unit.format_map(units))
+        return quantity.from_rows(name, rows, labels, index=index)
+
+    return Ratchets(
+        column("ratchet_inventory", LEVEL),
+        column("ratchet_withdrawal", WITHDRAWAL),
+        column("ratchet_injection", INJECTION),
+        table.ratchet_interpolation,
+    )
+
+
+def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum) -> None:
+    """Every inventory within the limits of a day needs rates: no extrapolation."""
+    levels = ratchets.inventory.used()
+    low, high = levels[:, 0], levels[:, -1]
+    linear = ratchets.interpolation == "linear"
+    short = (low > minimum[:-1]) | (linear & (high < maximum[:-1]))
+    for t in np.flatnonzero(short)[:1]:
+        block = ratchets.inventory.labels[ratchets.inventory.index[t, 0]].split(" ")[0]
+        below = low[t] > minimum[t]
+        key, limit = ("min_inventory", minimum[t]) if below else ("max_inventory", maximum[t])
+        level = low[t] if below else high[t]
+        message = (
+            f"the {'first' if below else 'last'} row of this block must reach {key}, "
+            f"{limit:g} on {days[t]}"
+        )
+        raise CaseError(str(table.ratchets), f"block of {block}", float(level), message)
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ def flow_ends(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(keep, down, up): inventories [n] after a day's loss, and after the least and most flow.
 
-    Rates and forced flows alone; the limits of the next day are not looked at.
+    Rates and forced flows only; the limits of the next day are not looked at.
     """
     steps = schedule.steps
     keep = inventory * (1 - steps.inventory_loss[t])

@@ -1,22 +1,260 @@
-"""The marginal value of gas from the fastest price factor alone: the start of a policy."""
+"""The marginal value of gas from the fastest price factor only, and the grids of its factors.
 
-from dataclasses import dataclass
+The fast factor has a fine uniform grid and the trapezoidal rule against the exact transition
+density: for a smooth integrand its error falls faster than any power of the spacing (Trefethen and
+Weideman, SIAM Review 56, 2014), and the kinks of decisions cost order spacing squared. The slow
+factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
+
+A store that is filled and emptied by fixed daily volumes has values with corners at the multiples
+of these: the next unit injected has the value of the slope above, the last one withdrawn of the
+slope below. Rows of the table of slopes are on the corners and half-way between, where volumes
+have a common measure.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ..prices.process import GaussianFactors
 from .day_terms import Interpolation, end_value, interpolation_matrix, rates, unit_prices
-from .factor_grid import FactorGrid, factor_grid
 from .intrinsic import values_after
 from .lattice_day import decide, free_volumes
-from .slope_table import ROWS, SlopeTable, slope_table
+
+# Where a grid ends, in standard deviations of its factor at its widest.
+FAST_REACH, SLOW_REACH = 6.0, 4.5
+# The trapezoidal rule needs a transition at least this wide, in spacings of the grid.
+NARROW = 0.7
+MAX_NODES = 401
+
+
+class Transition(NamedTuple):
+    """A sum of products: slow weights [from, to] x fast weights [from, to], for each term."""
+
+    terms: list[tuple[np.ndarray, np.ndarray]]
+
+    def expect(self, value: np.ndarray) -> np.ndarray:
+        """Conditional expectation: [n, slow to x fast to] -> [n, slow from x fast from]."""
+        total = 0.0
+        for slow, fast in self.terms:
+            moved = value.reshape(-1, slow.shape[1], fast.shape[1]) @ fast.T
+            total = total + (slow @ moved if slow.size > 1 else slow[0, 0] * moved)
+        return np.reshape(total, (len(value), -1))
+
+    def spread(self, weight: np.ndarray) -> np.ndarray:
+        """The transpose of `expect`: weights (probabilities) on the nodes a day later."""
+        total = 0.0
+        for slow, fast in self.terms:
+            moved = weight.reshape(-1, slow.shape[0], fast.shape[0]) @ fast
+            total = total + (slow.T @ moved if slow.size > 1 else slow[0, 0] * moved)
+        return np.reshape(total, (len(weight), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class FactorGrid:
+    """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
+
+    - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
+      first.
+    - `fast`, `slow`: node positions (slow: one node at 0 where a single factor is kept).
+    - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
+    """
+
+    of: GaussianFactors
+    selected: tuple[int, ...]
+    fast: np.ndarray
+    slow: np.ndarray
+    covariance: np.ndarray
+    _known: dict = field(default_factory=dict)
+
+    @property
+    def columns(self) -> int:
+        return len(self.slow) * len(self.fast)
+
+    def noise(self, t: int) -> np.ndarray:
+        """Spot over forward price [columns] on day t (T: on the end date), of mean 1."""
+        loading = self.of.loading[t][list(self.selected)]
+        variance = loading @ self.covariance[t] @ loading
+        log = loading[0] * self.fast[None, :]
+        if len(self.selected) > 1:
+            log = log + loading[1] * self.slow[:, None]
+        return np.exp(log - variance / 2).ravel()
+
+    def start(self) -> Transition:
+        """From the valuation date, where all factors are 0, to the first day (one row)."""
+        return self._transition(0, np.zeros(1), np.zeros(1))
+
+    def after(self, t: int) -> Transition:
+        """From day t to the next day, or to the end date."""
+        return self._transition(t + 1, self.slow, self.fast)
+
+    def _transition(self, into: int, slow, fast) -> Transition:
+        selected, decay, shock = list(self.selected), self.of.decay[into], self.of.shock[into]
+        covariance = (shock @ shock.T)[np.ix_(selected, selected)]
+        key = (len(slow), len(fast), *(f"{x:.9e}" for x in [*decay[selected], *covariance.ravel()]))
+        if key not in self._known:
+            self._known[key] = _weights(self, decay[selected], covariance, slow, fast)
+        return self._known[key]
+
+
+def factor_grid(
+    of: GaussianFactors, selected: tuple[int, ...], spacing: float, slow_nodes: int
+) -> FactorGrid:
+    """The grid for one or two factors; `spacing` in standard deviations of the fast daily shock."""
+    covariance = _covariance(of, list(selected))
+    widest = np.sqrt(np.max(covariance[:, range(len(selected)), range(len(selected))], axis=0))
+    shocks = of.shock[:, selected[0]]
+    daily = np.sqrt(np.sum(shocks**2, axis=1))
+    daily = daily[daily > 1e-12 * max(widest[0], 1e-300)]
+    fast = np.zeros(1)
+    if len(daily) and widest[0] > 0:
+        half = FAST_REACH * widest[0] / (spacing * daily.min())
+        fast = np.linspace(-1, 1, 2 * min(int(np.ceil(half)), MAX_NODES // 2) + 1)
+        fast = FAST_REACH * widest[0] * fast
+    slow = np.zeros(1)
+    if len(selected) > 1 and widest[1] > 0:
+        slow = np.linspace(-1, 1, slow_nodes | 1) * SLOW_REACH * widest[1]
+    return FactorGrid(of, tuple(selected), fast, slow, covariance)
+
+
+def _covariance(of: GaussianFactors, selected: list[int]) -> np.ndarray:
+    covariance, covariances = np.zeros((len(selected), len(selected))), []
+    for decay, shock in zip(of.decay[:, selected], of.shock[:, selected], strict=True):
+        covariance = np.outer(decay, decay) * covariance + shock @ shock.T
+        covariances.append(covariance)
+    return np.array(covariances)
+
+
+def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
+    """Independent factors need one term; correlated ones a term per shock of the slow factor."""
+    if len(grid.slow) == 1:
+        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        return Transition([(np.ones((1, 1)), local)])
+    shocks, probabilities = _gauss_hermite(np.sqrt(covariance[1, 1]), 3)
+    positions = [_spline_weights(grid.slow, decay[1] * slow + shock) for shock in shocks]
+    if covariance[0, 1] == 0:
+        moved = np.tensordot(probabilities, np.array(positions), axes=1)
+        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        return Transition([(moved, local)])
+    slope = covariance[0, 1] / covariance[1, 1]
+    rest = np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0))
+    return Transition(
+        [
+            (probability * position, _from_points(grid.fast, decay[0] * fast + slope * shock, rest))
+            for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
+        ]
+    )
+
+
+def _from_points(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
+    """Weights [points, nodes] of the expectation over N(mean, deviation^2)."""
+    if len(nodes) == 1:
+        return np.ones((len(mean), 1))
+    if deviation < NARROW * (nodes[1] - nodes[0]):
+        shocks, probabilities = _gauss_hermite(deviation, 7)
+        positions = [_spline_weights(nodes, mean + shock) for shock in shocks]
+        return np.tensordot(probabilities, np.array(positions), axes=1)
+    density = np.exp(-0.5 * ((nodes[None, :] - mean[:, None]) / deviation) ** 2)
+    return density / density.sum(axis=1, keepdims=True)
+
+
+def _gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shocks and their probabilities; one shock of 0 where there is no noise."""
+    if deviation == 0:
+        return np.zeros(1), np.ones(1)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(count)
+    return deviation * nodes, weights / weights.sum()
+
+
+def _spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Natural cubic spline interpolation as weights [points, nodes], flat outside the nodes."""
+    spline = CubicSpline(nodes, np.eye(len(nodes)), bc_type="natural")
+    return spline(np.clip(points, nodes[0], nodes[-1]))
+
+
+PIECES = 16  # between two levels
+ROWS = 2 * PIECES + 1  # one at each level, and one half-way to the next
+THIRD = 3  # parts of a piece: a slope at a corner is taken over one part
+COMMON, DIVISORS = 0.05, 4  # how near daily volumes are to multiples of which part of the least
+
+
+class SlopeTable(NamedTuple):
+    """Rows of a table, by day.
+
+    - `low`, `high`: [T] the first and the last row; the rows between are evenly spaced.
+    - `next_low`, `next_high`: [T] the inventories that the day can end with.
+    - `corners`: whether levels lie on corners, so that a slope has two sides.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    next_low: np.ndarray
+    next_high: np.ndarray
+    corners: bool
+
+    def nodes(self, t: int) -> np.ndarray:
+        """Inventories at the end of day t: the parts of all pieces, and both ends of the day."""
+        low, high = self.next_low[t], self.next_high[t]
+        if high <= low:
+            return np.array([low])
+        every = np.linspace(self.low[t], self.high[t], THIRD * PIECES + 1)
+        near = 1e-6 * (self.high[t] - self.low[t])
+        inside = every[(every > low + near) & (every < high - near)]
+        return np.concatenate([[low], inside, [high]])
+
+    def slopes(
+        self, t: int, values: Callable[[np.ndarray], np.ndarray], low: float, high: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """[rows, …] slopes above and below the rows, of `values` [n, …] known from low to high."""
+        row = np.linspace(self.low[t], self.high[t], ROWS)
+        part = (self.high[t] - self.low[t]) / (THIRD * PIECES)
+        left = np.stack([row - part / 2, row - part / 2])
+        if self.corners:
+            left[:, ::2] = row[::2], row[::2] - part
+        width = min(part, high - low)
+        left = np.clip(left, low, high - width)
+        above, below = ((values(item + width) - values(item)) / width for item in left)
+        return above, below
+
+
+def slope_table(schedule) -> SlopeTable:
+    """The rows of all days: on corners where they are few and known, else across each interval."""
+    steps = schedule.steps
+    low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
+    across = SlopeTable(low, high, low, high, corners=False)
+    volume = common_volume(steps)
+    widest = np.max(high - low, initial=0.0)
+    if volume is None or widest <= 0:
+        return across
+    step = volume / max(1, int(PIECES * volume / (widest + volume) + COMMON))
+    first = low[-1] + np.floor((low - low[-1]) / step + COMMON) * step
+    last = first + PIECES * step
+    if np.any(last < high - COMMON * step):
+        return across
+    return SlopeTable(first, last, low, high, corners=True)
+
+
+def common_volume(steps) -> float | None:
+    """The volume of which all daily ones are multiples; None where they depend on the inventory."""
+    volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
+    if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
+        return None
+    volumes = np.unique(volumes[volumes > 0])
+    for part in range(1, DIVISORS + 1) if len(volumes) else ():
+        volume = volumes[0] / part
+        if np.all(np.abs(volumes - np.round(volumes / volume) * volume) <= COMMON * volume):
+            return float(volume)
+    return None
+
 
 # Where the fast factor's nodes of the quick program lie, in standard deviations of a daily shock.
 SPACING = 0.6
 # The polynomial is fitted, and to be trusted, within this many standard deviations of the factor.
 FITTED = 3.0
-DEGREE = 4  # of it; with 2 a store of fast corners was worth 0.3 % less than it can be, now 0.04 %
+DEGREE = 4  # of it; with 2 a store of fast corners lost 0.3 % of its value, now 0.04 %
 
 
 @dataclass(frozen=True, eq=False)

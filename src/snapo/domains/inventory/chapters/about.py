@@ -37,7 +37,7 @@ class CaseSummary:
 
     @classmethod
     def of(cls, run: RunFiles) -> "CaseSummary":
-        """That of a run; an entry that it lacks has its default."""
+        """That of a run; a missing entry has its default."""
         entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
         return cls(**{name: value for name, value in entries.items() if value is not None})
 
@@ -48,7 +48,7 @@ class CaseSummary:
 
 
 def about(case: AnyCase) -> dict[str, Any]:
-    """Title, units, periods, the objective in words; the lead time of an item."""
+    """Title, units, periods, the objective as text; the lead time of an item."""
     per = f" of a {case.period}" if case.discount == 1 else ", discounted"
     unit = case.value_unit if case.objective.keeps_unit else ""
     entries = {
@@ -67,9 +67,9 @@ def about(case: AnyCase) -> dict[str, Any]:
         "other_leads": case.other_leads,
     }
     if isinstance(case, NetworkCase):
-        sellers = [case.sites[i] for i in case.sellers]
-        demand = "; ".join(f"{x.name}: {x.demand.describe()}" for x in sellers if x.demand)
-        return entries | {"network": True, "lost": case.lost, "demand": demand}
+        sellers = [case.network.sites[i].name for i in case.network.sellers]
+        demands = [f"{name}: {x.describe()}" for name, x in zip(sellers, case.demands)]
+        return entries | {"network": True, "lost": case.network.lost, "demand": "; ".join(demands)}
     item = {
         "lead_time": case.item.lead_time,
         "lost": case.item.lost,
@@ -84,7 +84,7 @@ def units_of(case: AnyCase) -> dict[str, str]:
     outputs, averages = OUTPUTS, AVERAGES
     counts = ["orders", "cycles", "cycles_met"]
     if isinstance(case, NetworkCase):
-        names = [position.name for position in case.sites]
+        names = [site.name for site in case.network.sites]
         ways = (*NETWORK_AVERAGES, "sent", "received")
         averages = (*NETWORK_AVERAGES, *(f"{path}_{name}" for path in ways for name in names))
         outputs, counts = NETWORK_OUTPUTS, ["orders", *(f"orders_{name}" for name in names)]

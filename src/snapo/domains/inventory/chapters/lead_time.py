@@ -1,4 +1,4 @@
-"""A period of lead time less, and one more: each trained anew, on the same paths."""
+"""A period of lead time less, and one more: each trained again, on the same paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ class OtherLeadTime:
 
 @dataclass(frozen=True)
 class OtherLeadTimes:
-    """Each other lead time alone; of a network, of every place by itself."""
+    """Each other lead time by itself; of a network, of every place by itself."""
 
     lead_time_change: tuple[OtherLeadTime, ...]
 
@@ -45,11 +45,11 @@ class OtherLeadTimes:
 def measure(run: StudyRun) -> OtherLeadTimes:
     """A period less and a period more, as far as a case may have them."""
     rows = []
-    for position, lead, other, case in _other_cases(run.setup):
+    for site, lead, other, case in _other_cases(run.setup):
         if 0 <= other <= LONGEST_LEAD:
             change = _change(run, make_setup(case, run.setup.engines.name))
-            rows.append(OtherLeadTime(position, other, change.value, change.standard_error))
-            where = f" of {position}" if position else ""
+            rows.append(OtherLeadTime(site, other, change.value, change.standard_error))
+            where = f" of {site}" if site else ""
             run.progress(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
     return OtherLeadTimes(tuple(rows))
 
@@ -57,17 +57,13 @@ def measure(run: StudyRun) -> OtherLeadTimes:
 def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
     """(place, its lead time, the other one, the case with it); the horizon stays."""
     if isinstance(setup.problem.simulator, NetworkSimulator):
-        network = network_of(setup)
-        for i, position in enumerate(network.sites):
-            for other in (position.lead_time - 1, position.lead_time + 1):
-                sites = list(network.sites)
-                sites[i] = replace(position, lead_time=other)
-                yield (
-                    position.name,
-                    position.lead_time,
-                    other,
-                    replace(network, sites=tuple(sites)),
-                )
+        case = network_of(setup)
+        for i, site in enumerate(case.network.sites):
+            for other in (site.lead_time - 1, site.lead_time + 1):
+                sites = list(case.network.sites)
+                sites[i] = replace(site, lead_time=other)
+                network = replace(case.network, sites=tuple(sites))
+                yield site.name, site.lead_time, other, replace(case, network=network)
     else:
         case = case_of(setup)
         for other in (case.item.lead_time - 1, case.item.lead_time + 1):

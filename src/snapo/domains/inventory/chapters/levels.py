@@ -11,12 +11,10 @@ import numpy as np
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, legend_above, unit_above
+from snapo.report.drawing import LIGHT, draw, legend_above, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import number
-from snapo.report.theme import LIGHT
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import Setup, StudyRun, Today
 

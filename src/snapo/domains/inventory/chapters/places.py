@@ -22,7 +22,7 @@ from .service import CostAndService, PathMean
 class PlaceService:
     """A place: averages of a period, each with its standard error.
 
-    - `level`: up to which it orders, with a cost of an order over its orders alone.
+    - `level`: up to which it orders, with a cost of an order over its orders only.
     - `supplier`: empty where goods come from outside.
     - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
     - `demand`, `fill_rate`: where it has customers.
@@ -52,17 +52,17 @@ def measure(run: StudyRun) -> NetworkService:
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
-    sites = tuple(_place(case, site, paths) for site in case.sites)
+    sites = tuple(_place(case, site, paths) for site in case.network.sites)
     return NetworkService(service.service_of(paths), service.costs_of(paths, names), sites)
 
 
 def _place(case: NetworkCase, site: Site, paths: PathTotals) -> PlaceService:
-    name, fixed, sells = site.name, site.fixed, site.demand is not None
+    name, fixed, sells = site.name, site.fixed, site.sells
     pooled, level, orders = f"sent_{name}" in paths.totals, f"level_{name}", f"orders_{name}"
     return PlaceService(
         name,
         service.ratio(paths, level, orders) if fixed else service.total(paths, level),
-        "" if site.supplier is None else case.sites[site.supplier].name,
+        "" if site.supplier is None else case.network.sites[site.supplier].name,
         service.total(paths, f"stock_{name}"),
         service.total(paths, orders) if fixed else None,
         service.ratio(paths, f"ordered_{name}", orders) if fixed else None,
@@ -128,7 +128,7 @@ def network_tables(paths: PathTotals) -> list[LiveTable]:
     case = network_of(paths.setup)
     columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
     rows = []
-    for site in (_place(case, location, paths) for location in case.sites):
+    for site in (_place(case, location, paths) for location in case.network.sites):
         rate = site.fill_rate.times(100) if site.fill_rate else (None, None)
         rows.append((site.name, *site.stock.times(1), *rate))
     return [*service.live_tables(paths), LiveTable("Places", columns, rows)]

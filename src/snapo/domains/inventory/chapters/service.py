@@ -7,14 +7,14 @@ import numpy as np
 
 from snapo.report.evidence import notes
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Section, Table
 from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.headline import marks
 from snapo.study.study import LiveTable, PathTotals, StudyRun
 
-from ..setup import case_of
+from ..setup import AnyCase, case_of
 from .about import CaseSummary
 
 COSTS = ("holding", "shortage", "purchase", "ordering", "transshipment")
@@ -167,7 +167,7 @@ SERVICE = Chapter("service", "Cost and service", CostAndService, measure, show)
 
 def live_tables(paths: PathTotals) -> list[LiveTable]:
     """Service and costs as the live page shows them."""
-    case = paths.setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
+    case: AnyCase = paths.setup.case
     units = {"stock": case.unit, "demand": f"{case.unit}/{case.period}"}
     rows = []
     for name, mean in service_of(paths).items():

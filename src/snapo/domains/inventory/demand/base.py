@@ -1,11 +1,12 @@
 """What every kind of demand can do, and the list of all kinds.
 
 Demand of a period is a function of one standard normal and of the demand's parameters, with a
-derivative by them in both simulators. Periods differ by a factor of the mean.
+derivative with respect to them in both simulators. Periods differ by a factor of the mean.
 """
 
 import abc
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -13,15 +14,30 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
+from snapo.case.quantity import POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.form import Use
+from snapo.problem.inputs import Input
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
 
 Parameters = Mapping[str, Any]
 
 
+def mean_key(range: Range = POSITIVE, default: Any = ...) -> Any:
+    """The key `mean` of a table, of a period whose factor is 1."""
+    quantity = Quantity("1", range, "demand", name=MEAN)
+    return quantity("mean demand of a period", default)
+
+
+def deviation_key(note: str = "", default: Any = ...) -> Any:
+    """The key `deviation` of a table, of a period whose factor is 1; `note` on its range."""
+    quantity = Quantity("1", POSITIVE._replace(note=note), "demand", name=DEVIATION)
+    return quantity("standard deviation of the demand of a period", default)
+
+
 class Demand(eqx.Module):
-    """Demand of one period, by period.
+    """Demand of one period, by period: static fields, arrays, and its parameters.
 
     **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether it
     comes in whole units.
@@ -33,13 +49,17 @@ class Demand(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def read(cls, section: TableContext, table: Any, unit: str, maximum: float) -> Self:
-        """From its table; `unit` of demand in a period, `maximum` the largest factor of a
+    def read(cls, section: TableContext, table: Any, maximum: float) -> Self:
+        """From its table, whose numbers have their units; `maximum`: the largest factor of a
         period."""
 
-    @abc.abstractmethod
     def inputs(self) -> tuple[CaseInput, ...]:
         """Its parameters: differentiable inputs under their names."""
+        return tuple(x for x in vars(self).values() if isinstance(x, CaseInput))
+
+    def names(self) -> tuple[str, ...]:
+        """Those of its parameters, in a case and in a simulator."""
+        return tuple(x.name for x in vars(self).values() if isinstance(x, CaseInput | Use))
 
     @abc.abstractmethod
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
@@ -78,28 +98,18 @@ KINDS: dict[str, type[Demand]] = {}
 
 
 def register(demand: type[Demand]) -> type[Demand]:
-    """Makes a demand known under its `kind`; one that lacks a part of its behaviour is refused."""
+    """Makes a demand known under its `kind`; one without a part of its behaviour is refused."""
     missing = sorted(getattr(demand, "__abstractmethods__", ()))
     missing += [name for name in ("kind", "table") if not hasattr(demand, name)]
     if missing:
-        raise TypeError(f"demand {demand.__name__} lacks {', '.join(missing)}")
+        raise TypeError(f"demand {demand.__name__} has no {', '.join(missing)}")
     if demand.kind in KINDS:
         raise TypeError(f"demand {demand.__name__}: {demand.kind!r} is known already")
     KINDS[demand.kind] = demand
     return demand
 
 
-def mean_given(value: float, unit: str) -> CaseInput:
-    """The mean of a period whose factor is 1."""
-    text = "mean demand of a period"
-    return CaseInput(
-        MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", meaning=text
-    )
-
-
-def deviation_given(value: float, unit: str) -> CaseInput:
-    """The standard deviation of a period whose factor is 1."""
-    text = "standard deviation of the demand of a period"
-    return CaseInput(
-        DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", meaning=text
-    )
+def as_input(numbers: CaseInput) -> Input:
+    """Numbers of a case as an input; one number as itself, not as a list of one."""
+    made = numbers.input()
+    return made if numbers.labels != ("",) else replace(made, value=made.value.reshape(()))

@@ -1,4 +1,5 @@
-"""Demand in whole units: the quantile of its distribution, with a derivative by its parameters.
+"""Demand in whole units: the quantile of its distribution, with a derivative with respect to its
+parameters.
 
 Demand k is drawn where the uniform number u lies between F(k - 1) and F(k), F being the
 distribution function. A step function has no useful derivative; this one is given
@@ -20,30 +21,34 @@ variance larger by 1/12, and with the derivative of that quantile.
 import abc
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
-from .base import Demand, Parameters
+from snapo.case.quantity import Range
 
-TAIL = 1e-8  # the chance of a demand above those that are counted
-ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
+from .base import Demand, Parameters, mean_key
+
+LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
+TAIL = 1e-8  # the probability of a demand above those that are counted
+ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
 
 class CountDemand(Demand):
     """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
 
-    - `maximum`: static, the number of demands above zero that are told apart.
+    - `maximum`: the number of demands above zero that are distinguished.
     """
 
     integer = True
-    maximum: int
+    maximum: int = eqx.field(static=True)
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
-        """ln of the chance of demand `k`, shaped like both together."""
+        """ln of the probability of demand `k`, shaped like both together."""
 
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
         """`below` [T, K]: F(k - 1); `probability` [T, K]: p(k)."""
@@ -77,6 +82,11 @@ def _moved(level: Array, size: Array) -> Array:
     return (jax.lax.stop_gradient(level) - level) / size
 
 
+def count_mean() -> Any:
+    """The key `mean` of demand in whole units, each of which is distinguished."""
+    return mean_key(LARGEST)
+
+
 def most_of(quantile: Any) -> int:
-    """The largest demand that is told apart, of SciPy's quantile function at the largest mean."""
+    """The largest distinguished demand, by SciPy's quantile function at the largest mean."""
     return int(np.ceil(quantile(1 - TAIL))) + 1

@@ -2,6 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -10,45 +11,52 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import CaseInput
+from snapo.case.quantity import POSITIVE, quantity_of
 from snapo.case.table import CaseTable, TableContext
 
-from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
+from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
 FEWEST, MAXIMUM = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
+FileName = Annotated[str, Field(min_length=1)]
+MOVED = POSITIVE._replace(note=": the history is moved to this mean")
+STRETCHED = ": the history is stretched to this standard deviation"
 
 
 class EmpiricalTable(CaseTable):
     """`[demand]` of kind "empirical"."""
 
     kind: Literal["empirical"]
-    history: Annotated[str, Field(min_length=1)] = Field(
+    history: FileName = Field(
         description="the name of a CSV file with columns period,demand, and factor if need be"
     )
-    mean: Annotated[float, Field(gt=0)] | None = Field(
-        None, description="a number above 0: the history is moved to this mean"
-    )
-    deviation: Annotated[float, Field(gt=0)] | None = Field(
-        None, description="a number above 0: the history is stretched to this standard deviation"
-    )
+    mean: CaseInput | None = mean_key(MOVED, None)
+    deviation: CaseInput | None = deviation_key(STRETCHED, None)
 
 
 @register
 class EmpiricalDemand(Demand):
-    """A period of the history, by chance.
+    """A period of the history, drawn at random.
 
     Where the history has a column `factor`, its demand is divided by it, and a period drawn is
-    multiplied by its own factor. The mean moves all numbers alike, the deviation stretches them.
+    multiplied by its own factor. The mean moves all numbers by the same
+    amount, the deviation stretches them.
+
+    - `numbers`: of the history, sorted; `scores`: the same with mean 0 and deviation 1.
+    - `whole`: whether all are; `moved`: whether the case gives another mean or deviation.
     """
 
     kind = "empirical"
     table = EmpiricalTable
-    numbers: tuple[float, ...]
-    unit: str
-    mean: float | None = None
-    spread: float | None = None
+    mean: CaseInput
+    spread: CaseInput
+    numbers: Float[np.ndarray, " n"]
+    scores: Float[np.ndarray, " n"]
+    whole: bool = eqx.field(static=True)
+    moved: bool = eqx.field(static=True)
 
     @classmethod
-    def read(cls, section: TableContext, table: EmpiricalTable, unit: str, maximum: float):
+    def read(cls, section: TableContext, table: EmpiricalTable, maximum: float):
         reference = FileReference(section, "history", table.history)
         rows = read_rows(reference, ["period", "demand"], ["factor"])
         if not FEWEST <= len(rows) <= MAXIMUM:
@@ -62,29 +70,25 @@ class EmpiricalDemand(Demand):
         if max(numbers) == min(numbers):
             message = "demand is the same in all periods: there is nothing to draw from"
             raise CaseError(table.history, "", None, message)
-        return cls(tuple(sorted(numbers)), unit, table.mean, table.deviation)
-
-    def inputs(self):
-        mean, spread = self._moments()
-        return mean_given(mean, self.unit), deviation_given(spread, self.unit)
-
-    def _moments(self) -> tuple[float, float]:
-        """Mean and standard deviation: the history's own, or those that the case moves it to."""
-        numbers = np.array(self.numbers)
-        mean = float(numbers.mean()) if self.mean is None else self.mean
-        return mean, float(numbers.std()) if self.spread is None else self.spread
+        numbers = np.sort(numbers)
+        return cls(
+            mean=table.mean or _moment(section, "mean", numbers.mean()),
+            spread=table.deviation or _moment(section, "deviation", numbers.std()),
+            numbers=numbers,
+            scores=(numbers - numbers.mean()) / numbers.std(),
+            whole=all(x == round(x) for x in numbers),
+            moved=table.mean is not None or table.deviation is not None,
+        )
 
     def prepare(self, parameters, factors):
-        numbers = np.array(self.numbers)
-        scores = jnp.asarray((numbers - numbers.mean()) / numbers.std())
-        levels = parameters[MEAN] + parameters[DEVIATION] * scores
+        levels = parameters[MEAN] + parameters[DEVIATION] * jnp.asarray(self.scores)
         return {
             "factor": factors,
-            "levels": jnp.broadcast_to(levels, (*factors.shape, len(numbers))),
+            "levels": jnp.broadcast_to(levels, (*factors.shape, *self.scores.shape)),
         }
 
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
-        levels, n = now["levels"], len(self.numbers)
+        levels, n = now["levels"], now["levels"].shape[0]
         position = ndtr(normal) * n
         k = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, n - 1)
         return now["factor"] * levels[k]
@@ -97,14 +101,21 @@ class EmpiricalDemand(Demand):
         return np.bincount(complete) / len(complete)
 
     def integral(self) -> bool:
-        return self.in_pieces() and self.mean is None and self.spread is None
+        return self.whole and not self.moved
 
     def in_pieces(self) -> bool:
-        return all(x == round(x) for x in self.numbers)
+        return self.whole
 
     def describe(self) -> str:
-        mean, spread = self._moments()
+        mean, spread = self.mean.values[0], self.spread.values[0]
         return (
             f"drawn from {len(self.numbers)} periods, mean {mean:.4g}, "
             f"standard deviation {spread:.4g}"
         )
+
+
+def _moment(section: TableContext, key: str, value: float) -> CaseInput:
+    """A moment of the history, where the case has no other: written, it would be under `key`."""
+    quantity = quantity_of(EmpiricalTable.model_fields[key])
+    assert quantity is not None
+    return quantity.input(quantity.name, [value], positions=((*section.keys, key),))

@@ -3,21 +3,20 @@
 from typing import Literal
 
 import jax.numpy as jnp
-from pydantic import Field
 from scipy import stats
 
+from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
 
-from .base import MEAN, mean_given, register
-from .counts import ROOM, CountDemand, most_of
-from .sizes import MEANS, MeanSize
+from .base import MEAN, register
+from .counts import ROOM, CountDemand, count_mean, most_of
 
 
 class GeometricTable(CaseTable):
     """`[demand]` of kind "geometric"."""
 
     kind: Literal["geometric"]
-    mean: MeanSize = Field(description=MEANS)
+    mean: CaseInput = count_mean()
 
 
 @register
@@ -26,17 +25,12 @@ class GeometricDemand(CountDemand):
 
     kind = "geometric"
     table = GeometricTable
-    maximum: int
-    mean: float
-    unit: str
+    mean: CaseInput
 
     @classmethod
-    def read(cls, section: TableContext, table: GeometricTable, unit: str, maximum: float):
-        mean = ROOM * maximum * table.mean
-        return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean, unit)
-
-    def inputs(self):
-        return (mean_given(self.mean, self.unit),)
+    def read(cls, section: TableContext, table: GeometricTable, maximum: float):
+        mean = ROOM * maximum * table.mean.values[0]
+        return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor
@@ -47,4 +41,4 @@ class GeometricDemand(CountDemand):
         return (mean * (1 + mean)) ** 0.5
 
     def describe(self) -> str:
-        return f"geometric, mean {self.mean:g}"
+        return f"geometric, mean {self.mean.values[0]:g}"

@@ -4,22 +4,21 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
-from pydantic import Field
 from scipy import stats
 
-from snapo.case.table import CaseTable, Positive, TableContext
+from snapo.case.given import CaseInput
+from snapo.case.table import CaseTable, TableContext
 
-from .base import DEVIATION, MEAN, deviation_given, mean_given, register
-from .counts import ROOM, CountDemand, most_of
-from .sizes import MEANS, MeanSize
+from .base import DEVIATION, MEAN, deviation_key, register
+from .counts import ROOM, CountDemand, count_mean, most_of
 
 
 class NegativeBinomialTable(CaseTable):
     """`[demand]` of kind "negative-binomial"."""
 
     kind: Literal["negative-binomial"]
-    mean: MeanSize = Field(description=MEANS)
-    deviation: Positive = Field(description="a number above 0, above the root of the mean")
+    mean: CaseInput = count_mean()
+    deviation: CaseInput = deviation_key(", above the root of the mean")
 
 
 @register
@@ -31,27 +30,23 @@ class NegativeBinomialDemand(CountDemand):
 
     kind = "negative-binomial"
     table = NegativeBinomialTable
-    maximum: int
-    mean: float
-    spread: float
-    unit: str
+    mean: CaseInput
+    spread: CaseInput
 
     @classmethod
-    def read(cls, section: TableContext, table: NegativeBinomialTable, unit: str, maximum: float):
-        if table.deviation**2 <= 1.01 * table.mean:
-            minimum = (1.01 * table.mean) ** 0.5
+    def read(cls, section: TableContext, table: NegativeBinomialTable, maximum: float):
+        mean, deviation = float(table.mean.values[0]), float(table.deviation.values[0])
+        if deviation**2 <= 1.01 * mean:
+            minimum = (1.01 * mean) ** 0.5
             message = f"allowed is a number above {minimum:.4g}, of a Poisson demand; see that kind"
-            raise section.error("deviation", table.deviation, message)
-        if table.deviation > 10 * table.mean:
-            message = f"allowed is at most ten times the mean, {10 * table.mean:g}"
-            raise section.error("deviation", table.deviation, message)
-        size = table.mean**2 / (table.deviation**2 - table.mean)
-        mean = ROOM * maximum * table.mean
-        result = most_of(stats.nbinom(size, size / (size + mean)).ppf)
-        return cls(result, table.mean, table.deviation, unit)
-
-    def inputs(self):
-        return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
+            raise section.error("deviation", deviation, message)
+        if deviation > 10 * mean:
+            message = f"allowed is at most ten times the mean, {10 * mean:g}"
+            raise section.error("deviation", deviation, message)
+        size = mean**2 / (deviation**2 - mean)
+        largest = ROOM * maximum * mean
+        result = most_of(stats.nbinom(size, size / (size + largest)).ppf)
+        return cls(result, table.mean, table.deviation)
 
     def logarithms(self, parameters, factor, k):
         mean, size = parameters[MEAN] * factor, _size(parameters)
@@ -63,7 +58,8 @@ class NegativeBinomialDemand(CountDemand):
         return (mean + mean**2 / _size(parameters)) ** 0.5
 
     def describe(self) -> str:
-        return f"negative binomial, mean {self.mean:g}, standard deviation {self.spread:g}"
+        mean, spread = self.mean.values[0], self.spread.values[0]
+        return f"negative binomial, mean {mean:g}, standard deviation {spread:g}"
 
 
 def _size(parameters):

@@ -2,19 +2,18 @@
 
 from typing import Literal
 
-from pydantic import Field
+from snapo.case.given import CaseInput
+from snapo.case.table import CaseTable, TableContext
 
-from snapo.case.table import CaseTable, Positive, TableContext
-
-from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
+from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
 
 class NormalTable(CaseTable):
     """`[demand]` of kind "normal"."""
 
     kind: Literal["normal"]
-    mean: Positive = Field(description="a number above 0")
-    deviation: Positive = Field(description="a number above 0")
+    mean: CaseInput = mean_key()
+    deviation: CaseInput = deviation_key()
 
 
 @register
@@ -23,19 +22,16 @@ class NormalDemand(Demand):
 
     kind = "normal"
     table = NormalTable
-    mean: float
-    spread: float
-    unit: str
+    mean: CaseInput
+    spread: CaseInput
 
     @classmethod
-    def read(cls, section: TableContext, table: NormalTable, unit: str, maximum: float):
-        if table.deviation > table.mean:
-            message = f"allowed is at most the mean, {table.mean:g}: demand would often be below 0"
-            raise section.error("deviation", table.deviation, message)
-        return cls(table.mean, table.deviation, unit)
-
-    def inputs(self):
-        return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
+    def read(cls, section: TableContext, table: NormalTable, maximum: float):
+        mean, deviation = table.mean.values[0], table.deviation.values[0]
+        if deviation > mean:
+            message = f"allowed is at most the mean, {mean:g}: demand would often be below 0"
+            raise section.error("deviation", float(deviation), message)
+        return cls(table.mean, table.deviation)
 
     def prepare(self, parameters, factors):
         return {"mean": parameters[MEAN] * factors, "deviation": parameters[DEVIATION] * factors}
@@ -47,4 +43,5 @@ class NormalDemand(Demand):
         return parameters[DEVIATION] * factors
 
     def describe(self) -> str:
-        return f"normal, mean {self.mean:g}, standard deviation {self.spread:g}"
+        mean, spread = self.mean.values[0], self.spread.values[0]
+        return f"normal, mean {mean:g}, standard deviation {spread:g}"

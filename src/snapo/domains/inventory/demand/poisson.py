@@ -4,21 +4,20 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
-from pydantic import Field
 from scipy import stats
 
+from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
 
-from .base import MEAN, mean_given, register
-from .counts import ROOM, CountDemand, most_of
-from .sizes import MEANS, MeanSize
+from .base import MEAN, register
+from .counts import ROOM, CountDemand, count_mean, most_of
 
 
 class PoissonTable(CaseTable):
     """`[demand]` of kind "poisson"."""
 
     kind: Literal["poisson"]
-    mean: MeanSize = Field(description=MEANS)
+    mean: CaseInput = count_mean()
 
 
 @register
@@ -27,16 +26,12 @@ class PoissonDemand(CountDemand):
 
     kind = "poisson"
     table = PoissonTable
-    maximum: int
-    mean: float
-    unit: str
+    mean: CaseInput
 
     @classmethod
-    def read(cls, section: TableContext, table: PoissonTable, unit: str, maximum: float):
-        return cls(most_of(stats.poisson(ROOM * maximum * table.mean).ppf), table.mean, unit)
-
-    def inputs(self):
-        return (mean_given(self.mean, self.unit),)
+    def read(cls, section: TableContext, table: PoissonTable, maximum: float):
+        mean = ROOM * maximum * table.mean.values[0]
+        return cls(most_of(stats.poisson(mean).ppf), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor
@@ -46,4 +41,4 @@ class PoissonDemand(CountDemand):
         return (parameters[MEAN] * factors) ** 0.5
 
     def describe(self) -> str:
-        return f"Poisson, mean {self.mean:g}"
+        return f"Poisson, mean {self.mean.values[0]:g}"

@@ -2,10 +2,14 @@
 
 import pkgutil
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import jax
+
+from snapo.case.given import CaseInput
 from snapo.case.table import TableContext, parse, record_kinds
 
 from .base import KINDS, Demand
@@ -23,11 +27,12 @@ def kinds() -> dict[str, type[Demand]]:
 def read_demand(
     section: TableContext, data: Mapping[str, Any], unit: str, maximum: float
 ) -> Demand:
-    """The demand of the table `[demand]`; `maximum`: the largest factor of a period."""
+    """The demand of the table `[demand]`, in `unit`; `maximum`: the largest factor of a period."""
     kind = data.get("kind")
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
         available = ", ".join(f'"{item}"' for item in sorted(KINDS))
         raise section.error("kind", kind, f"allowed is one of {available}")
     table = parse(KINDS[kind].table, data, str(section.file), section.name)
-    return KINDS[kind].read(section, table, unit, maximum)
+    demand = KINDS[kind].read(section, table, maximum)
+    return jax.tree.map(lambda x: replace(x, unit=unit) if isinstance(x, CaseInput) else x, demand)

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import CaseInput, FilePosition
+from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.problem.inputs import Input
 
-from ..demand.base import Demand
+from ..demand.base import Demand, as_input
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +104,12 @@ class InventoryCase:
         return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
 
     @property
-    def positions(self) -> dict[str, tuple[FilePosition, ...]]:
-        """{input: its position} of the numbers of the demand."""
-        keys = [x.name for x in self.demand.inputs()]
-        return {key: (("demand", key.removeprefix("demand_")),) for key in keys}
-
-    @property
     def seasonal(self) -> bool:
         """Whether periods differ."""
         return len(self.season.values) > 1
+
+    def inputs(self) -> dict[str, Input]:
+        """Every number that has a sensitivity."""
+        season = [self.season] if self.seasonal else []
+        numbers = [*self.item.inputs(), *self.demand.inputs(), *season]
+        return {x.name: as_input(x) for x in numbers}

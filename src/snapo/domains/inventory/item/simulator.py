@@ -14,23 +14,25 @@ Zipkin, Old and new methods for lost-sales inventory systems, Operations Researc
 
 Where an order has a cost of its own, training draws at random whether there is one, with the
 probability that the policy gives, and multiplies costs by the likelihood of what was drawn
-(`Choice.draw`). Placing a part of an order in place of that would be another problem: its best rule
+(`Choice.draw`). Placing a part of an order instead of that would be another problem: its best rule
 is as sharp as it can be, and derivatives through a sharp threshold explode. (Trained so, rules
 came to cost 1 to 18 % more than the best one, and the first rule was kept.)
 """
 
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from snapo.problem.actions import Actions, Box, Choice, Integers, Product
-from snapo.problem.inputs import Input
+from snapo.problem.form import formed
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..demand.base import MEAN
+from ..demand.base import MEAN, Demand
 from .estimates import memory, safety_factor, usual_cost
 from .records import InventoryCase
 
@@ -41,7 +43,13 @@ AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "
 
 
 class InventorySimulator(Simulator):
-    """One path of an item; the inputs are those of `inputs_of(case)`.
+    """One path of an item; the inputs are those of `InventoryCase.inputs`.
+
+    It holds no case: all in which two items of one form differ is an array, or an input.
+
+    **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
+    periods differ; `demand`: of the case, `formed`; `weights`, `counted` [T] as of the case; and
+    its estimates `safety_factor`, `usual_cost` and `memory`.
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
     "missed" (1 if demand was unmet since the last arrival; of the value alone), and with a cost of
@@ -50,71 +58,100 @@ class InventorySimulator(Simulator):
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
     "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered"; and of the
-    value alone "cycles", which end with an arrival, and "cycles_met", without unmet demand.
+    value only "cycles", which end with an arrival, and "cycles_met", without unmet demand.
     """
 
-    case: InventoryCase = eqx.field(static=True)
+    lost: bool = eqx.field(static=True)
+    lead_time: int = eqx.field(static=True)
+    integer: bool = eqx.field(static=True)
+    fixed: bool = eqx.field(static=True)
+    seasonal: bool = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    action: Actions = eqx.field(static=True)
+    demand: Demand
+    weights: Float[np.ndarray, " T"]
+    counted: Float[np.ndarray, " T"]
+    safety_factor: Float[np.ndarray, ""]
+    usual_cost: Float[np.ndarray, ""]
+    memory: Float[np.ndarray, ""]
     fully_observed = True
+
+    @classmethod
+    def of(cls, case: InventoryCase) -> Self:
+        """The simulator of a case."""
+        item = case.item
+        size = Integers(0, item.maximum) if item.integer else Box(0.0, item.maximum)
+        return cls(  # pyright: ignore[reportCallIssue]
+            lost=item.lost,
+            lead_time=item.lead_time,
+            integer=item.integer,
+            fixed=item.fixed,
+            seasonal=case.seasonal,
+            horizon=case.horizon,
+            action=Product(order=Choice(2), size=size) if item.fixed else size,
+            demand=formed(case.demand),
+            weights=case.weights,
+            counted=case.counted,
+            safety_factor=np.asarray(safety_factor(case)),
+            usual_cost=np.asarray(usual_cost(case)),
+            memory=np.asarray(memory(case)),
+        )
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Demand, and what decides whether an order is placed in training."""
-        return 2 if self.case.item.fixed else 1
-
-    @property
-    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.case.horizon
-
-    @property
-    def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
-        item = self.case.item
-        size = Integers(0, item.maximum) if item.integer else Box(0.0, item.maximum)
-        return Product(order=Choice(2), size=size) if item.fixed else size
+        return 2 if self.fixed else 1
 
     def prepare(self, inputs: Any) -> Schedule:
-        case, item = self.case, self.case.item
-        ahead = np.add.outer(np.arange(self.horizon), np.arange(item.lead_time + 1))
-        season = jnp.asarray(inputs.get("season", np.ones(1)))[ahead % len(case.season.values)]
-        mean, deviation = inputs[MEAN] * season, case.demand.deviation(inputs, season)
-        usual = deviation[: len(case.season.values), 0].mean()
+        ahead = np.add.outer(np.arange(self.horizon), np.arange(self.lead_time + 1))
+        factors = jnp.asarray(inputs.get("season", np.ones(1)))
+        season = factors[ahead % len(factors)]
+        mean, deviation = inputs[MEAN] * season, self.demand.deviation(inputs, season)
+        usual = deviation[: len(factors), 0].mean()
         safety = jnp.sqrt(jnp.sum(deviation**2, 1))
-        level = jnp.sum(mean, 1) + safety_factor(case) * safety
+        level = jnp.sum(mean, 1) + self.safety_factor * safety
         steps = {
-            "demand": case.demand.prepare(inputs, season[:, 0]),
-            "weight": jnp.asarray(case.weights),
-            "counted": jnp.asarray(case.counted),
+            "demand": self.demand.prepare(inputs, season[:, 0]),
+            "weight": jnp.asarray(self.weights),
+            "counted": jnp.asarray(self.counted),
             "level": level,
             "mean": mean,
         }
         costs = {name: inputs[f"{name}_cost"] for name in ("holding", "shortage", "purchase")}
-        costs["order"] = inputs["order_cost"] if item.fixed else jnp.zeros(())
+        costs["order"] = inputs["order_cost"] if self.fixed else jnp.zeros(())
         constants = {
             **costs,
             "usual": usual,
-            "typical": mean[: len(case.season.values), 0].mean(),
+            "typical": mean[: len(factors), 0].mean(),
             "stock": self._stock(inputs, level[0], mean[0]),
             "coming": self._coming(inputs, mean[0]),
         }
+        if self.fixed:
+            # What was drawn long ago has no effect on a period, only noise.
+            constants |= {"usual_cost": self.usual_cost, "remembered": 1 - 1 / self.memory}
         return Schedule(constants, steps)
+
+    def on_paths(self):
+        return jax.tree.map(lambda leaf: None, self)
 
     def _stock(self, inputs, level, mean):
         """Given, or the level less the orders on their way."""
         if "start_stock" in inputs:
             return jnp.asarray(inputs["start_stock"])[0]
         usual = jnp.maximum(level - jnp.sum(mean[1:]), 0.0)
-        return jnp.round(usual) if self.case.item.integer else usual
+        return jnp.round(usual) if self.integer else usual
 
     def _coming(self, inputs, mean):
         if "start_coming" in inputs:
             return jnp.asarray(inputs["start_coming"])
-        usual = mean[1 : max(self.case.item.lead_time, 1)]
-        return jnp.round(usual) if self.case.item.integer else usual
+        usual = mean[1 : max(self.lead_time, 1)]
+        return jnp.round(usual) if self.integer else usual
 
     def initial(self, constants, noise):
         state = {"stock": constants["stock"], "missed": jnp.zeros(())}
-        if self.case.item.fixed:
+        if self.fixed:
             state["likelihood"] = jnp.ones(())
-        return state | ({"coming": constants["coming"]} if self.case.item.lead_time > 1 else {})
+        return state | ({"coming": constants["coming"]} if self.lead_time > 1 else {})
 
     def observe(self, constants, now, state):
         """[gap to the base-stock level, usual deviation, stock, coming …, season …]; all but the
@@ -122,24 +159,24 @@ class InventorySimulator(Simulator):
         unit = constants["usual"]
         stock, coming = state["stock"], state.get("coming", jnp.zeros(0))
         gap = (now["level"] - stock - jnp.sum(coming)) / unit
-        lead = self.case.item.lead_time
+        lead = self.lead_time
         observed = [
             jnp.stack([gap, unit, (stock - now["mean"][0]) / unit]),
             (coming - now["mean"][1 : max(lead, 1)]) / unit,
         ]
-        if self.case.seasonal:
+        if self.seasonal:
             observed.append((now["mean"] - constants["typical"]) / unit)
         return jnp.concatenate(observed)
 
     def step(self, constants, now, state, action, noise, smooth):
-        item, corner = self.case.item, CORNER * constants["usual"]
-        action, likelihood = self._drawn(state, action, noise, smooth)
-        placed, order = _order(self.action, action, item.fixed, smooth)
-        # In training orders follow a curve of the stock; a derivative by whole demand is right on
-        # lines that are straight between whole numbers alone.
+        corner = CORNER * constants["usual"]
+        action, likelihood = self._drawn(constants, state, action, noise, smooth)
+        placed, order = _order(self.action, action, self.fixed, smooth)
+        # In training orders follow a curve of the stock; a derivative with respect to whole demand
+        # is right on lines that are straight between whole numbers only.
         spread = not isinstance(smooth, Exact)
-        demand = self.case.demand.draw(now["demand"], noise[0], spread)
-        stock = state["stock"] + (order if item.lead_time == 0 else 0.0)
+        demand = self.demand.draw(now["demand"], noise[0], spread)
+        stock = state["stock"] + (order if self.lead_time == 0 else 0.0)
         # Corners are differentiated upwards in stock: see `demand.counts`.
         left = smooth.positive_part(stock - demand, corner)
         short = left - (stock - demand)
@@ -151,20 +188,20 @@ class InventorySimulator(Simulator):
             "ordering": constants["order"] * placed,
         }
         costs = {name: now["weight"] * part for name, part in parts.items()}
-        unmet = smooth.indicator(short - (0.5 if self.case.demand.integral() else 1e-3), corner)
-        missed, cycles = _cycle(state, order, unmet, item.lead_time, smooth)
+        unmet = smooth.indicator(short - (0.5 if self.demand.integral() else 1e-3), corner)
+        missed, cycles = _cycle(state, order, unmet, self.lead_time, smooth)
         averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order, *cycles)))
         outputs = {"result": -sum(costs.values()), **costs}
         outputs |= {name: now["counted"] * average for name, average in averages.items()}
-        if item.fixed:
-            outputs = _weighted(outputs, likelihood, now["weight"] * usual_cost(self.case))
-        after = left if item.lost else stock - demand
-        moved = _next(state, after, order, item.lead_time) | {"missed": missed}
-        return moved | ({"likelihood": likelihood} if item.fixed else {}), outputs
+        if self.fixed:
+            outputs = _weighted(outputs, likelihood, now["weight"] * constants["usual_cost"])
+        after = left if self.lost else stock - demand
+        moved = _next(state, after, order, self.lead_time) | {"missed": missed}
+        return moved | ({"likelihood": likelihood} if self.fixed else {}), outputs
 
-    def _drawn(self, state, action, noise, smooth):
+    def _drawn(self, constants, state, action, noise, smooth):
         """(action, likelihood): in training with whether to order drawn, if that has a cost."""
-        if not self.case.item.fixed:
+        if not self.fixed:
             return action, 1.0
         if isinstance(smooth, Exact):
             return action, state["likelihood"]
@@ -173,26 +210,22 @@ class InventorySimulator(Simulator):
         order = self.action["order"]
         assert isinstance(order, Choice)
         drawn, likelihood = order.draw(parts["order"], noise[1])
-        # What was drawn long ago has no effect on this period, only noise.
-        selected = 1 - 1 / memory(self.case)
-        likelihood = likelihood * (1 + selected * (state["likelihood"] - 1))
+        likelihood = likelihood * (1 + constants["remembered"] * (state["likelihood"] - 1))
         return jnp.concatenate([drawn, parts["size"]]), likelihood
 
     def in_mean(self):
         """Parameters of whole demand, and its season."""
-        case = self.case
-        if not case.demand.integral():
+        if not self.demand.integral():
             return ()
-        season = [case.season.name] if case.seasonal else []
-        return (*(item.name for item in case.demand.inputs()), *season)
+        return (*self.demand.names(), *(["season"] if self.seasonal else []))
 
     def state_scale(self, constants):
         unit = constants["usual"]
         scale = {"stock": unit, "missed": jnp.ones(())}
-        if self.case.item.fixed:
+        if self.fixed:
             scale["likelihood"] = jnp.ones(())
-        if self.case.item.lead_time > 1:
-            scale["coming"] = jnp.full(self.case.item.lead_time - 1, unit)
+        if self.lead_time > 1:
+            scale["coming"] = jnp.full(self.lead_time - 1, unit)
         return scale
 
 
@@ -216,7 +249,7 @@ def _weighted(outputs, likelihood, usual):
 
 def _cycle(state, order, unmet, lead_time: int, smooth):
     """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
-    demand)): of the value alone; training has no use for them."""
+    demand)): of the value only; training has no use for them."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):
         return state["missed"], (nothing, nothing)
@@ -239,21 +272,3 @@ def _next(state, after, order, lead_time: int):
     coming = state["coming"]
     moved = jnp.concatenate([coming[1:], order[None]])
     return {"stock": after + coming[0], "coming": moved}
-
-
-def inputs_of(case: InventoryCase) -> dict[str, Input]:
-    """Every number of the case that has a sensitivity."""
-    results = [
-        *case.item.inputs(),
-        *case.demand.inputs(),
-        *([case.season] if case.seasonal else []),
-    ]
-    return {item.name: _plain(item) for item in results}
-
-
-def _plain(values) -> Input:
-    """One number as one number, not as a list of one."""
-    made = values.input()
-    if values.labels != ("",):
-        return made
-    return eqx.tree_at(lambda item: item.value, made, made.value.reshape(()))

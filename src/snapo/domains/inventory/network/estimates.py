@@ -4,7 +4,6 @@ import numpy as np
 from scipy import stats
 
 from ..demand.base import MEAN
-from .inputs import selling
 from .records import NetworkCase
 
 
@@ -15,7 +14,7 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
     upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
     """
     averages = []
-    for i in range(len(case.sites)):
+    for i in range(len(case.network.sites)):
         p, local = _costs_below(case, i)
         up = _above(case, i)
         holding = float(case.holding.values[i])
@@ -26,25 +25,25 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
 
 def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
     """Mean shortage and local holding cost of the customers' places that one place reaches."""
-    reached = [k for k, j in enumerate(case.sellers) if case.serves[i, j]]
-    holding = [case.holding.values[case.sellers[k]] for k in reached]
+    reached = [k for k, j in enumerate(case.network.sellers) if case.network.serves[i, j]]
+    holding = [case.holding.values[case.network.sellers[k]] for k in reached]
     return float(np.mean(case.shortage.values[reached])), float(np.mean(holding))
 
 
 def _above(case: NetworkCase, i: int) -> float:
     """The holding cost of the supplier, 0 of what comes from outside."""
-    supplier = case.sites[i].supplier
+    supplier = case.network.sites[i].supplier
     return float(case.holding.values[supplier]) if supplier is not None else 0.0
 
 
 def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     """[n] mean and standard deviation of the demand of a period that a place serves, over the
     season."""
-    reach = case.serves[:, case.sellers]
+    reach = case.network.serves[:, case.network.sellers]
     means, spreads = [], []
-    for position, demand in selling(case):
+    for demand, season in zip(case.demands, case.seasons):
         local = demand.values()
-        factors = np.ones(1) if position.season is None else position.season.values
+        factors = np.ones(1) if season is None else season.values
         means.append(local[MEAN] * float(factors.mean()))
         spreads.append(float(np.mean(demand.deviation(local, factors))))
     return reach @ np.array(means), np.sqrt(reach @ np.array(spreads) ** 2)
@@ -54,10 +53,11 @@ def economic_lots(case: NetworkCase) -> np.ndarray:
     """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no cost of its own.
 
     h is the local holding cost of the places with customers, e that of the place's echelon: what
-    holding a unit there costs more than at its supplier. One place alone has the lot of an item.
+    holding a unit there costs more than at its supplier. One place by itself has the lot of an
+    item.
     """
-    lots, (mean, _) = np.zeros(len(case.sites)), served(case)
-    for i, cost in zip(case.fixed, _ordering(case)):
+    lots, (mean, _) = np.zeros(len(case.network.sites)), served(case)
+    for i, cost in zip(case.network.fixed, _ordering(case)):
         p, local = _costs_below(case, i)
         lots[i] = np.sqrt(2 * cost * mean[i] * (p + local) / (_echelon_cost(case, i) * p))
     return lots
@@ -80,13 +80,13 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     holding cost of the supplier); an order is placed half a period's demand too late on average.
     """
     (mean, unit), lots = served(case), economic_lots(case)
-    batch, wait = np.zeros(len(case.sites)), np.zeros(len(case.fixed))
+    batch, wait = np.zeros(len(case.network.sites)), np.zeros(len(case.network.fixed))
     safety = safety_factors(case)
-    for k, i in enumerate(case.fixed):
+    for k, i in enumerate(case.network.fixed):
         p = _costs_below(case, i)[0] + _above(case, i)
         held = _echelon_cost(case, i) * lots[i]
         factor = float(stats.norm.ppf(1 - held / (p * mean[i] + held)))
-        below = (safety[i] - factor) * np.sqrt(case.cover[i]) * unit[i]
+        below = (safety[i] - factor) * np.sqrt(case.network.cover[i]) * unit[i]
         wait[k] = (below + mean[i] / 2) / unit[i]
         batch[i] = (lots[i] - below - mean[i]) / unit[i]
     return batch, wait
@@ -101,14 +101,14 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = first_batches(case)
     middle = _usual_levels(case) + unit * batch / 2
-    middle[list(case.fixed)] -= unit[list(case.fixed)] * wait / 2
-    lead_time = np.array([position.lead_time for position in case.sites])
+    middle[list(case.network.fixed)] -= unit[list(case.network.fixed)] * wait / 2
+    lead_time = np.array([site.lead_time for site in case.network.sites])
     selected = case.holding.values * np.maximum(
-        middle - lead_time * mean - case.supplies @ middle, 0.0
+        middle - lead_time * mean - case.network.supplies @ middle, 0.0
     )
-    for i, cost in zip(case.fixed, _ordering(case)):
+    for i, cost in zip(case.network.fixed, _ordering(case)):
         selected[i] += cost * mean[i] / lots[i]
-    for i in case.sellers:
+    for i in case.network.sellers:
         p, h = _costs_below(case, i)
         dense = float(stats.norm.pdf(stats.norm.ppf(p / (p + h))))
         safety = (h + p) * dense * np.sqrt(lead_time[i] + 1) * unit[i]
@@ -119,11 +119,11 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
 def _usual_levels(case: NetworkCase) -> np.ndarray:
     """[n] first levels of the echelons over the season."""
     mean, unit = served(case)
-    return case.cover * mean + safety_factors(case) * unit * np.sqrt(case.cover)
+    return case.network.cover * mean + safety_factors(case) * unit * np.sqrt(case.network.cover)
 
 
 def memory(case: NetworkCase) -> np.ndarray:
     """[m] periods after which an order has no effect any more: twenty times a lot's, and those
     that it takes to the last customer. See `item.estimates.memory`."""
-    lots, (mean, _), positions = economic_lots(case), served(case), list(case.fixed)
-    return 20 * (case.cover[positions] + lots[positions] / mean[positions])
+    lots, (mean, _), sites = economic_lots(case), served(case), list(case.network.fixed)
+    return 20 * (case.network.cover[sites] + lots[sites] / mean[sites])

@@ -11,7 +11,7 @@ from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.smooth import EXACT, Exact
 
 from ..policy.order_up_to import TRIGGER
-from .records import NetworkCase
+from .records import SupplyNetwork
 
 SHARP = 4.0  # of the softplus, as for one item
 KEPT = -0.5  # deviations: a store holds back little at first
@@ -45,7 +45,7 @@ class EchelonRule(Policy):
 
     def __init__(
         self,
-        case: NetworkCase,
+        supply: SupplyNetwork,
         action: Actions,
         features: int,
         *,
@@ -55,14 +55,14 @@ class EchelonRule(Policy):
         hidden: tuple[int, ...] = (32, 32),
         plain: bool = False,
     ):
-        positions, before = len(case.sites), case.moving(True)
-        self.movers, self.shifts = case.moving(False) + before, len(before)
-        self.fixed, self.action = case.fixed, action
-        self.first = jnp.full(positions, jnp.asarray(batch), jnp.float32)
+        sites, before = len(supply.sites), supply.moving(True)
+        self.movers, self.shifts = supply.moving(False) + before, len(before)
+        self.fixed, self.action = supply.fixed, action
+        self.first = jnp.full(sites, jnp.asarray(batch), jnp.float32)
         self.wait = jnp.full(len(self.fixed), jnp.asarray(wait), jnp.float32)
         self.reserve = jnp.full(len(self.movers), 0.0 if plain else KEPT, jnp.float32)
         # Of the two numbers of a choice the second is scored.
-        widths = (features - positions, *hidden, action.size - len(self.fixed))
+        widths = (features - sites, *hidden, action.size - len(self.fixed))
         self.network = None if plain else Network(widths, key=key)
 
     def __call__(self, observation, smooth=EXACT):

@@ -6,28 +6,28 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, FilePosition
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.problem.inputs import Input
 
-from ..demand.base import Demand
+from ..demand.base import Demand, as_input
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Site:
     """One place.
 
     - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
     - `lead_time`: periods from an order to its arrival, before the demand of that period.
-    - `demand`: of customers; None where there are none.
-    - `season`: factors of its mean demand by place in the season; None where periods are alike.
+    - `sells`: whether it has customers; `seasonal`: whether their demand has a season.
     - `fixed`: whether an order costs something whatever its size.
     """
 
     name: str
     supplier: int | None
     lead_time: int
-    demand: Demand | None
-    season: CaseInput | None = None
+    sells: bool
+    seasonal: bool = False
     fixed: bool = False
 
 
@@ -55,58 +55,34 @@ class Pool:
         return self.sites[1:] if self.one_way else self.sites
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkCase:
-    """What `snapo solve` needs of a case with places.
+@dataclass(frozen=True)
+class SupplyNetwork:
+    """The places of a network and the ways between them, without any costs and demands.
 
     - `integer`: whether orders and all that is sent are whole numbers.
-    - `holding`: by place, of goods there and on their way from there; `shortage`: by place that
-      sells, in the order of `sellers`; `transshipment`: by pool, of a unit moved; `ordering`: of
-      an order of any size, by place in the order of `fixed`, None where no order costs anything.
-    - Other attributes as in `InventoryCase`.
+    - `cheapest_first`: the numbers of the pools in the order in which they act.
     """
 
-    file: Path
-    notes: tuple[str, ...]
-    title: str
-    currency: str
-    unit: str
-    period: str
-    lost: bool
-    integer: bool
     sites: tuple[Site, ...]
     pools: tuple[Pool, ...]
-    holding: CaseInput
-    shortage: CaseInput
-    transshipment: CaseInput | None
-    periods: int
-    warm_up: int
-    discount: float
-    objective: ObjectiveTable
-    training: TrainingTable
-    evaluation: EvaluationTable
-    ordering: CaseInput | None = None
-    other_leads: bool = False
-
-    @property
-    def horizon(self) -> int:
-        """All periods."""
-        return self.warm_up + self.periods
+    lost: bool
+    integer: bool
+    cheapest_first: tuple[int, ...] = ()
 
     @cached_property
     def sellers(self) -> tuple[int, ...]:
         """The numbers of the places with customers."""
-        return tuple(i for i, position in enumerate(self.sites) if position.demand is not None)
+        return tuple(i for i, site in enumerate(self.sites) if site.sells)
 
     @cached_property
     def fixed(self) -> tuple[int, ...]:
         """The numbers of the places where an order costs something whatever its size."""
-        return tuple(i for i, position in enumerate(self.sites) if position.fixed)
+        return tuple(i for i, site in enumerate(self.sites) if site.fixed)
 
     @property
     def seasonal(self) -> bool:
         """Whether periods differ, at any place."""
-        return any(position.season is not None for position in self.sites)
+        return any(site.seasonal for site in self.sites)
 
     def moving(self, before: bool) -> tuple[int, ...]:
         """The numbers of the places that are in a pool before, or after demand is known."""
@@ -126,9 +102,9 @@ class NetworkCase:
     def supplies(self) -> np.ndarray:
         """[n, n]: 1 where the place of the row is the supplier of that of the column."""
         supplies = np.zeros((len(self.sites),) * 2)
-        for i, position in enumerate(self.sites):
-            if position.supplier is not None:
-                supplies[position.supplier, i] = 1.0
+        for i, site in enumerate(self.sites):
+            if site.supplier is not None:
+                supplies[site.supplier, i] = 1.0
         return supplies
 
     @cached_property
@@ -146,7 +122,7 @@ class NetworkCase:
     @cached_property
     def cover(self) -> np.ndarray:
         """[n] periods of demand from an order to the last customer that it can reach in time."""
-        local = np.array([position.lead_time + 1 for position in self.sites])
+        local = np.array([site.lead_time + 1 for site in self.sites])
         ways = [self.lead_time_from_outside(i) for i in range(len(self.sites))]
         reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
         above = [path - step for path, step in zip(ways, local)]
@@ -159,6 +135,50 @@ class NetworkCase:
             results.append(here)
             here = self.sites[here].supplier
         return results
+
+    @property
+    def longest(self) -> int:
+        """The longest lead time."""
+        return max(site.lead_time for site in self.sites)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkCase:
+    """What `snapo solve` needs of a case with places.
+
+    - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
+      where all periods are equal.
+    - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
+      customers; `transshipment`: by pool, of a unit moved; `ordering`: of an order of any size, by
+      place in the order of `network.fixed`, None where no order costs anything.
+    - Other attributes as in `InventoryCase`.
+    """
+
+    file: Path
+    notes: tuple[str, ...]
+    title: str
+    currency: str
+    unit: str
+    period: str
+    network: SupplyNetwork
+    demands: tuple[Demand, ...]
+    seasons: tuple[CaseInput | None, ...]
+    holding: CaseInput
+    shortage: CaseInput
+    transshipment: CaseInput | None
+    periods: int
+    warm_up: int
+    discount: float
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
+    ordering: CaseInput | None = None
+    other_leads: bool = False
+
+    @property
+    def horizon(self) -> int:
+        """All periods."""
+        return self.warm_up + self.periods
 
     @property
     def weights(self) -> np.ndarray:
@@ -177,3 +197,24 @@ class NetworkCase:
     def value_unit(self) -> str:
         """The unit of the result."""
         return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
+
+    @property
+    def of_demand(self) -> dict[str, CaseInput]:
+        """The parameters of the demand of every place, and its season, as "NAME.key"."""
+        sellers = zip(self.network.sellers, self.demands, self.seasons)
+        return {
+            f"{self.network.sites[i].name}.{x.name}": x
+            for i, demand, season in sellers
+            for x in (*demand.inputs(), *([] if season is None else [season]))
+        }
+
+    @property
+    def positions(self) -> dict[str, tuple[FilePosition, ...]]:
+        """{input: the positions of its numbers} of the demand of every place."""
+        return {name: x.positions for name, x in self.of_demand.items()}
+
+    def inputs(self) -> dict[str, Input]:
+        """Every number that has a sensitivity; those of a place's demand as "NAME.key"."""
+        costs = [self.holding, self.shortage, self.ordering, self.transshipment]
+        by_name = {cost.name: cost for cost in costs if cost is not None} | self.of_demand
+        return {name: as_input(x) for name, x in by_name.items()}

@@ -47,15 +47,17 @@ def classical(setup: Setup) -> dict[str, RuleNumbers]:
     """{name: numbers of the rule}. After demand stores hold nothing back; bands before it are one
     more number of the search."""
     case = network_of(setup)
-    first = RuleNumbers((0.0,) * len(case.sites), BAND if case.moving(True) else 0.0)
+    first = RuleNumbers(
+        (0.0,) * len(case.network.sites), BAND if case.network.moving(True) else 0.0
+    )
     rules = {"newsvendor levels": first._replace(reserve=0.0), "best levels": best(setup, first)}
     name = "best levels"
-    if case.fixed:
+    if case.network.fixed:
         batch, wait = first_batches(case)
         first = first._replace(above=tuple(batch.tolist()), wait=tuple(wait.tolist()))
         name = "(s, S) of echelons"
         rules[name] = best(setup, first)
-    if case.pools:
+    if case.network.pools:
         rules[f"{name}, nothing sent"] = best(setup, first._replace(reserve=ENDLESS))
     return rules
 
@@ -68,10 +70,14 @@ def echelon_rule(
 ) -> EchelonRule:
     """The rule with these `RuleNumbers`."""
     problem, case = setup.problem, network_of(setup)
-    rule = EchelonRule(case, problem.action, problem.features, key=jax.random.key(0), plain=True)
-    after = len(case.moving(False))
-    keeps = [selected if selected == ENDLESS else 0.0] * after + [selected] * len(case.moving(True))
-    waits = [-ENDLESS] * len(case.fixed) if wait is None else wait
+    rule = EchelonRule(
+        case.network, problem.action, problem.features, key=jax.random.key(0), plain=True
+    )
+    after = len(case.network.moving(False))
+    keeps = [selected if selected == ENDLESS else 0.0] * after + [selected] * len(
+        case.network.moving(True)
+    )
+    waits = [-ENDLESS] * len(case.network.fixed) if wait is None else wait
     values = tuple(jnp.asarray(x, jnp.float32) for x in (above, keeps, waits))
     return eqx.tree_at(lambda x: (x.first, x.reserve, x.wait), rule, values)
 
@@ -80,7 +86,7 @@ def best(setup: Setup, start: RuleNumbers) -> RuleNumbers:
     """The best numbers from these on: levels, reorder points where it has some, and the band where
     there is one to choose."""
     case, cost_of = network_of(setup), cost_on_other_paths(setup)
-    waits, banded = start.wait or (), bool(case.moving(True)) and start.reserve != ENDLESS
+    waits, banded = start.wait or (), bool(case.network.moving(True)) and start.reserve != ENDLESS
     n = len(start.above)
 
     def numbers(point: tuple[float, ...]) -> RuleNumbers:
@@ -94,7 +100,7 @@ def best(setup: Setup, start: RuleNumbers) -> RuleNumbers:
         return cost_of(echelon_rule(setup, *numbers(point)))
 
     # A level and its reorder point: the lot, and both together.
-    pairs = [(i, n + k) for k, i in enumerate(case.fixed)] if waits else []
+    pairs = [(i, n + k) for k, i in enumerate(case.network.fixed)] if waits else []
     first = (*start.above, *waits, *([start.reserve] if banded else []))
     return numbers(search(cost, first, 0.5, FINEST, together=pairs))
 
@@ -112,8 +118,8 @@ def _for_planner(setup: Setup, numbers: RuleNumbers) -> dict[str, float]:
     case, level = network_of(setup), first_levels(setup)
     unit = np.asarray(setup.problem.schedule.constants["unit"])
     levels = level + np.array(numbers.above) * unit
-    entries = {position.name: float(x) for position, x in zip(case.sites, levels)}
-    for i, wait in zip(case.fixed, numbers.wait or ()):
-        entries[f"{case.sites[i].name} from"] = float(level[i] - wait * unit[i])
-    banded = case.moving(True) and numbers.reserve != ENDLESS
+    entries = {site.name: float(x) for site, x in zip(case.network.sites, levels)}
+    for i, wait in zip(case.network.fixed, numbers.wait or ()):
+        entries[f"{case.network.sites[i].name} from"] = float(level[i] - wait * unit[i])
+    banded = case.network.moving(True) and numbers.reserve != ENDLESS
     return entries | ({"band": numbers.reserve} if banded else {})

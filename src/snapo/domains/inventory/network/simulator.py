@@ -16,21 +16,23 @@ A place has `lead_time + 1` periods of demand to cover before its next order can
 that it supplies as many more: the line of Clark and Scarf (1960) with lead times one longer.
 """
 
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from snapo.problem.actions import Actions, Box, Integers, Product
+from snapo.problem.form import formed
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
+from ..demand.base import MEAN, Demand
+from .estimates import memory, safety_factors, usual_costs
 from .fixed import LikelihoodWeights, choices, placed
-from .inputs import demands, selling
-from .levels import levels, season, start
-from .records import NetworkCase
+from .records import NetworkCase, SupplyNetwork
 from .transshipment import in_pieces, move_after, move_before
 
 CORNER = 8.0  # of a corner in deviations of demand, times the temperature
@@ -41,8 +43,32 @@ AVERAGES = (*TOTALS.values(), "short", "level", "ordered")
 Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places that have any
 
 
+class Levels(NamedTuple):
+    """Of T periods and n places, all in units of demand.
+
+    - `ahead` [T, n, R]: mean demand that a place serves in a period, and in the R - 1 after it;
+      R covers the longest way from outside to a customer.
+    - `level` [T, n]: first levels of the echelon: the means of the periods that it covers, and a
+      safety stock.
+    - `unit` [n]: the standard deviation of the demand that a place serves, `typical` [n] its mean,
+      both over the season.
+    """
+
+    ahead: jax.Array
+    level: jax.Array
+    unit: jax.Array
+    typical: jax.Array
+
+
 class NetworkSimulator(Simulator):
-    """One path of a network; the inputs are those of `network_inputs(case)`.
+    """One path of a network; the inputs are those of `NetworkCase.inputs`.
+
+    It holds no case: all in which two networks of one form differ is an array, or an input.
+
+    **Arguments:** `network`; `horizon`;
+    `demands`: of the case, `formed`; `first`: the numbers of demand from which a path starts, a
+    fact that moves with no input; `weights`, `counted` [T] as of the case; and its estimates
+    `safety_factors` [n], `usual_costs` [n] and `memory` [m].
 
     State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the
     next arrival first; with costs of an order the "likelihood" [m] of what training has drawn: 1,
@@ -59,165 +85,232 @@ class NetworkSimulator(Simulator):
     of goods; "level_NAME" is then that of a period with an order, 0 in another.
     """
 
-    case: NetworkCase = eqx.field(static=True)
+    network: SupplyNetwork = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    demands: tuple[Demand, ...]
+    first: dict[str, np.ndarray]
+    weights: Float[np.ndarray, " T"]
+    counted: Float[np.ndarray, " T"]
+    safety_factors: Float[np.ndarray, " n"]
+    usual_costs: Float[np.ndarray, " n"]
+    memory: Float[np.ndarray, " m"]
 
-    @property
-    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.case.horizon
+    @classmethod
+    def of(cls, case: NetworkCase) -> Self:
+        """The simulator of a case."""
+        return cls(  # pyright: ignore[reportCallIssue]
+            network=case.network,
+            horizon=case.horizon,
+            demands=formed(case.demands),
+            first={name: x.value for name, x in case.inputs().items() if name in case.of_demand},
+            weights=case.weights,
+            counted=case.counted,
+            safety_factors=safety_factors(case),
+            usual_costs=usual_costs(case),
+            memory=memory(case),
+        )
+
+    def on_paths(self):
+        return jax.tree.map(lambda leaf: None, self)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Demands, and what decides in training whether a place orders."""
-        return len(self.case.sellers) + len(self.case.fixed)
+        return len(self.network.sellers) + len(self.network.fixed)
 
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
-        case, amounts = self.case, Integers if self.case.integer else Box
-        sets: dict[str, Actions] = {"order": amounts(0.0, np.inf, len(case.sites))}
-        if held := len(case.moving(False)):
+        network, amounts = self.network, Integers if self.network.integer else Box
+        sets: dict[str, Actions] = {"order": amounts(0.0, np.inf, len(network.sites))}
+        if held := len(network.moving(False)):
             sets["held"] = amounts(0.0, np.inf, held)
-        if balanced := len(case.moving(True)):
+        if balanced := len(network.moving(True)):
             sets |= {
                 "band": amounts(0.0, np.inf, balanced),
                 "shift": Box(-np.inf, np.inf, balanced),
             }
-        sets |= choices(case)
+        sets |= choices(network)
         return Product(**sets) if len(sets) > 1 else sets["order"]
 
-    @property
-    def longest(self) -> int:
-        """The longest lead time."""
-        return max(position.lead_time for position in self.case.sites)
-
     def prepare(self, inputs: Any) -> Schedule:
-        """What differs by period stands in the steps where there is a season, else once in the
+        """What differs by period is in the steps where there is a season, else once in the
         constants: `step` looks for it in both."""
-        case = self.case
-        periods = self.horizon if case.seasonal else 1
-        result = levels(case, inputs, periods)
+        network = self.network
+        periods = self.horizon if network.seasonal else 1
+        result = self.levels(inputs, periods)
         item = {
             "level": result.level,
             "ahead": result.ahead,
             "mean": result.ahead[:, :, 0],
             "demand": [
-                demand.prepare(local, season(local, periods))
-                for demand, local in demands(case, inputs)
+                demand.prepare(local, _season(local, periods))
+                for demand, local in self._demands(inputs)
             ],
         }
-        stock, coming = start(case)
-        nothing = jnp.zeros(len(case.sites))
+        stock, coming = self.start()
+        nothing = jnp.zeros(len(network.sites))
         constants = {
             "holding": inputs["holding_cost"],
-            "shortage": nothing.at[jnp.asarray(case.sellers)].set(inputs["shortage_cost"]),
+            "shortage": nothing.at[jnp.asarray(network.sellers)].set(inputs["shortage_cost"]),
             "unit": result.unit,
             "typical": result.typical,
             "corner": CORNER * result.unit,
             "stock": stock,
             "coming": coming,
         }
-        if case.transshipment is not None:
-            constants["transshipment"] = inputs[case.transshipment.name]
-        if case.ordering is not None:
-            constants["order"] = nothing.at[jnp.asarray(case.fixed)].set(inputs["order_cost"])
-        steps = {"weight": jnp.asarray(case.weights), "counted": jnp.asarray(case.counted)}
-        if not case.seasonal:
+        if network.pools:
+            constants["transshipment"] = inputs["transshipment_cost"]
+        if network.fixed:
+            constants["order"] = nothing.at[jnp.asarray(network.fixed)].set(inputs["order_cost"])
+            constants["usual_costs"] = jnp.asarray(self.usual_costs)
+            constants["remembered"] = 1 - 1 / jnp.asarray(self.memory)
+        steps = {"weight": jnp.asarray(self.weights), "counted": jnp.asarray(self.counted)}
+        if not network.seasonal:
             return Schedule(constants | jax.tree.map(lambda x: x[0], item), steps)
         return Schedule(constants, steps | item)
 
+    def levels(self, inputs: Any, periods: int) -> Levels:
+        """Those of the first `periods`; where there is no season, all are equal."""
+        network = self.network
+        reach = jnp.asarray(network.serves[:, network.sellers])
+        longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))
+        means, spreads, usual, typical = [], [], [], []
+        for demand, local in self._demands(inputs):
+            factors = _season(local, periods + longest)
+            means.append(local[MEAN] * factors)
+            spreads.append(demand.deviation(local, factors))
+            once = local.get("season", jnp.ones(1))
+            typical.append(local[MEAN] * once.mean())
+            usual.append(demand.deviation(local, once).mean())
+        item = np.add.outer(np.arange(periods), np.arange(longest))
+        mean = (reach @ jnp.stack(means))[:, item]
+        variance = (reach @ jnp.stack(spreads) ** 2)[:, item]
+        covered = jnp.asarray(np.arange(longest) < network.cover[:, None], mean.dtype)[:, None]
+        safety = jnp.sqrt(jnp.sum(variance * covered, 2))
+        level = jnp.sum(mean * covered, 2) + jnp.asarray(self.safety_factors)[:, None] * safety
+        unit = jnp.sqrt(reach @ jnp.stack(usual) ** 2)
+        return Levels(jnp.swapaxes(mean, 0, 1), level.T, unit, reach @ jnp.stack(typical))
+
+    def _demands(self, inputs: Any) -> list[tuple[Demand, dict[str, Any]]]:
+        """(demand, its parameters, and the season where there is one) of every place that sells."""
+        parameters = []
+        for i in self.network.sellers:
+            start = f"{self.network.sites[i].name}."
+            parameters.append(
+                {key.removeprefix(start): inputs[key] for key in inputs if key.startswith(start)}
+            )
+        return list(zip(self.demands, parameters))
+
+    def start(self) -> tuple[jax.Array, jax.Array]:
+        """Stock [n] and arrivals [n, longest lead time] at the start.
+
+        A place starts with its echelon's level less those of the places that it supplies.
+        """
+        network, result = self.network, self.levels(self.first, 1)
+        level, lead_time = result.level[0], np.array([site.lead_time for site in network.sites])
+        slots = np.arange(max(lead_time)) < lead_time[:, None]
+        coming = result.ahead[0, :, : slots.shape[1]] * slots
+        stock = level - jnp.asarray(network.supplies) @ level - coming.sum(1)
+        stock = jnp.maximum(stock, 0.0)
+        return (jnp.round(stock), jnp.round(coming)) if network.integer else (stock, coming)
+
     def initial(self, constants, noise):
         state = {"stock": constants["stock"]}
-        if self.longest:
+        if self.network.longest:
             state["coming"] = constants["coming"]
-        if self.case.fixed:
-            state["likelihood"] = jnp.ones(len(self.case.fixed))
+        if self.network.fixed:
+            state["likelihood"] = jnp.ones(len(self.network.fixed))
         return state
 
     def observe(self, constants, now, state):
         """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]; all
         but the units in units, the standard deviation of the demand that a place serves."""
-        case, here = self.case, {**constants, **now}
+        network, here = self.network, {**constants, **now}
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
-        coming = state.get("coming", jnp.zeros((len(case.sites), 0)))
+        coming = state.get("coming", jnp.zeros((len(network.sites), 0)))
         gap = (here["level"] - self._echelon(state)) / unit
         observed = [gap, unit, (stock - here["stock"]) / unit]
-        for i, position in enumerate(case.sites):
-            observed.append(
-                (coming[i, : position.lead_time] - ahead[i, : position.lead_time]) / unit[i]
-            )
-        for i, (position, _) in zip(case.sellers, selling(case)):
-            if position.season is not None:
-                observed.append(
-                    (ahead[i, : case.lead_time_from_outside(i)] - here["typical"][i]) / unit[i]
-                )
+        for i, site in enumerate(network.sites):
+            periods = site.lead_time
+            observed.append((coming[i, :periods] - ahead[i, :periods]) / unit[i])
+        for i in network.sellers:
+            if network.sites[i].seasonal:
+                periods = network.lead_time_from_outside(i)
+                observed.append((ahead[i, :periods] - here["typical"][i]) / unit[i])
         return jnp.concatenate(observed)
 
     def _echelon(self, state):
         """[n] goods at a place, on their way there and further down, less demand that waits."""
         stock = state["stock"]
-        local = stock + state["coming"].sum(1) if self.longest else stock
-        return jnp.asarray(self.case.serves, stock.dtype) @ local
+        local = stock + state["coming"].sum(1) if self.network.longest else stock
+        return jnp.asarray(self.network.serves, stock.dtype) @ local
 
     def step(self, constants, now, state, action, noise, smooth):
-        case, here = self.case, {**constants, **now}
+        network, here = self.network, {**constants, **now}
         parts = {"order": action}
         if isinstance(self.action, Product):
             parts = self.action.parts(action)
-        drawn, requested = self._placed(parts, state, noise, smooth)
+        drawn, requested = self._placed(here, parts, state, noise, smooth)
         stock, sent = self._sent(here, state["stock"], requested, smooth)
         after, arrived = self._moved(state, sent)
         stock, moves = stock + arrived, []
         if "band" in parts:
-            moves.append(move_before(case, here, stock, parts["band"], parts["shift"], smooth))
+            moves.append(move_before(network, here, stock, parts["band"], parts["shift"], smooth))
             stock = moves[-1].stock
         request = self._asked(here, noise, smooth, stock.dtype)
         stock = stock - request
         if "held" in parts:
-            moves.append(move_after(case, here, stock, parts["held"], smooth))
+            moves.append(move_after(network, here, stock, parts["held"], smooth))
             stock = moves[-1].stock
         left = smooth.positive_part(stock, here["corner"])
         short = left - stock
         # Goods that waited were met first.
         sold = smooth.positive_part(request - short, here["corner"])
-        everywhere = tuple(range(len(case.sites)))
+        everywhere = tuple(range(len(network.sites)))
         level = self._echelon(state) + requested
         amounts: Amounts = {
             "stock": (left, everywhere),
-            "demand": (request, case.sellers),
-            "sold": (sold, case.sellers),
+            "demand": (request, network.sellers),
+            "sold": (sold, network.sellers),
             "level": (level if drawn is None else drawn.orders * level, everywhere),
         }
         if drawn is not None:
-            amounts |= {"orders": (drawn.orders, case.fixed), "ordered": (requested, case.fixed)}
+            amounts |= {
+                "orders": (drawn.orders, network.fixed),
+                "ordered": (requested, network.fixed),
+            }
             after["likelihood"] = drawn.likelihood
-        weights = LikelihoodWeights(case, None if drawn is None else drawn.likelihood)
+        likelihood = None if drawn is None else drawn.likelihood
+        weights = LikelihoodWeights(network, likelihood, here.get("usual_costs"))
         outputs = self._costs(here, after, left, short, moves, drawn, weights)
         outputs |= self._means(here, amounts, short, moves, weights, smooth)
-        after["stock"] = left if case.lost else stock
+        after["stock"] = left if network.lost else stock
         return after, outputs
 
-    def _placed(self, parts, state, noise, smooth):
+    def _placed(self, here, parts, state, noise, smooth):
         """(which places order, None where no order has a cost; amounts asked for [n])."""
-        if not self.case.fixed:
+        if not self.network.fixed:
             return None, parts["order"]
         assert isinstance(self.action, Product)
-        local = noise[len(self.case.sellers) :]
-        drawn = placed(self.case, self.action, parts, state["likelihood"], local, smooth)
+        local = noise[len(self.network.sellers) :]
+        likelihood, remembered = state["likelihood"], here["remembered"]
+        drawn = placed(self.network, self.action, parts, likelihood, remembered, local, smooth)
         return drawn, drawn.orders * parts["order"]
 
     def _asked(self, here, noise, smooth, dtype):
         """[n] demand of customers."""
-        request = jnp.zeros(len(self.case.sites), dtype)
-        # In training orders are no whole numbers, so that a derivative by whole demand, which is
-        # right on lines that are straight between them, would be wrong.
+        request = jnp.zeros(len(self.network.sites), dtype)
+        # In training orders are no whole numbers, so that a derivative with respect to whole
+        # demand, which is right on lines that are straight between them, would be wrong.
         spread = not isinstance(smooth, Exact)
-        for k, (i, (_, demand)) in enumerate(zip(self.case.sellers, selling(self.case))):
+        for k, (i, demand) in enumerate(zip(self.network.sellers, self.demands)):
             request = request.at[i].set(demand.draw(here["demand"][k], noise[k], spread))
         return request
 
     def _costs(self, here, after, left, short, moves, drawn, weights):
         """Costs by part, and the result."""
-        coming = after["coming"].sum(1) if self.longest else jnp.zeros_like(left)
-        away = jnp.asarray(self.case.supplies, left.dtype) @ coming
+        coming = after["coming"].sum(1) if self.network.longest else jnp.zeros_like(left)
+        away = jnp.asarray(self.network.supplies, left.dtype) @ coming
         by_place = {
             "holding": here["holding"] * (left + away),
             "shortage": here["shortage"] * short,
@@ -236,64 +329,68 @@ class NetworkSimulator(Simulator):
 
     def _means(self, here, amounts: Amounts, short, moves, weights, smooth):
         """Averages of a period, of the network and by place."""
-        case, means = self.case, {}
+        network, means = self.network, {}
         if moves:
-            members = tuple(sorted({*case.moving(False), *case.moving(True)}))
+            members = tuple(sorted({*network.moving(False), *network.moving(True)}))
             amounts = amounts | {
                 "sent": (jnp.stack([entry.sent for entry in moves]).sum(0), members),
                 "received": (jnp.stack([value.received for value in moves]).sum(0), members),
             }
-        for path, (item, positions) in amounts.items():
+        for path, (item, sites) in amounts.items():
             mine = weights.of(item)
-            means |= {f"{path}_{case.sites[i].name}": mine[i] for i in positions}
+            means |= {f"{path}_{network.sites[i].name}": mine[i] for i in sites}
             if path in TOTALS:
-                means[TOTALS[path]] = mine[jnp.asarray(positions)].sum()
+                means[TOTALS[path]] = mine[jnp.asarray(sites)].sum()
         fell = smooth.indicator(jnp.max(short) - 1e-3, here["corner"][0])
         means["short"] = weights.of_all(fell)
         return {name: here["counted"] * each for name, each in means.items()}
 
     def _sent(self, constants, stock, requested, smooth):
         """(stocks after sending [n], amounts sent to each place [n])."""
-        supplies = jnp.asarray(self.case.supplies, stock.dtype)
+        supplies = jnp.asarray(self.network.supplies, stock.dtype)
         total = supplies @ requested
         held = smooth.positive_part(stock, constants["corner"])
         # In this order, as stock is differentiated upwards where it is just what was asked for.
         values = smooth.minimum(held, total, constants["corner"])
         some = total > 0
         share = jnp.where(some, values, 1.0) / jnp.where(some, total, 1.0)
-        outside = jnp.asarray([float(p.supplier is None) for p in self.case.sites], stock.dtype)
+        outside = jnp.asarray([float(p.supplier is None) for p in self.network.sites], stock.dtype)
         sent = requested * outside
         for amounts, mine in zip(requested * share[:, None], supplies):
-            sent = sent + in_pieces(self.case, mine * amounts, smooth)
+            sent = sent + in_pieces(self.network, mine * amounts, smooth)
         return stock - supplies @ sent, sent
 
     def _moved(self, state, sent):
         """(the goods on their way, arrivals [n])."""
-        if not self.longest:
+        if not self.network.longest:
             return {}, sent
-        lead_time = np.array([position.lead_time for position in self.case.sites])
-        slots = jnp.asarray(np.arange(self.longest + 1) == lead_time[:, None], sent.dtype)
+        lead_time = np.array([site.lead_time for site in self.network.sites])
+        slots = jnp.asarray(np.arange(self.network.longest + 1) == lead_time[:, None], sent.dtype)
         full = jnp.concatenate([state["coming"], jnp.zeros_like(sent)[:, None]], 1)
         full = full + slots * sent[:, None]
         return {"coming": full[:, 1:]}, full[:, 0]
 
     def in_mean(self):
         """Parameters of whole demand, and its season."""
+        sites = [self.network.sites[i] for i in self.network.sellers]
         return tuple(
-            f"{position.name}.{item.name}"
-            for position, demand in selling(self.case)
+            f"{site.name}.{name}"
+            for site, demand in zip(sites, self.demands)
             if demand.integral()
-            for item in (
-                *demand.inputs(),
-                *([position.season] if position.season is not None else []),
-            )
+            for name in (*demand.names(), *(["season"] if site.seasonal else []))
         )
 
     def state_scale(self, constants):
         unit = constants["unit"]
         scale = {"stock": unit}
-        if self.longest:
-            scale["coming"] = unit[:, None] * jnp.ones((1, self.longest))
-        if self.case.fixed:
-            scale["likelihood"] = jnp.ones(len(self.case.fixed))
+        if self.network.longest:
+            scale["coming"] = unit[:, None] * jnp.ones((1, self.network.longest))
+        if self.network.fixed:
+            scale["likelihood"] = jnp.ones(len(self.network.fixed))
         return scale
+
+
+def _season(local: dict[str, Any], periods: int) -> jax.Array:
+    """[T] factors of a place's demand, of its inputs."""
+    factors = jnp.asarray(local.get("season", jnp.ones(1)))
+    return factors[np.arange(periods) % len(factors)]

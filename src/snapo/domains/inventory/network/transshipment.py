@@ -1,6 +1,6 @@
 """Goods that stores send one another: before demand, to balance stocks, or after it, where short.
 
-In a pool every place sends what it has beyond one level and takes what it lacks to another, which
+In a pool every place sends what it has beyond one level and takes its shortage to another, which
 is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools follow
 one another, the cheapest first. With two places, or one cost for all, no other way to move as much
 is cheaper.
@@ -9,7 +9,7 @@ is cheaper.
   it is short of. Holding nothing back is complete pooling (Krishnan and Rao, 1965; Tagaras, 1989).
 - **Before demand** the level is that of balance, at which all places of the pool are as many
   standard deviations above their mean demand; a place sends what it has beyond it by more than a
-  band, and takes what it lacks by more than a band. A shift of its own moves its balance.
+  band, and takes its shortage by more than a band. A shift of its own moves its balance.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ import numpy as np
 
 from snapo.problem.smooth import Exact
 
-from .records import NetworkCase, Pool
+from .records import Pool, SupplyNetwork
 
 
 class Transferred(NamedTuple):
@@ -33,9 +33,9 @@ class Transferred(NamedTuple):
     cost: jax.Array
 
 
-def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Transferred:
-    """Balances the pools that act before demand; `band`, `shift` [m] of `case.moving(True)`."""
-    members = np.array(case.moving(True), int)
+def move_before(network: SupplyNetwork, constants, stock, band, shift, smooth) -> Transferred:
+    """Balances the pools that act before demand; `band`, `shift` [m] of `network.moving(True)`."""
+    members = np.array(network.moving(True), int)
     band, shift = (jnp.zeros_like(stock).at[members].set(item) for item in (band, shift))
 
     def levels(pool: Pool, stock):
@@ -43,26 +43,30 @@ def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Tra
         unit, mean = inside * constants["unit"], constants["mean"]
         above = jnp.sum(inside * (stock - mean))
         balance = mean + above * unit / jnp.sum(unit) + shift
-        if case.integer and isinstance(smooth, Exact):
+        if network.integer and isinstance(smooth, Exact):
             balance = _rounded(balance)
         # No more can be sent than there is.
         return smooth.positive_part(balance, constants["corner"]) + band, balance - band
 
-    return _moved(case, constants, stock, levels, True, smooth)
+    return _moved(network, constants, stock, levels, True, smooth)
 
 
-def move_after(case: NetworkCase, constants, stock, held, smooth) -> Transferred:
-    """Sends goods where demand was more than stock; `held` [m] of `case.moving(False)`."""
-    members = np.array(case.moving(False), int)
+def move_after(network: SupplyNetwork, constants, stock, held, smooth) -> Transferred:
+    """Sends goods where demand was more than stock; `held` [m] of `network.moving(False)`."""
+    members = np.array(network.moving(False), int)
     held = jnp.zeros_like(stock).at[members].set(held)
-    return _moved(case, constants, stock, lambda *_: (held, jnp.zeros_like(stock)), False, smooth)
+    return _moved(
+        network, constants, stock, lambda *_: (held, jnp.zeros_like(stock)), False, smooth
+    )
 
 
-def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) -> Transferred:
+def _moved(network: SupplyNetwork, constants, stock, levels, before: bool, smooth) -> Transferred:
     sent, received = jnp.zeros_like(stock), jnp.zeros_like(stock)
     cost = jnp.zeros((), stock.dtype)
-    for k in _cheapest_first(case, before):
-        pool = case.pools[k]
+    for k in network.cheapest_first:
+        pool = network.pools[k]
+        if pool.before != before:
+            continue
         now = stock - sent + received
         upper, lower = levels(pool, now)
         corner = constants["corner"]
@@ -71,22 +75,22 @@ def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) ->
         lack = smooth.positive_part(now - lower, corner) - (now - lower)
         lack = _mask(pool.takers, stock) * lack
         moved = smooth.minimum(spare.sum(), lack.sum(), corner.sum())
-        values, taken = (shared(case, moved, item, smooth) for item in (spare, lack))
+        values, taken = (shared(network, moved, item, smooth) for item in (spare, lack))
         sent, received = sent + values, received + taken
         cost = cost + constants["transshipment"][k] * moved
     return Transferred(stock - sent + received, sent, received, cost)
 
 
-def shared(case: NetworkCase, total, parts, smooth):
+def shared(network: SupplyNetwork, total, parts, smooth):
     """[n] `total`, at most the sum of `parts` [n], shared in proportion to them."""
     some = jnp.sum(parts) > 0
     result = parts * jnp.where(some, total, 0.0) / jnp.where(some, jnp.sum(parts), 1.0)
-    return in_pieces(case, result, smooth)
+    return in_pieces(network, result, smooth)
 
 
-def in_pieces(case: NetworkCase, amounts, smooth):
+def in_pieces(network: SupplyNetwork, amounts, smooth):
     """[n] amounts as whole numbers of the same sum, each less than 1 away; in training as is."""
-    if not case.integer or not isinstance(smooth, Exact):
+    if not network.integer or not isinstance(smooth, Exact):
         return amounts
     upto = jnp.concatenate([jnp.zeros_like(amounts[:1]), jnp.cumsum(amounts)])
     return jnp.diff(_rounded(upto))
@@ -97,15 +101,7 @@ def _rounded(amounts):
     return amounts + jax.lax.stop_gradient(jnp.floor(amounts + 0.5) - amounts)
 
 
-def _cheapest_first(case: NetworkCase, before: bool) -> list[int]:
-    if case.transshipment is None:
-        return []
-    costs = case.transshipment.values
-    selected = [k for k, pool in enumerate(case.pools) if pool.before == before]
-    return sorted(selected, key=lambda k: costs[k])
-
-
-def _mask(positions: Sequence[int], like):
+def _mask(sites: Sequence[int], like):
     result = np.zeros(like.shape)
-    result[list(positions)] = 1.0
+    result[list(sites)] = 1.0
     return jnp.asarray(result, like.dtype)

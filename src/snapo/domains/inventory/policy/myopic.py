@@ -1,8 +1,8 @@
 """The myopic rule of lost sales: the order that makes the period of its arrival cheapest.
 
-Morton (1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the chances of
-every stock in that period follow from the stock and the orders on their way; the order is the
-smallest q with P(demand <= stock + q) >= p / (p + h).
+Morton (1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the
+probabilities of every stock in that period follow from the stock and the orders on their way; the
+order is the smallest q with P(demand <= stock + q) >= p / (p + h).
 """
 
 import jax.numpy as jnp
@@ -20,7 +20,8 @@ from .order_up_to import HEAD, within
 class Myopic(Policy):
     """Tables of the rule, for stocks 0 … n - 1 and orders 0 … m - 1.
 
-    - `moves` [n, n]: chances of the stock left, by stock; `met` [n, m]: P(demand <= left + q).
+    - `moves` [n, n]: probabilities of the stock left, by stock.
+    - `met` [n, m]: P(demand <= left + q).
     - `ratio`: p / (p + h); `mean`: of demand, which observations are relative to.
     """
 
@@ -54,7 +55,7 @@ def myopic(
     lead_time: int,
     action: Actions,
 ) -> Myopic:
-    """The rule for demand with these chances of 0, 1, …"""
+    """The rule for demand with these probabilities of 0, 1, …"""
     n = 2 * len(probabilities)
     padded = np.zeros(n)
     padded[: len(probabilities)] = probabilities
@@ -69,7 +70,7 @@ def myopic(
 
 
 def _moved(probabilities: Array, by: Array) -> Array:
-    """Chances of a stock to which an amount is added; what would be beyond stays at the end."""
+    """Probabilities of a stock to which an amount is added; what is beyond stays at the end."""
     n = probabilities.shape[0]
     positions = jnp.minimum(jnp.arange(n) + by.astype(jnp.int32), n - 1)
     return jnp.zeros_like(probabilities).at[positions].add(probabilities)

@@ -1,4 +1,4 @@
-"""Reads an inventory case: a TOML file and the CSVs beside it become an `InventoryCase`."""
+"""Reads an inventory case: a TOML file and the CSVs next to it become an `InventoryCase`."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.given import positions
 from snapo.case.plausible import CaseFiles
 from snapo.case.table import TableContext, parse
 
@@ -16,7 +15,7 @@ from ..item.records import InventoryCase, Item
 from .plausible import unit_slips
 from .season import no_season, read_season
 from .settings import read_settings
-from .tables import STOCK, HorizonTable, InventoryTable, ItemReportTable, ItemTable
+from .tables import HorizonTable, InventoryTable, ItemReportTable, ItemTable
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
@@ -40,7 +39,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         demand.integer or (demand.in_pieces() and len(season.values) == 1),
     )
     inputs = [*item.inputs(), *demand.inputs(), season]
-    notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
+    notes += unit_slips(CaseFiles(file, data), [*inputs, horizon.discount], table.period)
     return InventoryCase(
         **read_settings(top, name),
         file=file,
@@ -52,7 +51,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         item=item,
         periods=horizon.periods,
         warm_up=_warm_up(horizon, item),
-        discount=horizon.discount,
+        discount=horizon.factor,
         demand=demand,
         season=season,
         other_leads=parse(ItemReportTable, top.report, name, "report").lead_time,
@@ -60,21 +59,12 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
 
 
 def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
-    arrivals = max(table.lead_time - 1, 0)
-    if table.coming is not None and len(table.coming) != arrivals:
-        message = (
-            f"a lead time of {table.lead_time} needs {arrivals} numbers, the next arrival first"
-        )
-        raise section.error("coming", table.coming, message)
     if table.whole and not complete:
         section.notes.append("Orders are whole numbers, demand is not.")
     shortage = table.shortage
     if table.unmet == "lost":
         by_unit, text = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
         shortage = replace(shortage, unit=by_unit, meaning=text)
-    coming = replace(STOCK, unit=table.unit, meaning="at the start")
-    rows = positions((*section.keys, "coming"), (arrivals,))
-    labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
     return Item(
         lost=table.unmet == "lost",
         lead_time=table.lead_time,
@@ -87,11 +77,7 @@ def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
         stock=None
         if table.stock is None
         else replace(table.stock, labels=("now",), index=np.arange(1)),
-        coming=coming.input(
-            "start_coming", table.coming, labels, index=np.arange(arrivals), positions=rows
-        )
-        if table.coming
-        else None,
+        coming=table.coming,
     )
 
 
@@ -99,4 +85,4 @@ def _warm_up(table: HorizonTable, item: Item) -> int:
     """As given; else ten lead times for an average, and none where money is discounted."""
     if table.warm_up is not None:
         return table.warm_up
-    return 0 if table.discount < 1 else 10 * (item.lead_time + 1)
+    return 0 if table.factor < 1 else 10 * (item.lead_time + 1)

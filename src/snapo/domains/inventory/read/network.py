@@ -1,6 +1,7 @@
 """Reads a case with places: the tables `[network]`, `[[place]]` and `[[transshipment]]`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -8,27 +9,30 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
+from snapo.case.plausible import CaseFiles, checked_numbers
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.case.table import TITLE, CaseTable, NotNegative, Positive, TableContext, Title, parse
+from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 
+from ..demand.base import Demand
 from ..demand.registry import kinds, read_demand
-from ..network.records import NetworkCase, Pool, Site
+from ..network.records import NetworkCase, Pool, Site, SupplyNetwork
 from .plausible import unit_slips
 from .season import read_season
 from .settings import read_settings
 from .tables import (
-    AMOUNT,
-    LONGEST_LEAD,
+    COST,
+    HOLDING,
     NAME,
     HorizonTable,
     InventoryTable,
     ItemName,
     ItemTable,
+    lead_time,
 )
 
 MAXIMUM = 12  # places
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
+PlaceNames = Annotated[list[PlaceName], Field(min_length=2, max_length=MAXIMUM)]
 PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 40 characters"
 
 
@@ -47,12 +51,12 @@ class PlaceTable(CaseTable):
 
     name: PlaceName = Field(description=PLACE)
     supplier: PlaceName | None = Field(None, description="the name of another place")
-    lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
-        description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
+    lead_time: int = lead_time()
+    holding: CaseInput = HOLDING(
+        "of a unit held there, or on its way from there, each period", name="holding_cost"
     )
-    holding: Positive = Field(description="a number above 0")
-    shortage: Positive | None = Field(None, description="a number above 0")
-    order: NotNegative = Field(0.0, description=AMOUNT)
+    shortage: CaseInput | None = HOLDING("of a unit of unmet demand", None, name="shortage_cost")
+    order: CaseInput = COST("of an order of any size", 0.0, name="order_cost")
     demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
     season: dict[str, Any] | None = Field(None, description="a table, as [season]")
 
@@ -66,10 +70,10 @@ class NetworkReportTable(CaseTable):
 class TransshipmentTable(CaseTable):
     """One `[[transshipment]]`."""
 
-    between: Annotated[list[PlaceName], Field(min_length=2, max_length=MAXIMUM)] = Field(
+    between: PlaceNames = Field(
         description="a list of the names of 2 or more places with customers"
     )
-    cost: NotNegative = Field(description=AMOUNT)
+    cost: CaseInput = COST("of a unit that one store sends another", name="transshipment_cost")
     when: Literal["after", "before"] = Field("after", description='"after" or "before" (demand)')
     one_way: bool = Field(False, description="true or false")
 
@@ -115,46 +119,50 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     _check(rows, sections, TableContext(file, "network", notes), table.unmet)
     names = [row.name for row in rows]
     per = f"{table.unit}/{table.period}"
-    positions = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
+    places = [_place(row, section, names, per) for row, section in zip(rows, sections)]
     money = f"{table.currency}/{table.unit}"
     by_period = f"{money}/{table.period}"
-    selling = [row for row in rows if row.demand is not None]
-    held = _costs("holding_cost", rows, [row.holding for row in rows], by_period,
-                  "of a unit held there, or on its way from there, each period")  # fmt: skip
-    short = _costs("shortage_cost", selling, [row.shortage or 0.0 for row in selling],
-                   money if table.unmet == "lost" else by_period,
-                   "of a unit of unmet demand")  # fmt: skip
+    held = _by_label({row.name: row.holding for row in rows}, by_period)
+    shortages = {row.name: row.shortage for row in rows if row.shortage is not None}
+    short = _by_label(shortages, money if table.unmet == "lost" else by_period)
     pools, moving = _pools(file, notes, top.transshipment, rows, money)
-    paying = [row for row in rows if row.order > 0]
-    ordering = _costs("order_cost", paying, [row.order for row in paying], table.currency,
-                      "of an order of any size")  # fmt: skip
-    complete = all(_whole(position) for position in positions)
+    paying = {row.name: row.order for row in rows if _pays(row)}
+    ordering = _by_label(paying, table.currency) if paying else None
     total = sum(row.lead_time + 1 for row in rows)
-    usual = 0 if horizon.discount < 1 else 10 * total
-    costs = [cost for cost in (held, short, moving) if cost is not None]
-    inputs = [*costs, *(x for site in positions for x in _demand(site))]
-    notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
-    return NetworkCase(
+    usual = 0 if horizon.factor < 1 else 10 * total
+    demands = [demand for _, demand, _ in places if demand is not None]
+    seasons = [season for site, _, season in places if site.sells]
+    complete = all(map(_whole, demands, seasons))
+    case = NetworkCase(
         **read_settings(top, name),
         file=file,
-        notes=tuple(notes),
+        notes=(),
         title=top.title,
         currency=table.currency,
         unit=table.unit,
         period=table.period,
-        lost=table.unmet == "lost",
-        integer=complete if table.whole is None else table.whole,
-        sites=positions,
-        pools=pools,
+        network=SupplyNetwork(
+            tuple(site for site, _, _ in places),
+            pools,
+            table.unmet == "lost",
+            complete if table.whole is None else table.whole,
+            () if moving is None else tuple(np.argsort(moving.values, kind="stable").tolist()),
+        ),
+        demands=tuple(demands),
+        seasons=tuple(seasons),
         holding=held,
         shortage=short,
         transshipment=moving,
-        ordering=ordering if paying else None,
+        ordering=ordering,
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
-        discount=horizon.discount,
+        discount=horizon.factor,
         other_leads=parse(NetworkReportTable, top.report, name, "report").lead_time,
     )
+    inputs = [cost for cost in (held, short, moving) if cost is not None]
+    of_demand = [checked_numbers(x)._replace(name=key) for key, x in case.of_demand.items()]
+    slips = unit_slips(CaseFiles(file, data), [*inputs, *of_demand, horizon.discount], table.period)
+    return replace(case, notes=(*notes, *slips))
 
 
 def _check(
@@ -192,7 +200,7 @@ def _pools(
 ) -> tuple[tuple[Pool, ...], CaseInput | None]:
     """The pools of stores, and the cost of a unit moved in each; None where there are none."""
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
-    pools, costs, labels = [], [], []
+    pools, costs = [], {}
     for i, item in enumerate(tables):
         section = TableContext(file, f"transshipment[{i}]", notes)
         table = parse(TransshipmentTable, item, str(file), section.name)
@@ -200,29 +208,26 @@ def _pools(
             message = f"the places with customers are {', '.join(sell)}"
             raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
-            raise section.error("between", table.between, "each place stands there once")
+            raise section.error("between", table.between, "each place is there once")
         if table.one_way and len(table.between) != 2:
             message = "one way leads from the first to the second of two places"
             raise section.error("one_way", True, message)
-        positions = tuple(names.index(name) for name in table.between)
-        pool = Pool(positions if table.one_way else tuple(sorted(positions)), table.one_way,
+        sites = tuple(names.index(name) for name in table.between)
+        pool = Pool(sites if table.one_way else tuple(sorted(sites)), table.one_way,
                     table.when == "before")  # fmt: skip
         if pool in pools:
             raise section.error("between", table.between, "another table has the same places")
         pools.append(pool)
-        costs.append(table.cost)
         ways = " to " if table.one_way else ", "
         early = " (before demand)" if pool.before else ""
-        labels.append(ways.join(table.between) + early)
-    if not pools:
-        return (), None
-    text = "of a unit that one store sends another"
-    return tuple(pools), CaseInput("transshipment_cost", np.array(costs), tuple(labels), money,
-                               np.arange(len(pools)), group="costs", meaning=text)  # fmt: skip
+        costs[ways.join(table.between) + early] = table.cost
+    return tuple(pools), _by_label(costs, money) if pools else None
 
 
-def _place(row: PlaceTable, section: TableContext, names: list[str], unit: str) -> Site:
-    """The place of one table; `unit` of demand in a period."""
+def _place(
+    row: PlaceTable, section: TableContext, names: list[str], unit: str
+) -> tuple[Site, Demand | None, CaseInput | None]:
+    """The place of one table with its demand and season; `unit` of demand in a period."""
     supplier = names.index(row.supplier) if row.supplier is not None else None
     demand, season = None, None
     if row.season is not None:
@@ -232,30 +237,29 @@ def _place(row: PlaceTable, section: TableContext, names: list[str], unit: str) 
     if row.demand is not None:
         maximum = float(season.values.max()) if season is not None else 1.0
         demand = read_demand(_inner(section, "demand"), row.demand, unit, maximum)
-    return Site(row.name, supplier, row.lead_time, demand, season, row.order > 0)
-
-
-def _demand(site: Site) -> Iterator[CheckedNumbers]:
-    """The numbers of the demand of a site, with its name in front."""
-    season = [] if site.season is None else [site.season]
-    for entry in (*([] if site.demand is None else site.demand.inputs()), *season):
-        numbers = checked_numbers(entry)
-        yield numbers._replace(name=f"{site.name}.{numbers.name}")
+    sells, seasonal = demand is not None, season is not None
+    site = Site(row.name, supplier, row.lead_time, sells, seasonal, _pays(row))
+    return site, demand, season
 
 
 def _inner(section: TableContext, name: str) -> TableContext:
     return TableContext(section.file, f"{section.name}.{name}", section.notes)
 
 
-def _whole(position: Site) -> bool:
-    """Whether all that its customers ask for is whole: a history times a season is not."""
-    demand = position.demand
-    return demand is None or demand.integer or (demand.in_pieces() and position.season is None)
+def _whole(demand: Demand, season: CaseInput | None) -> bool:
+    """Whether all that customers ask for is whole: a history times a season is not."""
+    return demand.integer or (demand.in_pieces() and season is None)
 
 
-def _costs(
-    name: str, rows: list[PlaceTable], values: list[float], unit: str, text: str
-) -> CaseInput:
-    labels = tuple(row.name for row in rows)
-    index = np.arange(len(rows))
-    return CaseInput(name, np.array(values), labels, unit, index, group="costs", meaning=text)
+def _pays(row: PlaceTable) -> bool:
+    """Whether an order costs something whatever its size."""
+    return bool(row.order.values[0] > 0)
+
+
+def _by_label(costs: Mapping[str, CaseInput], unit: str) -> CaseInput:
+    """Costs of one kind in several tables as one input, in `unit`."""
+    parts = list(costs.values())
+    values = [part.values[0] for part in parts]
+    locations = tuple(part.positions[0] for part in parts)
+    quantity = replace(parts[0].quantity, unit=unit)
+    return quantity.input(parts[0].name, values, list(costs), positions=locations)

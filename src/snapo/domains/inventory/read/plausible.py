@@ -10,10 +10,9 @@ from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_n
 from ..demand.base import DEVIATION, MEAN
 
 
-def unit_slips(files: CaseFiles, inputs: Iterable[Any], discount: float, period: str) -> list[str]:
-    """Notes on the numbers of an item, or of a network: `inputs`, with the factor of `discount`."""
+def unit_slips(files: CaseFiles, inputs: Iterable[Any], period: str) -> list[str]:
+    """Notes on the numbers of an item, or of a network."""
     entries = [checked_numbers(entry) for entry in inputs]
-    entries.append(CheckedNumbers("discount", np.array([discount]), ("",)))
     return list(implausible(entries, list(_ranges(entries, period)), files).values())
 
 
@@ -22,7 +21,6 @@ def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausibl
     by_period = f"it is of one {period}"
     yield Plausible(0.5, 1.0, f"a factor by {period} is meant, 0.999 and not the rate 0.001",
                     names=("discount",))  # fmt: skip
-    yield Plausible(0.02, 20.0, "it is a factor of the mean, 1.2 is 120 %", endings=("season",))
     cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))
     if short.size:

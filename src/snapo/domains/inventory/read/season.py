@@ -8,12 +8,18 @@ import numpy as np
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.plausible import Plausible
+from snapo.case.quantity import Quantity, Range
 from snapo.case.table import TableContext, parse
 
 from .tables import SeasonTable
 
 SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
-WORDS = "demand of a period, relative to the mean"
+FACTOR = Quantity(
+    "1", Range(0.001, 1000.0), "demand", column="factor",
+    plausible=Plausible(0.02, 20.0, "it is a factor of the mean, 1.2 is 120 %"),
+    meaning="demand of a period, relative to the mean",
+)  # fmt: skip
 
 
 def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
@@ -28,15 +34,9 @@ def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
             f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
         )
         raise CaseError(table.file, "", None, message)
-    numbers = np.array([row.number("factor", 0.001, 1000) for row in rows])
-    labels = tuple(row.label("period") for row in rows)
-    positions = tuple(row.position("factor") for row in rows)
-    index = np.arange(len(rows))
-    return CaseInput(
-        "season", numbers, labels, "1", index, group="demand", meaning=WORDS, positions=positions
-    )
+    return FACTOR.from_rows("season", rows, [row.label("period") for row in rows])
 
 
 def no_season() -> CaseInput:
     """The factor 1 in all periods."""
-    return CaseInput("season", np.ones(1), ("all",), "1", np.zeros(1, int), meaning=WORDS)
+    return CaseInput("season", np.ones(1), ("all",), "1", np.zeros(1, int), meaning=FACTOR.meaning)

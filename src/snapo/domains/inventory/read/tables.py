@@ -1,24 +1,62 @@
-"""The tables of an inventory case as they stand in the TOML file, each key with its meaning.
+"""The tables of an inventory case of the TOML file, each key with its meaning.
 
 The description of a key is the text that an error message quotes as allowed.
 """
 
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from snapo.case.given import CaseInput
-from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity
-from snapo.case.table import TITLE, CaseTable, NotNegative, Title
+from snapo.case.given import CaseInput, positions
+from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, KeyContext, Quantity, Range, custom
+from snapo.case.table import TITLE, CaseTable, Title
 
 ItemName = Annotated[str, Field(min_length=1, max_length=40)]
 
-AMOUNT = "a number of at least 0"
 NAME = "a name of at most 40 characters in quotation marks"
 LONGEST_LEAD = 12
 COST = Quantity("{currency}/{unit}", NOT_NEGATIVE, "costs")
 HOLDING = Quantity("{currency}/{unit}/{period}", POSITIVE, "costs")
 STOCK = Quantity("{unit}", NOT_NEGATIVE, "start", move=1.0)
+DISCOUNT = Quantity("1", Range(0.0, 1.0, "(]"))
+COMING = (
+    "a list of numbers of at least 0, one for each period of the lead time but the last, "
+    "the next arrival first"
+)
+
+
+def whole_number(
+    low: int, high: int | None = None, default: Any = ..., noun: str = "a whole number"
+) -> Any:
+    """A key for a whole number from `low` to `high`, which its text says."""
+    text = f"{noun}, {low:,} or more" if high is None else f"{noun}, {low:,} to {high:,}"
+    return Field(default, ge=low, le=high, description=text)
+
+
+def lead_time() -> Any:
+    """The key `lead_time`."""
+    return whole_number(0, LONGEST_LEAD, noun="a whole number of periods")
+
+
+def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
+    """The orders on their way at the start; the keys before it tell how many there are."""
+    if raw is None or "lead_time" not in key.values:
+        return None
+    if not isinstance(raw, list):
+        raise key.error(raw, f"allowed is {COMING}")
+    numbers = [STOCK.checked(x, key) for x in raw]
+    lead_time, period = key.values["lead_time"], key.filled("{period}")
+    arrivals = max(lead_time - 1, 0)
+    if len(raw) != arrivals:
+        message = f"a lead time of {lead_time} needs {arrivals} numbers, the next arrival first"
+        raise key.error(raw, message)
+    if not numbers:
+        return None
+    labels = [f"in {i + 1} {period}s" for i in range(arrivals)]
+    quantity = replace(STOCK, unit=key.filled(STOCK.unit), meaning="at the start")
+    rows = positions(key.path, (arrivals,))
+    return quantity.input("start_coming", numbers, labels, positions=rows)
 
 
 class ItemTable(CaseTable):
@@ -28,9 +66,7 @@ class ItemTable(CaseTable):
     unit: ItemName = Field("piece", description=NAME)
     period: ItemName = Field("week", description=NAME)
     unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
-    lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
-        description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
-    )
+    lead_time: int = lead_time()
     holding: CaseInput = HOLDING("of a unit held, each period", name="holding_cost")
     shortage: CaseInput = HOLDING(
         "of a unit of demand that waits, each period", name="shortage_cost"
@@ -38,26 +74,22 @@ class ItemTable(CaseTable):
     purchase: CaseInput = COST("of a unit ordered", 0.0, name="purchase_cost")
     order: CaseInput = COST("of an order of any size", 0.0, unit="{currency}", name="order_cost")
     whole: bool | None = Field(None, description="true or false")
-    most: Annotated[int, Field(ge=1)] | None = Field(None, description="a whole number, 1 or more")
+    most: int | None = whole_number(1, default=None)
     stock: CaseInput | None = STOCK("at the start", None, name="start_stock")
-    coming: list[NotNegative] | None = Field(
-        None, description="a list of numbers of at least 0, one for each period of the lead time"
-        " but the last",
-    )  # fmt: skip
+    coming: CaseInput | None = custom(_coming, COMING, None, ("array",))
 
 
 class HorizonTable(CaseTable):
     """`[horizon]`"""
 
-    periods: Annotated[int, Field(ge=2, le=2000)] = Field(
-        100, description="a whole number, 2 to 2,000"
-    )
-    warm_up: Annotated[int, Field(ge=0, le=2000)] | None = Field(
-        None, description="a whole number, 0 to 2,000"
-    )
-    discount: Annotated[float, Field(gt=0, le=1)] = Field(
-        1.0, description="a number above 0, at most 1"
-    )
+    periods: int = whole_number(2, 2000, 100)
+    warm_up: int | None = whole_number(0, 2000, None)
+    discount: CaseInput = DISCOUNT("factor of a cost by the period", 1.0)
+
+    @property
+    def factor(self) -> float:
+        """The discount factor of a period."""
+        return float(self.discount.values[0])
 
 
 class SeasonTable(CaseTable):

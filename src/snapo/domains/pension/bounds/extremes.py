@@ -1,6 +1,6 @@
 """The rights and payments of a path that no decision can undercut, or exceed.
 
-Decisions move rights through indexation alone, and contributions through assets and rights. The
+Decisions move rights through indexation only, and contributions through assets and rights. The
 least rights follow from the least increase at every date, the most from the most; contributions
 are highest without assets, against the most rights.
 """

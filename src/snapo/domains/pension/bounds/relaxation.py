@@ -1,4 +1,4 @@
-"""The bound of a fund: its assets at a deflator's prices in place of the market's returns.
+"""The bound of a fund: its assets at a deflator's prices instead of the market's returns.
 
 With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
 is the most that a unit of deflated money can grow to on average within the limits of weights and
@@ -101,9 +101,9 @@ class FundRelaxation:
             available = self._paths(rollout, draws), self._extremes(rollout)
             price = fair(available[0].returns)
             split = jax.jit(self._split)
-            lowests = [self._lowest(*split(share * price, *available)) for share in SHARES]
-        minimum = int(np.argmin([value for value, _ in lowests]))
-        return SHARES[minimum] * price, lowests[minimum][1]
+            minima = [self._lowest(*split(share * price, *available)) for share in SHARES]
+        minimum = int(np.argmin([value for value, _ in minima]))
+        return SHARES[minimum] * price, minima[minimum][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
         """The bound on paths of these (see `_split`) where it is lowest, and the y there."""

@@ -30,8 +30,8 @@ from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Schedule
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun

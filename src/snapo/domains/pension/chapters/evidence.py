@@ -11,9 +11,9 @@ import numpy as np
 from snapo.problem.inputs import plain
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.report import evidence
+from snapo.report.missing import not_asked
 from snapo.report.page import Block, Facts, Mark, Section, Table, Text
 from snapo.report.quantity import finite, number
-from snapo.report.sections.lacking import not_asked
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Number
@@ -39,7 +39,7 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 
 
 class BondsPriced(PensionSimulator):
-    """The fund, with the discounted worth of bonds at the horizon: "bond 10".
+    """The fund, with the discounted value of bonds at the horizon: "bond 10".
 
     Per unit of their forward price; index-linked where the liability
     is valued as following prices.
@@ -70,10 +70,10 @@ class MarketTest:
 
 
 def measure(run: StudyRun) -> tuple[MarketTest, ...]:
-    """Discounted values beside their expectations, with the trained policy.
+    """Discounted values and their expectations, with the trained policy.
 
     The scenarios are "Q" whatever the measure of the case, without the cost of hedging currencies,
-    which nobody receives. Costs count where they are paid. None where scenarios are supplied;
+    which is paid to no one. Costs count where they are paid. None where scenarios are supplied;
     appraised values and bases with a spread are no prices.
     """
     case, setup = case_of(run), run.setup
@@ -196,7 +196,7 @@ def assumptions(run: PensionRun) -> Section:
 
 def _glossary() -> Table:
     rows = [
-        ("P, Q", "real-world and risk-neutral scenarios; stands beside everything simulated"),
+        ("P, Q", "real-world and risk-neutral scenarios; next to everything simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
         ("Certainty equivalent", "the sure ratio with the utility of the policy's own"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),

@@ -4,7 +4,7 @@ For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon
 present value of contributions over the liability of today. The sweep goes up and then down again;
 each time a policy is trained from the best one for its aim so far, wherever that one was trained,
 and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order for that reason alone: of two policies that each serve their own aim best,
+points would be in order only for that reason: of two policies that each serve their own aim best,
 the one for the larger s asks for less. They are chosen on the validation paths and measured on
 fresh ones, so that they are in order within their errors.
 """
@@ -19,11 +19,9 @@ from snapo.problem.objective import CVaR, Mean, Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, unit_above
+from snapo.report.drawing import LIGHT, draw, number_axis, unit_above
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, plus_minus
-from snapo.report.theme import LIGHT
 from snapo.solver.evaluate import estimate, path_totals, value_of
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapter import Chapter, Number

@@ -1,4 +1,4 @@
-"""The value of the objective: its terms, and the sure ratio that is worth as much."""
+"""The value of the objective: its terms, and the certain ratio that is worth as much."""
 
 import math
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from ..results.setup import FUNDING, PENSION, case_of
 
 
 class Equivalent(NamedTuple):
-    """A utility of the final funding ratio, or of the mean pension over today's, as a sure ratio:
-    `slope` is d ratio / d utility."""
+    """A utility of the final funding ratio, or of the mean pension over today's, as a certain
+    ratio: `slope` is d ratio / d utility."""
 
     ratio: float
     slope: float
 
 
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
-    """The sure final ratio that is worth as much; None for other objectives."""
+    """The certain final ratio that is worth as much; None for other objectives."""
     ratios = FUNDING.output, PENSION.output
     if not (isinstance(objective, ExpectedUtility) and objective.output in ratios):
         return None

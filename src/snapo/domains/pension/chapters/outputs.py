@@ -1,9 +1,9 @@
-"""Sensitivities of several outputs in one run: the objective, and what a board asks for beside it.
+"""Sensitivities of several outputs in one run: the objective, and those of a board.
 
-Decisions are recorded once, and one adjoint pass with a cotangent for each output goes back over
-the same paths. A share (of the funding ratio, of probability) is told in points and basis points,
+Decisions are recorded once, and one adjoint pass with a cotangent for each output runs over the
+same paths. A share (of the funding ratio, of probability) is reported in points and basis points,
 and in money as that share of today's liability; money also as a share of it. A fund of personal
-pots is told by its pensions over those of today, which have no such worth in money.
+pots is reported by its pensions over those of today, which have no such value in money.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,9 +14,9 @@ import numpy as np
 
 from snapo.problem.inputs import plain
 from snapo.problem.objective import CVaR, Mean, Objective, Probability
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Table, Text
 from snapo.report.quantity import SPACE, decimals, measured, number, plus_minus
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.evaluate import estimate
 from snapo.solver.sensitivity import held_of_several
 from snapo.solver.statistics import Estimate
@@ -109,7 +109,7 @@ class Derived(NamedTuple):
 
 
 def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...]:
-    """Key, name, whether it is money, the objective; underfunding is told as 1 less its
+    """Key, name, whether it is money, the objective; underfunding is reported as 1 less its
     complement."""
     return (
         ("funding", by.mean, False, Mean(by.output)),

@@ -29,7 +29,7 @@ SLACK = 1e-9  # below a limit, of the assets: round-off
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)
 TAIL = 0.95  # level of the mean of the worst paths
 RATIOS = np.array([0.0, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, np.inf])  # columns of the policy map
-FEW = 20  # paths in a cell of the map below which nothing is said
+FEW = 20  # paths in a cell of the map below which it stays empty
 EMPTY = np.zeros(0)
 LAYERS = ("main", "inject", "withdraw", "limit", "good", "other")  # colours of the mean mix
 Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
@@ -89,7 +89,7 @@ class LimitBreaches:
 
 @dataclass(frozen=True)
 class FirstAllocation:
-    """Today's weights [n] and places of the notionals in their ranges [b]: alike on all paths."""
+    """Today's weights [n] and places of the notionals in their ranges [b], for all paths."""
 
     weights: Floats
     overlay: Floats
@@ -149,7 +149,7 @@ class RecordedPaths:
         limited = case_of(run).assets.dealing
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
-            # All of the course, whose program the certificate uses too.
+            # The whole trajectory, whose program the certificate uses too.
             rollout = bound.values(policy, draws, Exact(), record=TRAJECTORY)
             action = np.asarray(rollout.record["action"])
             if limited:

@@ -64,7 +64,7 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     standard error comes from the differences path by path. The classical policies take as many
     steps of training as the network did, those that follow the funding ratio on top of the
     constant mix from which they start; of each the best along the way is kept. The present mix,
-    rebalanced at every step and yearly, is held as it is: it may leave the bounds.
+    rebalanced at every step and yearly, is held unchanged: it may leave the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
@@ -141,7 +141,7 @@ def _worth(problem: Problem, key: str, name: str, totals, local) -> PolicyWorth:
     if ratio is None or best is None:
         return policy
     years = case.steps * case.step
-    # ln of a sure ratio per year moves by its slope over the ratio for one unit of utility.
+    # ln of a certain ratio per year moves by its slope over the ratio for one unit of utility.
     ours = objective.influence(local) * best.slope / best.ratio
     theirs = objective.influence(totals) * ratio.slope / ratio.ratio
     return replace(
@@ -171,7 +171,7 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
-        " same bounds; the present mix is held as it is, untuned. The lead is paired path by path;"
+        " same bounds; the present mix is held, untuned. The lead is paired path by path;"
         " the error is one standard error of it."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))

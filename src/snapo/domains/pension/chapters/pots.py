@@ -105,7 +105,7 @@ def _recorded(run: StudyRun) -> tuple[np.ndarray, np.ndarray]:
     paths = source.available(min(PATHS, setup.evaluation.paths))
     for block in source.blocks(paths, max(8, paths // 1024)):
         draws = source.draws(block, problem.simulator)
-        # All of the course, whose program the certificate has compiled or will use again.
+        # The whole trajectory, whose program the certificate has compiled or will use again.
         rollout = bound.values(run.solution.policy, draws, Exact(), record=TRAJECTORY)
         state = rollout.record["state"]
         levels.append(np.asarray(state.level))

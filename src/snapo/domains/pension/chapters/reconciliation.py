@@ -1,4 +1,4 @@
-"""The model's own figures beside those of the actuary: is this the fund that the actuary knows?"""
+"""The model's own figures next to those of the actuary: is this the fund that the actuary knows?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -282,7 +282,7 @@ def _funding(run: PensionRun, result: Bases) -> list[Block]:
     facts = [("Maturity", f"{state} significant maturity", "by duration on low dependency")]
     if plan.deficit:
         when = f"a year for {number(plan.years, 1)} years, {run.large(plan.total)} in all"
-        facts.append(("Recovery plan", run.large(plan.probability), when))
+        facts.append(("Recovery plan", run.large(plan.payment), when))
     rules = _rules(result.since, result.source)
     return [table, Facts(facts), Text(FUNDING, caveat=True), rules]
 

@@ -9,9 +9,9 @@ import numpy as np
 from snapo.problem.inputs import Input, plain
 from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus, rough
-from snapo.report.sections.lacking import why_missing
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
@@ -123,7 +123,7 @@ def measure(run: StudyRun) -> MoveEffects:
 
 
 def effects(setup: Setup, solution: Solution) -> MoveEffects:
-    """Effects of the usual moves on the objective: each number alone, and all of an input's."""
+    """Effects of the usual moves on the objective: each number by itself, and all of an input's."""
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
@@ -229,7 +229,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
 
 
 def _columns(unit: str) -> list[tuple[str, str]]:
-    """Heads of the columns that tell of one effect."""
+    """Heads of the columns of one effect."""
     return [("Effect", unit), ("95 % half-width", unit), ("of it policy", unit), ("Derivative", ""),
             ("Policy reacting", unit)]  # fmt: skip
 
@@ -252,8 +252,8 @@ def _others(rows: Sequence[NumberEffect], scale: float, unit: str) -> Table:
     body = [_row(row, name_of(row.input, row.label), scale) for row in rows[:ROWS]]
     head = [("Input", ""), ("Rise", ""), *_columns(unit)]
     more = "" if len(rows) <= ROWS else "; the rest is in sensitivities.csv"
-    folded = f"Each number alone: {len(rows)} sensitivities{more}"
-    return Table(head, body, "Each number alone", TEXTS, folded=folded)
+    folded = f"Each number by itself: {len(rows)} sensitivities{more}"
+    return Table(head, body, "Each number by itself", TEXTS, folded=folded)
 
 
 def _definitions(moves: Sequence[InputEffect]) -> Table:

@@ -145,7 +145,7 @@ def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
 
 
 def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
-    """Rates [n] moved by lines of one kind: those without a tenor move all of them alike, those
+    """Rates [n] moved by lines of one kind: those without a tenor move all of them equally, those
     with one by sizes that are linear between tenors and constant outside."""
     for line in lines:
         if not line.label:
@@ -208,7 +208,7 @@ def _signed(scenario: str) -> str:
 
 def _balance(assets: float, liability: float, scale: float) -> tuple[str, ...]:
     amounts = assets / scale, liability / scale
-    digits = decimals(amounts, 4)  # a surplus is small beside what it is left of
+    digits = decimals(amounts, 4)  # a surplus is a small difference of two large numbers
     return tuple(number(x, digits) for x in (*amounts, amounts[0] - amounts[1]))
 
 

@@ -35,7 +35,7 @@ RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades
 PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
 REAL = (
     "With break-evens held, a rise of nominal rates is one of real rates: the part of the rate"
-    " ladder that pays the price index follows. The rest follows nominal rates alone."
+    " ladder that pays the price index follows. The rest follows only nominal rates."
 )
 
 

@@ -91,13 +91,13 @@ def indexation(run: PensionRun, result: PathTables) -> Sequence[Block]:
 
 
 def _certain(item: np.ndarray, total: np.ndarray) -> str:
-    """Increases of each year that are the same on all paths, and cumulated, in words."""
+    """Increases of each year that are the same on all paths, and cumulated, as text."""
     if not np.any(item):
         return "The plan grants no increases."
     low, high = float(item.min()), float(item.max())
     size = share(low, 2) if high - low < 1e-12 else f"{share(low, 2)} to {share(high, 2)}"
     return (
-        f"Pensions rise by {size} every year, on all paths alike: after {number(len(item), 0)} "
+        f"Pensions rise by {size} every year, equally on all paths: after {number(len(item), 0)} "
         f"years to {share(total[-1])} of today's."
     )
 

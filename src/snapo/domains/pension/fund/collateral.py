@@ -1,8 +1,8 @@
 """Collateral behind swaps: what a rise of rates leaves of the assets that count, and what the swaps
 then owe, both revalued in full.
 
-All zero rates rise alike, and with swaps of inflation break-evens fall by as much. Par swaps and
-coupon bonds are those of today's curve; what pays at one date is revalued alike on every path.
+All zero rates rise equally, and with swaps of inflation break-evens fall by as much. Par swaps and
+coupon bonds are those of today's curve; what pays at one date is revalued equally on every path.
 """
 
 from typing import Any, NamedTuple

@@ -13,8 +13,8 @@ from .terms import PlanTerms
 class ContributionDue(NamedTuple):
     """A fund when a contribution is due: money, with the normal cost and salaries of the step.
 
-    `step`: its length in years. `annuity`: years of level payments that a gap is worth, None where
-    the rule has a rolling share of it (see `recovery`).
+    `step`: its length in years. `annuity`: years of level payments that have the value of a gap,
+    None where the rule has a rolling share of it (see `recovery`).
     """
 
     assets: Array
@@ -28,7 +28,7 @@ class ContributionDue(NamedTuple):
 class ContributionRule:
     """One kind of `[plan.contribution]`.
 
-    - `takes`: the keys of its own, beside those of the normal cost and of the limits.
+    - `takes`: its keys in addition to those of the normal cost and of the limits.
     - `by_cost`: it begins with the normal cost, valued with a loading or a rate of salaries.
     - `responds`: it depends on the funding ratio, thus on decisions.
     """
@@ -81,7 +81,7 @@ class SpreadContribution(ContributionRule):
 
 class TargetContribution(ContributionRule):
     """The normal cost and the gap to a funding ratio: level payments with interest until a fixed
-    end, or always the same share of what is left, without interest."""
+    end, or always the same share of the rest, without interest."""
 
     kind, takes, responds = "target", ("target_ratio", "recovery", "recovery_years"), True
 

@@ -43,6 +43,6 @@ def dealt(
     move = jnp.where(some & (move > 0), move * paid, move)
     if assets.turnover is not None:
         maximum = assets.turnover * step
-        rotated = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
-        move = move * maximum / smooth.maximum(rotated, maximum, NEAR)
+        turnover = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
+        move = move * maximum / smooth.maximum(turnover, maximum, NEAR)
     return now + move - jnp.where(is_cash, jnp.sum(move), 0.0)

@@ -132,7 +132,7 @@ FEATURES: dict[str, Feature] = {
 
 
 def slots(case: PensionCase) -> dict[str, slice]:
-    """Where each observed name stands in the observation."""
+    """The slice of each observed name in the observation."""
     slices, start = {}, 0
     for name in case.observation:
         stop = start + FEATURES[name].size(case)
@@ -165,7 +165,7 @@ def spread_scales(case: PensionCase) -> np.ndarray:
 
 
 def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:
-    """Standard deviation of mean-reverting factors; 1 where they stand still."""
+    """Standard deviation of mean-reverting factors; 1 where they do not move."""
     deviation = volatility * np.sqrt(-np.expm1(-20 * mean_reversion) / (2 * mean_reversion))
     return np.where(deviation > 0, deviation, 1.0)
 

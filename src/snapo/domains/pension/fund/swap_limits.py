@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 
 from ..records.case import PensionCase
 from ..records.inputs import pension_inputs

@@ -15,7 +15,7 @@ class PlanTerms(NamedTuple):
     Indexation: `cap`, `floor` per year, `lower`, `upper`, `required` funding ratios.
     Contribution: `rate` and limits `c_floor`, `c_cap` as shares of salaries, `loading`,
     `spread_factor` per year, `target` ratio, `recovery_years`, `sponsor` money per year.
-    Liability: `reserved`, what is set aside per value of a payment.
+    Liability: `reserved`, the amount set aside per value of a payment.
     """
 
     cap: Array

@@ -54,8 +54,8 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     swaps = terms.swaps
     if swaps is not None:
         notional = _notional(case, swaps, action[count:], assets, buckets, smooth)
-        # Holdings less targets: where nothing is traded, the derivative by the holding is then that
-        # of one more.
+        # Holdings less targets: where nothing is traded, the derivative with respect to the
+        # holding is then that of one more.
         change = state.overlay * state.assets / terms.assets - notional / terms.assets
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         gap = swaps.stress.gap(assets * weights, notional)
@@ -65,7 +65,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
 
 
 def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
-    """The holdings, or cash alone where there are no `assets` left, but debt."""
+    """The holdings, or only cash where there are no `assets` left, but debt."""
     left = assets > 0
     alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, held.weights.dtype)
     return held._replace(

@@ -1,4 +1,4 @@
-"""Zero-coupon prices from a curve as its owner quotes it; break-evens have the same form."""
+"""Zero-coupon prices from a quoted curve; break-evens have the same form."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ def log_bond(curve: MarketCurve, inputs: dict[str, Any], years: np.ndarray) -> F
     """ln P(0, t) at times `years` [n] >= 0; of break-evens, minus the log of the expected index.
 
     Zero rates: -z(t) t, z linear between nodes and flat before the first. Forward rates: minus
-    their integral. Beyond the last node as `Curve.extrapolation` says; "smith-wilson" makes the
-    whole curve.
+    their integral. Beyond the last node as `Curve.extrapolation` specifies; "smith-wilson" makes
+    the whole curve.
     """
     years, nodes = np.asarray(years, float), curve.tenor
     rate = use(inputs, curve.rate)
@@ -42,7 +42,7 @@ def log_bond(curve: MarketCurve, inputs: dict[str, Any], years: np.ndarray) -> F
 
 
 def _between(nodes: np.ndarray, values: Array, at: np.ndarray) -> Array:
-    """Linear interpolation, flat outside; every value at a node is that of the node alone."""
+    """Linear interpolation, flat outside; every value at a node is only that of the node."""
     upper = np.clip(np.searchsorted(nodes, at), 0, len(nodes) - 1)
     lower = np.maximum(upper - 1, 0)
     width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)

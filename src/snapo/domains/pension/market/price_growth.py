@@ -47,7 +47,7 @@ class PriceGrowth(NamedTuple):
 
 
 def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
-    """All moments, exact at every time of the grid; `today`: at time 0 alone, without the scan
+    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan
     over the steps that the others need."""
     item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)
@@ -64,7 +64,7 @@ def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False)
     model = _Model(case, inputs)
     spread = model.among(years)
     step = np.diff(np.eye(count + 1), axis=0)
-    # Payments follow an increase all the year; the middle one stands for them.
+    # Payments follow an increase all the year; the middle one represents them.
     after = ((item - 1) / 2 + (case.plan.timing == "arrears")) * d
     due = model.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
     at = jnp.concatenate([jnp.zeros((len(phases), 1)), model.with_rates_at(years[:, 1:])], axis=1)
@@ -100,7 +100,7 @@ class _Model:
         self.expected, self.index = expected**2, index**2
         self.both = expected * index * available[count, count + 1]
         self.drift = expected * volatility * available[count, :count]
-        self.residual = index * volatility * available[count + 1, :count]
+        self.own_load = index * volatility * available[count + 1, :count]
 
     def among(self, years: np.ndarray) -> Float[Array, "phases n n"]:
         """K of all pairs of times."""
@@ -131,7 +131,7 @@ class _Model:
             single = (u - left) / a
             faded = (jnp.exp(-a * (paid - u)) - jnp.exp(-k * u - a * paid)) / (k + a)
             double = (u + jnp.expm1(-k * u) / k - left + faded) / (k * a)
-            result = result + self.drift[i] * double + self.residual[i] * single
+            result = result + self.drift[i] * double + self.own_load[i] * single
         return result
 
     def forward(self, times: np.ndarray, dates: np.ndarray) -> Float[Array, "T1 n"]:

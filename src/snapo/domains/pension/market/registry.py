@@ -7,5 +7,5 @@ from pathlib import Path
 
 def import_all(package: str, file: str) -> None:
     """Imports every file of the folder of `file`, which is the package `package`."""
-    for iter_module in pkgutil.iter_modules([str(Path(file).parent)]):
-        import_module(f"{package}.{iter_module.name}")
+    for module in pkgutil.iter_modules([str(Path(file).parent)]):
+        import_module(f"{package}.{module.name}")

@@ -17,7 +17,7 @@ from .correlation import brownians, matrix
 
 
 class Slots(NamedTuple):
-    """Where each part of the vector stands; F rate factors, one of inflation (g = F + 1).
+    """The index of each part of the vector; F rate factors, one of inflation (g = F + 1).
 
     `zeta`, `iota`: [g] of rates, then expected inflation. The others are slices; the vector is
     zeta and iota of rates, zeta and iota of inflation, price index, wage, mortality, ratings,

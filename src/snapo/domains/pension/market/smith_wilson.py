@@ -102,7 +102,7 @@ def _weights(dates: np.ndarray, local: Array, speed: Array) -> Float[Array, " m"
 
 
 def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
-    """The least speed that converges, with its derivative by the implicit function theorem."""
+    """The least speed that converges, differentiated by the implicit function theorem."""
     held = jax.lax.stop_gradient(local)
 
     def missed(speed, custom=held):

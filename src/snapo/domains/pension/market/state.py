@@ -81,5 +81,5 @@ def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) ->
 
 
 def without_empty(tree: Any) -> Any:
-    """The same without arrays of size zero, which stand for absent parts of a case."""
+    """The same without arrays of size zero, which represent absent parts of a case."""
     return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)

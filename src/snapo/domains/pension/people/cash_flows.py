@@ -74,7 +74,7 @@ def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " 
     if case.plan.open and case.plan.accruing and case.steps * case.step > 1:
         lives = joined(lives, entrants(case, inputs, lives, count))
     streams = _streams(case, inputs, lives, case.members.status)
-    # The accrual of step t is paid from step t + 1 on; nobody lives longer than `PAYMENT_YEARS`.
+    # The accrual of step t is paid from step t + 1 on; no one lives longer than `PAYMENT_YEARS`.
     wait = np.arange(count) - np.arange(case.steps)[:, None]
     within = count - case.steps
     fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)

@@ -1,7 +1,7 @@
 """Fixed increases: promised whatever happens, so that they are part of the payments themselves.
 
 At the end of every step that ends on the date of indexation, pensions in payment grow by the rate
-of `Indexation`. Rights before payment grow alike, or by the rates of a `Revaluation`: one for
+of `Indexation`. Rights before payment grow equally, or by the rates of a `Revaluation`: one for
 deferred members until their pension begins, one for actives in service.
 """
 
@@ -32,7 +32,7 @@ def due(case: PensionCase, count: int) -> np.ndarray:
 
 
 def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
-    """[count] what a pension in payment has grown to in each step; ones without fixed increases."""
+    """[count] a pension in payment, grown, in each step; ones without fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
         return jnp.ones(count)

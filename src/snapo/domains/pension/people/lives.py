@@ -88,7 +88,7 @@ def entrants(case: PensionCase, inputs: dict[str, Any], lives: Lives, steps: int
     """Who replaces actives that retire or die: one group per sex and year of entry.
 
     At the start of each year the entrants take over the pensionable salary that was given up
-    since the last one, so that it stands at its level of time 0 at the start of every year.
+    since the last one, so that it is at its level of time 0 at the start of every year.
     """
     item = round(1 / case.step)
     entry = np.arange(item, case.steps, item)

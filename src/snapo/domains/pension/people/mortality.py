@@ -12,7 +12,7 @@ from ..records.inputs import use
 from ..records.people import FEMALE, SLOPE_AGES, Mortality
 from ..records.plan import PensionPlan
 
-CERTAIN = 50.0  # the hazard of a year that nobody survives: exp(-50) is 2e-22
+CERTAIN = 50.0  # the hazard of a year that no one survives: exp(-50) is 2e-22
 TINY = 1e-9  # of a year: closer to a birthday than this is the birthday
 
 

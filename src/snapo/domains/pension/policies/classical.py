@@ -44,7 +44,7 @@ class ConstantMix(Policy):
 
 
 class GlidePath(Policy):
-    """From one mix to another, linear in the funding ratio between two bounds; swaps alike.
+    """From one mix to another, linear in the funding ratio between two bounds; swaps too.
 
     `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
     `bounds` [2] in `UNIT`. It starts at the same `mix` everywhere.
@@ -194,7 +194,7 @@ def followers(
 
 
 def _ratio_slot(case: PensionCase) -> int:
-    """Where ln of the funding ratio stands, over that now where nothing else is seen."""
+    """The position of ln of the funding ratio, over that now where nothing else is seen."""
     observed: dict[str, slice] = slots(case)
     name = "funding_ratio" if "funding_ratio" in observed else "relative_funding"
     return observed[name].start
@@ -259,8 +259,8 @@ def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
 class OneOf(Policy):
     """Decides as the rule at `place` does; only this one is tuned.
 
-    All are computed, which costs a fund little beside its own step; the place is a number that
-    the program reads, not a part of it.
+    All are computed, which costs a fund little compared with its own step; the place is a number
+    that the program reads, not a part of it.
     """
 
     rules: tuple[Policy, ...]

@@ -1,4 +1,4 @@
-"""The outputs of a path that a fund of pots has beside those of every fund."""
+"""The outputs of a path of a fund of pots, in addition to those of every fund."""
 
 from ..records.people import FundMembers
 

@@ -1,19 +1,22 @@
 """Reads `[pots]`: personal pots with a solidarity reserve, within the law at the date."""
 
 import datetime
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import CaseInput
+from snapo.case.quantity import Range
 
-from ..read.cells import TableReader, TimeGrid, listed, rising, single
+from ..quantities import SHARE, FundQuantity, input_of
+from ..read.cells import TableReader, TimeGrid, rising
 from ..read.tables import PotsTable
 from ..records.people import FundMembers
 from ..records.plan import Liability, PensionPlan
 from ..records.pots import PotRules, Pots
-from ..records.said import InputNumber, share
 from ..regulation.in_force import in_force
 
 OWN = {"dutch-wtp": "dutch_wtp.toml"}  # rules that come with the package
@@ -24,9 +27,11 @@ LIMITS = {
     "fill_contribution": "from_contributions",
     "fill_return": "from_excess_return",
 }
-RESERVE = share("the solidarity reserve: its size, its filling or its release", "plan")
-PROTECTION = share("the share of a pot that earns as its annuity does; the rest earns cash", "plan")
-EXPOSURE = share("the weight of a cohort's pot in the excess return", "plan")
+BY_COHORT = SHARE.of("plan", range=Range(0.0, 2.0))
+PROTECTION = BY_COHORT.in_column(
+    "protection", "the share of a pot that earns as its annuity does; the rest earns cash"
+)
+EXPOSURE = BY_COHORT.in_column("exposure", "the weight of a cohort's pot in the excess return")
 
 
 def read_pots(
@@ -45,17 +50,20 @@ def read_pots(
     if members is None:
         raise section.error("rules", table.rules, "pots are those of the cohorts of [members] file")
     rules = in_force(section, table.rules, OWN, day, _rules)
-    largest = rules.largest if table.largest is None else table.largest
+    largest = table.largest
+    if largest is None:
+        largest = table.reserve.quantity.input("largest", [rules.largest])
     for key, law in LIMITS.items():
-        maximum = getattr(rules, law)
-        if (result := getattr(table, key)) is not None and result > maximum:
+        maximum, stated = getattr(rules, law), getattr(table, key)
+        if stated is not None and stated.used() > maximum:
             message = f"the law in force since {rules.since} allows at most {maximum:g}"
-            raise section.error(key, result, message)
-    if table.reserve > largest:
-        raise section.error("reserve", table.reserve, f"the reserve is at most {largest:g}")
+            raise section.error(key, stated.written, message)
+    if table.reserve.used() > largest.used():
+        message = f"the reserve is at most {largest.values[0]:g}"
+        raise section.error("reserve", table.reserve.written, message)
 
-    def one(key: str, value: float, name: str = ""):
-        return section.input(table, key, single(f"reserve_{name or key}", value, RESERVE))
+    def input(key: str) -> CaseInput:
+        return section.input(table, key, input_of(table, key, "reserve"))
 
     rows = read_rows(
         FileReference(section, "allocation", table.allocation), ("age", "protection", "exposure")
@@ -65,20 +73,18 @@ def read_pots(
     age = members.age + grid.step * np.arange(grid.steps)[:, None]
     position = np.maximum(np.searchsorted(ages, age + 1e-9, side="right") - 1, 0)
 
-    def by_age(column: str, metadata: InputNumber):
-        values = [row.number(column, 0.0, 2.0) for row in rows]
-        inputs = listed(f"pot_{column}", values, labels, metadata)
-        return metadata.input(inputs.name, inputs.values, labels, position)
+    def by_age(quantity: FundQuantity) -> CaseInput:
+        return quantity.from_rows(f"pot_{quantity.column}", rows, labels, index=position)
 
     return Pots(
         rules=rules,
-        reserve=one("reserve", table.reserve, "today"),
-        fill_contribution=one("fill_contribution", table.fill_contribution),
-        fill_return=one("fill_return", table.fill_return),
-        release=one("release", table.release),
-        largest=one("largest", largest),
-        protection=by_age("protection", PROTECTION),
-        exposure=by_age("exposure", EXPOSURE),
+        reserve=section.input(table, "reserve", table.reserve),
+        fill_contribution=input("fill_contribution"),
+        fill_return=input("fill_return"),
+        release=input("release"),
+        largest=section.input(table, "largest", replace(largest, name="reserve_largest")),
+        protection=by_age(PROTECTION),
+        exposure=by_age(EXPOSURE),
     )
 
 

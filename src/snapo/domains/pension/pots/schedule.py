@@ -25,7 +25,7 @@ class Cohorts(NamedTuple):
 
     - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, of pensions as they
       were earned at time 0; `benefit` [T+1, C]: those paid in step t.
-    - `payroll` [T+1, C]: each cohort's share of the salaries; zeros where nobody works.
+    - `payroll` [T+1, C]: each cohort's share of the salaries; zeros where no one works.
     - `drawing` [T+1, C]: 1 where the pension is in payment.
     """
 
@@ -65,14 +65,14 @@ def _payroll(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
 
 class PotTerms(NamedTuple):
     """The whole horizon: the `fund`'s terms, the `reserve`'s rules, `fill` the share of
-    contributions that it takes, `pots` [C] and `survivors` (the reserve) now, `level` of pots over
-    annuities now; `last` [C, J] the cohorts' payments at the horizon."""
+    contributions that it takes, `pots` [C] and `start_reserve` at the start, `level` of pots over
+    annuities then; `last` [C, J] the cohorts' payments at the horizon."""
 
     fund: FundTerms
     reserve: Reserve
     fill: Array
     pots: Array
-    survivors: Array
+    start_reserve: Array
     level: Array
     last: Array
 
@@ -116,8 +116,8 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     people = cohorts(case, inputs, basis_log_bond(case, inputs))
     shape = jnp.concatenate([steps.shape, terms.last_shape[None]])
     annuity = annuity_values(terms, people.value[0], shape[0], terms.market.start)
-    selected = use(inputs, values.reserve) * terms.assets
-    level = (terms.assets - selected) / jnp.sum(annuity)
+    start_reserve = use(inputs, values.reserve) * terms.assets
+    level = (terms.assets - start_reserve) / jnp.sum(annuity)
     unwound = jnp.zeros(case.steps)
     if case.liability.basis != "risk-free":
         years = np.arange(case.steps + 1) * case.step
@@ -129,7 +129,7 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         ),
         fill=use(inputs, values.fill_contribution),
         pots=level * annuity,
-        survivors=selected,
+        start_reserve=start_reserve,
         level=level,
         last=people.value[-1],
     )

@@ -60,9 +60,9 @@ class PotSimulator(PensionSimulator):
         return pot_schedule(self.case, inputs)
 
     def initial(self, constants: PotTerms, noise) -> PotState:  # pyright: ignore
-        fund, none = opening(constants.fund), jnp.zeros_like(constants.survivors)
+        fund, none = opening(constants.fund), jnp.zeros_like(constants.start_reserve)
         level = constants.level + jnp.zeros_like(constants.pots)
-        return PotState(fund, constants.pots, constants.survivors, level, none)
+        return PotState(fund, constants.pots, constants.start_reserve, level, none)
 
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
         """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""

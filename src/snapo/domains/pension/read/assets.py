@@ -2,53 +2,55 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
 from snapo.case.given import CaseInput
+from snapo.case.quantity import FRACTION, Range
 from snapo.case.table import TableContext
 
 from ..market.assets.asset_class import SPECIAL, AssetClass, AssetNames
 from ..market.assets.registry import KINDS
+from ..quantities import (
+    FROM_YEAR,
+    RATE,
+    SHARE,
+    VOLATILITY,
+    YEARLY,
+    FundQuantity,
+    on_steps,
+    side_by_side,
+)
 from ..records.assets import AssetGroup, Assets
 from ..records.regulation import RISKS
-from ..records.said import YEARLY, amount, rate, share, volatility
-from .cells import (
-    WHOLE,
-    PiecewiseNumber,
-    TimeGrid,
-    empty,
-    listed,
-    number,
-    piecewise,
-    side_by_side,
-    single,
-    unique,
-    word,
-)
-from .holdings import column
+from .cells import WHOLE, TimeGrid, empty, number, unique, word
 from .tables import AssetsTable
 
-MEAN = share(
-    "the mean of a class: under excess returns over cash, under total returns all of it",
-    "premium",
-    YEARLY,
+MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
+    "mean", "the mean of a class: under excess returns over cash, under total returns all of it"
 )
-VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
-SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
+IN_CELL = VOLATILITY.in_column(
+    "volatility", "volatility of a class in its own currency, its mean as the case gives it",
+    range=Range(0.0, 5.0),
+)  # fmt: skip
+IN_FILE = replace(IN_CELL, range=VOLATILITY.range, by=FROM_YEAR, column="value")
+SMOOTHING = SHARE.of("model").in_column(
+    "smoothing", "the share of a step's return that an appraisal shows at once"
+)
 LIMITS = ("low", "high", "group", "group_low", "group_high", "max_sale", "band")
 OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
-COST = rate("the cost of trading as a share of the trade", "assets", "1")
-FEE = rate("the fee per year, as a share of the holding", "assets")
-WEIGHT = share("a weight held today, before the first trade", "assets")
+OF_TRADE = RATE.of("assets", unit="1", range=FRACTION, blank=0.0)
+COST = OF_TRADE.in_column("cost", "the cost of trading as a share of the trade")
+FEE = OF_TRADE.in_column("fee", "the fee per year, as a share of the holding", unit=YEARLY)
+WEIGHT = SHARE.of("assets", meaning="a weight held today, before the first trade")
 FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was not divided by 100
-AMOUNT = "the market value of all assets today"
 
 
 def read_assets(
-    section: TableContext, table: AssetsTable, amount_now: float, grid: TimeGrid, names: AssetNames
+    section: TableContext, table: AssetsTable, amount: CaseInput, grid: TimeGrid, names: AssetNames
 ) -> Assets:
     """The table of asset classes; costs and fees of classes without one are zero."""
     rows = read_rows(
@@ -69,21 +71,28 @@ def read_assets(
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
     endpoints = [(min(minimum, 0.0), max(maximum, 1.0)) for minimum, maximum in zip(low, high)]
-    smoothing = [rows[i].number("smoothing", 0.0, 1.0) for i in smoothed]
+    weights = _weights(section, table.file, rows, endpoints)
+
+    def of(quantity: FundQuantity, of_rows: Sequence[int]) -> CaseInput:
+        for i in of_rows:
+            rows[i].cells.setdefault(quantity.column, "")
+        selected = [rows[i] for i in of_rows]
+        return quantity.from_rows(
+            f"asset_{quantity.column}", selected, [labels[i] for i in of_rows]
+        )
+
     return Assets(
         classes=classes,
         return_kind=table.return_kind,
         mean_kind=table.mean_kind,
-        mean=listed(
-            "asset_mean", [_mean(rows[i]) for i in local], [labels[i] for i in local], MEAN
-        ),
+        mean=of(MEAN, local),
         volatility=_volatilities(section, rows, local, grid),
-        smoothing=listed("asset_smoothing", smoothing, [labels[i] for i in smoothed], SMOOTHING),
+        smoothing=of(SMOOTHING, smoothed),
         smoothed=np.array(smoothed, np.int64),
-        cost=column("asset_cost", rows, "cost", labels, COST),
-        fee=column("asset_fee", rows, "fee", labels, FEE),
-        weight=listed(
-            "asset_weight", _weights(section, table.file, rows, endpoints), labels, WEIGHT
+        cost=COST.column_of("asset_cost", rows, labels),
+        fee=FEE.column_of("asset_fee", rows, labels),
+        weight=WEIGHT.input(
+            "asset_weight", weights, labels, positions=tuple(row.position("weight") for row in rows)
         ),
         low=low,
         high=high,
@@ -92,7 +101,7 @@ def read_assets(
         band=_limit(rows, "band", 0.0),
         turnover=table.turnover,
         risk=tuple(_risk(row, entry) for row, entry in zip(rows, classes)),
-        amount=single("assets", amount_now, amount(AMOUNT, "assets", grid.currency)),
+        amount=amount,
     )
 
 
@@ -130,29 +139,24 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
     )
 
 
-def _mean(row: Row) -> float:
-    row.cells.setdefault("mean", "")
-    return row.number("mean", -0.999, 1.0)
-
-
 def _volatilities(
     section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
     """Of the classes `local` with a shock of their own, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
-    parts = [_volatility(section, rows[i], grid) for i in local]
-    names = [rows[i].cells["name"] for i in local]
-    return side_by_side("asset_volatility", parts, names, VOLATILITY)
+    parts = [on_steps(_volatility(section, rows[i]), grid) for i in local]
+    return side_by_side("asset_volatility", parts, [rows[i].cells["name"] for i in local])
 
 
-def _volatility(section: TableContext, row: Row, grid: TimeGrid) -> PiecewiseNumber:
+def _volatility(section: TableContext, row: Row) -> CaseInput:
     """A number, or the name of a CSV with columns from_year,value."""
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
         file = FileReference(section, "file", text)
-        return piecewise(text, lambda: read_rows(file, ("from_year", "value")), grid, 0.0)
-    return piecewise(row.number("volatility", 0.0, 5.0), list, grid, 0.0)
+        moving = IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
+        return replace(moving, positions=())  # in a file that only another file names
+    return IN_CELL.from_rows("", [row], ("",))
 
 
 def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
@@ -191,7 +195,7 @@ def _weights(
 def _groups(
     rows: Sequence[Row], classes: Sequence[AssetClass], low: np.ndarray, high: np.ndarray
 ) -> tuple[AssetGroup, ...]:
-    """Groups in the order in which they appear; limits may stand in any of a group's rows.
+    """Groups in the order in which they appear; limits may be in any of a group's rows.
 
     Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
     may weigh.

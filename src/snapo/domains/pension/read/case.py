@@ -1,4 +1,4 @@
-"""Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
+"""Reads a pension case: a TOML file and the CSVs next to it become a `PensionCase`."""
 
 import datetime
 from collections.abc import Mapping
@@ -8,6 +8,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.load import load
 from snapo.case.meaning import check_meanings
 from snapo.case.parts import known_parts
 from snapo.case.settings import (
@@ -17,7 +18,7 @@ from snapo.case.settings import (
     read_evaluation,
     read_training,
 )
-from snapo.case.table import AnyTable, CaseTable, load, parse
+from snapo.case.table import AnyTable, CaseTable, parse
 
 from ..fund.observation import FEATURES
 from ..market.assets.asset_class import AssetNames
@@ -44,7 +45,7 @@ from .scenarios import read_scenarios
 from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
 
-# All tables but those that are read with what they name.
+# All tables but those that are read with the files or rules that they name.
 FORMATS: dict[str, type[CaseTable]] = {
     "fund": tables.FundTable,
     "curve": tables.CurveTable,
@@ -89,7 +90,7 @@ def read_case(path: str | Path) -> PensionCase:
 @dataclass(frozen=True)
 class _Reader:
     """One case while it is read: its tables by name, without those that it has not; `notes` are
-    remarks for its owner, `defaulted` the names of numbers that were left at a default."""
+    remarks for its user, `defaulted` the names of numbers that were left at a default."""
 
     file: Path
     top: PensionTable
@@ -130,7 +131,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    """The same for TOML data that was read already; other files are looked for next to `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")
@@ -215,7 +216,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     return replace(case, notes=(*case.notes, *slips.values()), slips=tuple(slips))
 
 
-def _market(reader: _Reader, grid: TimeGrid, amount: float) -> dict[str, Any]:
+def _market(reader: _Reader, grid: TimeGrid, amount: CaseInput) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
     position, optional = reader.context, reader.optional_table
     curve = reader.table(tables.CurveTable, "curve")
@@ -271,14 +272,14 @@ def _people(
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
     table, section = reader.table(tables_people.MembersTable, "members"), reader.context("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
-    lee_carters: dict[str, Any] = dict.fromkeys(names)
+    parts: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
         got = None if table.file is None else table.cash_flows
         raise section.error("file", got, "either file or cash_flows is needed, and not both")
     if table.cash_flows is not None:
         arrears = rules.timing == "arrears"
-        lee_carters["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
-        return lee_carters
+        parts["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
+        return parts
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
     mortality = read_mortality(
@@ -287,10 +288,10 @@ def _people(
         start,
     )
     values = (section, table, mortality, rules.retirement_age, grid)
-    lee_carters["members"], lee_carters["mortality"] = people.read_members(*values), mortality
+    parts["members"], parts["mortality"] = people.read_members(*values), mortality
     lee_carter = reader.optional_table(tables_people.LeeCarterTable, "lee_carter")
-    lee_carters["lee_carter"] = read_lee_carter(reader.context("lee_carter"), lee_carter, mortality)
-    return lee_carters
+    parts["lee_carter"] = read_lee_carter(reader.context("lee_carter"), lee_carter, mortality)
+    return parts
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:

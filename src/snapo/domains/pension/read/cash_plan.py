@@ -7,6 +7,7 @@ made together at the beginning ("advance") or at the end of it ("arrears").
 
 import datetime
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +15,13 @@ import numpy as np
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError, Unquoted
 
+from ..quantities import AMOUNT
 from ..records.plan import CashPlan
-from ..records.said import amount
-from .cells import NEVER, TimeGrid, listed, years
+from .cells import NEVER, TimeGrid, years
 
-AMOUNT = "a payment agreed in money, on top of the rule of contributions"
+PAYMENT = AMOUNT.of("plan").in_column(
+    "amount", "a payment agreed in money, on top of the rule of contributions"
+)
 HALF = datetime.timedelta(15)  # of a month: a later day belongs to the next one
 
 
@@ -31,7 +34,7 @@ class PlanClock(NamedTuple):
 
 
 def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
-    """The payments within the horizon; a note tells of later ones, which are left out."""
+    """The payments within the horizon; a note reports later ones, which are left out."""
     rows = read_rows(reference, ("amount",), ("date", "year"))
     column = _column(rows)
     results, last = [], -math.inf
@@ -39,7 +42,7 @@ def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
         label, due = _due(row, column, timer)
         if due <= last:
             raise row.error(column, "times must rise from row to row, by a month at least")
-        results.append((label, _step(row, column, due, timer), row.number("amount", 0.0)))
+        results.append((label, _step(row, column, due, timer), row))
         last = due
     inside = [item for item in results if item[1] < timer.grid.steps]
     if len(inside) < len(results):
@@ -49,11 +52,10 @@ def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
         )
     if not inside:
         raise CaseError(reference.name, "", None, "no payment falls within the horizon")
-    labels, steps, amounts = zip(*inside)
-    metadata = amount(AMOUNT, "plan", timer.grid.currency)
-    return CashPlan(
-        listed("contribution_schedule", amounts, labels, metadata), np.array(steps, np.int64)
-    )
+    labels, steps, paid = zip(*inside)
+    payment = replace(PAYMENT, unit=timer.grid.currency)
+    amounts = payment.from_rows("contribution_schedule", paid, labels)
+    return CashPlan(amounts, np.array(steps, np.int64))
 
 
 def _column(rows: list[Row]) -> str:

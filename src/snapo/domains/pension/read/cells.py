@@ -1,18 +1,16 @@
-"""Cells of the tables: optional ones, words, names, times, and numbers that change in time."""
+"""Cells of the tables: optional ones, words, names and times."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext, nearest
-
-from ..records.said import InputNumber
 
 NEVER = 1e-9  # of a year: two times closer than this are one
 
@@ -41,32 +39,9 @@ class TableReader(TableContext):
         return values
 
 
-def single(name: str, value: float, metadata: InputNumber) -> CaseInput:
-    """One plain number, used once (index [])."""
-    return metadata.input(name, [value], ("",), np.array(0))
-
-
 def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
     """A number that the case does not have: no value, zeros of `shape` where it is used."""
     return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
-
-
-def listed(
-    name: str, values: Sequence[float], labels: Sequence[str], metadata: InputNumber
-) -> CaseInput:
-    """One number per label, each used once (index [n])."""
-    return metadata.input(name, values, labels, np.arange(len(values)))
-
-
-def per_factor(section: TableContext, table: CaseTable, key: str, count: int) -> list[Any]:
-    """The entries of a key that has one for each of `count` factors; one 0 stands for all."""
-    value = getattr(table, key)
-    result = value if isinstance(value, list) else [value]
-    result = result * count if result == [0.0] else result
-    if len(result) != count:
-        kind = getattr(table, "kind", "")
-        raise section.error(key, value, f'kind "{kind}" needs {count} of them, one per factor')
-    return result
 
 
 def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
@@ -74,16 +49,8 @@ def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) 
     return row.number(column, low, high) if row.cells.get(column) else default
 
 
-def above_zero(row: Row, column: str) -> float:
-    """A number above zero."""
-    value = row.number(column)
-    if value <= 0:
-        raise row.error(column, "allowed is a number above 0")
-    return value
-
-
 def word(row: Row, column: str, available: Sequence[str]) -> str:
-    """One of a few words; in any case of letters."""
+    """One of a few names; in any case of letters."""
     text = row.cells[column].lower()
     if text not in available:
         raise row.error(column, f"allowed is one of {', '.join(available)}")
@@ -91,7 +58,7 @@ def word(row: Row, column: str, available: Sequence[str]) -> str:
 
 
 def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
-    """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
+    """The index in `names` of the name in a cell; -1 for an empty or absent cell."""
     text = row.cells.get(column, "")
     if not text:
         return -1
@@ -109,7 +76,7 @@ def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
         if not row.cells[column]:
             raise row.error(column, "every row needs a name")
         if row.cells[column] in names:
-            raise row.error(column, "this name stands further up already")
+            raise row.error(column, "this name is further up already")
         names.append(row.cells[column])
     return tuple(names)
 
@@ -128,62 +95,11 @@ def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray
 
 
 def years(value: float) -> str:
-    """A time in words: "10y", or "18m" where it is whole months, else "2.35y"."""
+    """A time as text: "10y", or "18m" where it is whole months, else "2.35y"."""
     if abs(value - round(value)) < NEVER:
         return f"{round(value)}y"
     months = 12 * value
     return f"{round(months)}m" if abs(months - round(months)) < 1e-3 else f"{value:g}y"
-
-
-class PiecewiseNumber(NamedTuple):
-    """A number that changes in time: `values` [n] with `labels`, and which holds in each step."""
-
-    values: list[float]
-    labels: list[str]
-    index: np.ndarray
-
-
-def piecewise(
-    inputs: float | str, read: Callable[[], list[Row]], grid: TimeGrid, low: float
-) -> PiecewiseNumber:
-    """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
-    if not isinstance(inputs, str):
-        return PiecewiseNumber([float(inputs)], [""], np.zeros(grid.steps, np.int64))
-    rows = read()
-    begins = rising(rows, "from_year", -NEVER)
-    if begins[0] > NEVER:
-        raise rows[0].error("from_year", "the first value must hold from year 0 on")
-    values = [row.number("value", low) for row in rows]
-    times = np.arange(grid.steps) * grid.step
-    index = np.searchsorted(begins, times + NEVER, side="right") - 1
-    used = int(index[-1]) + 1
-    # A value that begins after the last decision is used nowhere: it is no input.
-    return PiecewiseNumber(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
-
-
-def stepwise(
-    section: TableContext, key: str, values: float | str, grid: TimeGrid, low: float = 0.0
-) -> PiecewiseNumber:
-    """The same for a key of the TOML file."""
-    reference = FileReference(section, key, str(values))
-    return piecewise(values, lambda: read_rows(reference, ("from_year", "value")), grid, low)
-
-
-def side_by_side(
-    name: str, parts: Sequence[PiecewiseNumber], names: Sequence[str], metadata: InputNumber
-) -> CaseInput:
-    """Several numbers that change in time as one input, index [T, len(parts)]."""
-    values, labels, columns = [], [], []
-    for part, local in zip(parts, names):
-        columns.append(part.index + len(values))
-        values += part.values
-        labels += [f"{local} {label}".strip() for label in part.labels]
-    return metadata.input(name, values, labels, np.stack(columns, 1))
-
-
-def alone(name: str, part: PiecewiseNumber, metadata: InputNumber) -> CaseInput:
-    """One number that changes in time, index [T]."""
-    return metadata.input(name, part.values, part.labels, part.index)
 
 
 def whole_steps(row: Row, column: str, step: float) -> int:
@@ -201,9 +117,9 @@ def known_words(
     available: Sequence[str],
     missing: str = "there is no such name",
 ) -> None:
-    """Every word of a list must be known, and stand there once."""
+    """Every word of a list must be known, and occur once."""
     for i, item in enumerate(values):
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")
         if item in values[:i]:
-            raise CaseError(file, where, item, "this name stands there twice")
+            raise CaseError(file, where, item, "this name is there twice")

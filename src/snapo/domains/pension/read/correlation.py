@@ -9,12 +9,12 @@ from snapo.case.error import Unquoted
 from snapo.case.table import TableContext
 
 from ..market.correlation import check_correlation, nearest
+from ..quantities import NUMBER
 from ..records.market import Correlation
-from ..records.said import number
-from .cells import empty, listed, unique
+from .cells import empty, unique
 from .tables import CorrelationsTable
 
-CORRELATION = number("a correlation; it moves together with its mirror", "model")
+CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror")
 SMALLEST = 1e-8  # eigenvalue that a matrix must have to count as positive definite
 EQUAL = 1e-9
 
@@ -50,8 +50,12 @@ def read_correlations(
         )
     below = np.tril_indices(len(names), -1)
     labels = [f"{names[i]}, {names[j]}" for i, j in zip(*below)]
+    columns = [name.lower() for name in names]
+    positions = tuple(rows[i].position(columns[j]) for i, j in zip(*below))
+    if change or any(rows[j].cells[columns[i]] for i, j in zip(*below)):
+        positions = ()  # a number that was repaired, or has a mirror in the file
     return Correlation(
-        names, listed("correlation", matrix[below].tolist(), labels, CORRELATION), change
+        names, CORRELATION.input("correlation", matrix[below], labels, positions=positions), change
     )
 
 
@@ -82,7 +86,7 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
                 continue
             value = row.number(column, -1.0, 1.0)
             if i == j and value != 1:
-                raise row.error(column, "on the diagonal stands 1")
+                raise row.error(column, "the diagonal is 1")
             if j < i:
                 matrix[i, j] = matrix[j, i] = value
     for i, row in enumerate(rows):

@@ -1,6 +1,6 @@
 """Reads `[curve]`, `[rates]` and `[inflation]`: quotes at nodes, and the models around them."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -10,83 +10,63 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.given import CaseInput
-from snapo.case.table import nearest
+from snapo.case.quantity import Range
+from snapo.case.table import nearest, parse
 
 from ..market.rates.registry import MODELS
 from ..market.rates.short_rate import ShortRate
 from ..market.smith_wilson import MAXIMUM, cash_flows, distance, fit, log_bond
+from ..quantities import RATE, FundQuantity, on_steps
 from ..records.market import Inflation, MarketCurve
 from ..records.people import PAYMENT_YEARS
-from ..records.said import SQUARE_ROOT, YEARLY, InputNumber, number, quiet_volatility, rate
-from .cells import (
-    NEVER,
-    TableReader,
-    TimeGrid,
-    alone,
-    empty,
-    listed,
-    rising,
-    single,
-    stepwise,
-    years,
-)
+from .cells import NEVER, TableReader, TimeGrid, empty, rising, years
 from .tables import CurveTable, InflationTable, RatesTable
 
 SPEED = 0.1  # towards an ultimate rate, where the case does not say
 QUOTES: dict[str, Literal["forward", "swap"]] = {"forward": "forward", "swap": "swap"}
 PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence, and its earliest
 HELD = "Market values of assets today, prices of risk and excess returns are held"
-ZERO = rate(
+# A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
+NODE = RATE.of("curve", range=Range(-0.999, 1.0))
+ZERO = NODE.in_column(
+    "zero",
     "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
     f" a parallel shift. {HELD}",
-    "curve",
 )
-SWAP = rate(
-    f"KR01: the par swap rate of one tenor, the others held. {HELD}",
-    "curve",
+SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others held. {HELD}")
+FORWARD = NODE.in_column(
+    "forward",
+    f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}",
 )
-FORWARD = rate(
-    f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}", "curve"
+BREAK_EVEN = NODE.in_column(
+    "rate", "IE01: the break-even at one node, while nominal rates are held"
 )
-ULTIMATE = rate("the forward rate far beyond the last node", "model")
-# Ready-made scenarios need no model: this one stands still.
-IDLE = "hull-white"
-BREAK_EVEN = rate("IE01: the break-even at one node, while nominal rates are held", "curve")
-EXPECTED = "of expected inflation; break-evens are fitted again"
-SAID = {
-    "mean_reversion": number(f"mean reversion {EXPECTED}", "model", YEARLY),
-    "volatility": quiet_volatility(f"volatility {EXPECTED}"),
-    "price_of_risk": number(f"price of the risk {EXPECTED}", "premium", SQUARE_ROOT),
-    "index_volatility": quiet_volatility("volatility of realised prices"),
-    "index_price_of_risk": number("price of the risk of realised prices", "premium", SQUARE_ROOT),
-    "real_wage_growth": rate("growth of wages over prices", "model"),
-    "wage_volatility": quiet_volatility("volatility of wages over prices"),
-}
+# Ready-made scenarios need no model: this one is at rest.
+IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
 
 
 class RateQuotes(NamedTuple):
-    """Where a curve stands: the key and the name of its file; by column the name of the input and
-    its meaning; the name of the rate far out."""
+    """The file of a curve: the key and the name of its file; its inputs by name, each with a
+    column of its own; the name of the rate far out."""
 
     key: str
     file: str
-    columns: Mapping[str, tuple[str, InputNumber]]
+    inputs: Sequence[tuple[str, FundQuantity]]
     far: str
 
 
 def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
     """The nominal curve; inputs "zero_rate", "forward_rate" or "swap_rate"."""
     annual = table.compounding == "annual"
-    columns = {"zero": ("zero_rate", ZERO), "forward": ("forward_rate", FORWARD)}
-    columns |= {"swap": ("swap_rate", SWAP)}
+    rates = (("zero_rate", ZERO), ("forward_rate", FORWARD), ("swap_rate", SWAP))
     curve = quotes(
-        section, table, RateQuotes("file", table.file, columns, "ultimate_forward"), annual
+        section, table, RateQuotes("file", table.file, rates, "ultimate_forward"), annual
     )
     return _smith_wilson(section, table, curve)
 
 
 def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
-    """The curve with the numbers of the method; others as they are.
+    """The curve with the numbers of the method; others unchanged.
 
     **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
     or where the price of a bond would not be above 0.
@@ -140,33 +120,36 @@ def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> No
 def quotes(
     section: TableReader, table: CurveTable | InflationTable, values: RateQuotes, annual: bool
 ) -> MarketCurve:
-    """Nodes from a CSV whose second column says which rate is quoted."""
+    """Nodes from a CSV whose second column is the quoted rate."""
     rows = read_rows(FileReference(section, values.key, values.file), ("tenor",))
-    column = _quoted(rows, tuple(values.columns))
-    rows = _liquid(section, table, rows)
+    name, quantity = _quoted(rows, values.inputs)
+    column, rows = quantity.column, _liquid(section, table, rows)
     tenor = rising(rows, "tenor")
-    # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
-    rates = np.array([row.number(column, -0.999, 1.0) for row in rows])
+    rates = quantity.from_rows(name, rows, [years(t) for t in tenor])
     if annual and column != "swap":
-        rates = np.log1p(rates)
+        rates = _continuous(rates)
         text = "annual rates were made continuous; sensitivities are per continuous rate."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
         message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
-        raise section.error("ultimate", table.ultimate, message)
+        stated = None if table.ultimate is None else table.ultimate.written
+        raise section.error("ultimate", stated, message)
     far = empty(values.far, ())
     if table.ultimate is not None:
-        ultimate = float(np.log1p(table.ultimate)) if annual else table.ultimate
-        far = single(values.far, ultimate, ULTIMATE)
-    name, metadata = values.columns[column]
+        far = _continuous(table.ultimate) if annual else table.ultimate
     return MarketCurve(
         tenor=tenor,
-        rate=listed(name, rates.tolist(), [years(t) for t in tenor], metadata),
+        rate=rates,
         quote=QUOTES.get(column, "zero"),
         extrapolation=table.extrapolation,
         ultimate=far,
         speed=SPEED if table.speed is None else table.speed,
     )
+
+
+def _continuous(annual: CaseInput) -> CaseInput:
+    """Annual rates as continuous ones, which no file of the case has."""
+    return replace(annual, values=np.log1p(annual.values), positions=())
 
 
 def _liquid(section: TableReader, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
@@ -180,8 +163,11 @@ def _liquid(section: TableReader, table: CurveTable | InflationTable, rows: list
     return selected
 
 
-def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:
-    present = [column for column in columns if column in rows[0].cells]
+def _quoted(
+    rows: list[Row], inputs: Sequence[tuple[str, FundQuantity]]
+) -> tuple[str, FundQuantity]:
+    columns = [quantity.column for _, quantity in inputs]
+    present = [entry for entry, column in zip(inputs, columns) if column in rows[0].cells]
     if len(present) != 1:
         got = f"the columns {', '.join(rows[0].cells)}"
         row = Row(rows[0].file, 1, {"header": got})
@@ -192,7 +178,7 @@ def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:
 def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -> ShortRate:
     """The model with its numbers; without the table, one at rest."""
     if table is None:
-        return MODELS[IDLE].at_rest(grid.steps)
+        table = parse(RatesTable, IDLE, str(section.file), section.name)
     if table.kind not in MODELS:
         available = ", ".join(f'"{model}"' for model in sorted(MODELS))
         message = f"allowed is one of {available}; {nearest(table.kind, sorted(MODELS))}"
@@ -207,26 +193,23 @@ def read_inflation(
     rates of the case, where the table has none of its own."""
     annual = (table.compounding or compounding) == "annual"
 
-    def one(name: str, key: str, metadata: InputNumber) -> CaseInput:
-        value = getattr(table, key)
-        if annual and key == "real_wage_growth":
-            value = float(np.log1p(value))
-        return section.input(table, key, single(name, value, metadata))
+    def input(key: str) -> CaseInput:
+        return section.input(table, key, getattr(table, key))
 
-    def moving(name: str, key: str) -> CaseInput:
-        part = stepwise(section, key, getattr(table, key), grid)
-        return section.input(table, key, alone(name, part, SAID[key]))
+    def moving(key: str) -> CaseInput:
+        return on_steps(input(key), grid)
 
-    columns = {"rate": ("break_even", BREAK_EVEN), "forward": ("break_even", BREAK_EVEN)}
-    values = RateQuotes("break_evens", table.break_evens, columns, "ultimate_break_even")
+    forward = replace(BREAK_EVEN, column="forward")
+    rates = (("break_even", BREAK_EVEN), ("break_even", forward))
+    values = RateQuotes("break_evens", table.break_evens, rates, "ultimate_break_even")
+    growth = input("real_wage_growth")
     return Inflation(
         break_even=quotes(section, table, values, annual),
-        mean_reversion=one("inflation_mean_reversion", "mean_reversion", SAID["mean_reversion"]),
-        volatility=moving("inflation_volatility", "volatility"),
-        price_of_risk=one("inflation_price_of_risk", "price_of_risk", SAID["price_of_risk"]),
-        index_volatility=moving("index_volatility", "index_volatility"),
-        **{
-            key: one(key, key, SAID[key])
-            for key in ("index_price_of_risk", "real_wage_growth", "wage_volatility")
-        },
+        mean_reversion=input("mean_reversion"),
+        volatility=moving("volatility"),
+        price_of_risk=input("price_of_risk"),
+        index_volatility=moving("index_volatility"),
+        index_price_of_risk=input("index_price_of_risk"),
+        real_wage_growth=_continuous(growth) if annual else growth,
+        wage_volatility=input("wage_volatility"),
     )

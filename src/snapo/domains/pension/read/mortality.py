@@ -1,26 +1,26 @@
 """Reads `[mortality]` and `[lee_carter]`: death rates by sex and age, and their random factor."""
 
 import datetime
+from dataclasses import replace
 
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, FilePosition
+from snapo.case.quantity import ANY, FRACTION, Range, quantity_of
 from snapo.case.table import TableContext
 
+from ..quantities import AMOUNT, FundQuantity, input_of
 from ..records.people import FEMALE, MALE, SLOPE_AGES, LeeCarter, Mortality
-from ..records.said import SQUARE_ROOT, InputNumber, amount, rate
-from .cells import TableReader, empty, single, word
+from .cells import TableReader, empty, word
 from .tables_people import LeeCarterTable, MortalityTable
 
 SEX = ("male", "female")
-PROBABILITY = amount("a death probability rises by 1 % of itself", "people", "1")
-FORMULA = amount("a number of the formula of mortality rises by 1 % of itself", "people", "1")
-MULTIPLIER = amount("death probabilities at these ages rise by 1 % of themselves", "people", "1")
-IMPROVEMENT = rate("the yearly fall of death rates", "people")
-FACTOR = InputNumber(SQUARE_ROOT, "volatility of the mortality factor", "volatility", None)
-LOADING = amount("how far the hazard of an age follows the mortality factor", "people", "1")
+RATIO = AMOUNT.of("people", unit="1", range=ANY)
+PROBABILITY = RATIO.in_column("q", "a death probability rises by 1 % of itself", range=FRACTION)
+FORMULA = replace(RATIO, meaning="a number of the formula of mortality rises by 1 % of itself")
+LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
 OLD = 110  # a table that ends here or later is used as it is, and so is one that ends at `HALF`
@@ -52,15 +52,16 @@ def read_mortality(section: TableReader, table: MortalityTable, start: datetime.
         ages=count,
         table=probability,
         gompertz=formula,
-        multiplier=_banded(section, table, "multiplier", "mortality_multiplier", ages, MULTIPLIER),
-        improvement=_banded(section, table, "improvement", "improvement", ages, IMPROVEMENT, -1.0),
+        multiplier=_banded(section, table, "multiplier", ages, Range(0.0)),
+        improvement=_banded(section, table, "improvement", ages, Range(-1.0)),
         since=_since(section, table, start),
     )
 
 
 def _since(section: TableReader, table: MortalityTable, start: datetime.date) -> float:
     """Years of improvement up to time 0, and a remark where something about them was left out."""
-    improves, day = bool(table.improvement), start + datetime.timedelta(15)
+    improvement, day = table.improvement, start + datetime.timedelta(15)
+    improves = isinstance(improvement, str) or improvement.used() != 0
     now = day.year + (day.month - 1) / 12  # time 0 begins a month
     if table.year is None:
         if improves:
@@ -72,7 +73,7 @@ def _since(section: TableReader, table: MortalityTable, start: datetime.date) ->
     if not improves and now > table.year:
         section.notes.append(
             f"mortality.improvement is left out: the death probabilities of {table.year} are used"
-            f" as they are, {now - table.year:.3g} years later."
+            f" unchanged, {now - table.year:.3g} years later."
         )
     return now - table.year
 
@@ -109,24 +110,23 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
 def _table(section: TableContext, file: str) -> tuple[int, CaseInput]:
     """First age and q [2, G]: both sexes, every age from the first to the last."""
     rows = read_rows(FileReference(section, "file", file), ("sex", "age", "q"))
-    numbers: dict[tuple[int, int], float] = {}
+    cells: dict[tuple[int, int], Row] = {}
     for row in rows:
         key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
-        if key in numbers:
-            raise row.error("age", "this age stands further up already")
-        numbers[key] = row.number("q", 0.0, 1.0)
-    ages = sorted({age for _, age in numbers})
+        if key in cells:
+            raise row.error("age", "this age is further up already")
+        cells[key] = row
+    ages = sorted({age for _, age in cells})
     for sex in (MALE, FEMALE):
         for age in range(ages[0], ages[-1] + 1):
-            if (sex, age) not in numbers:
+            if (sex, age) not in cells:
                 got = Unquoted(f"no row for {SEX[sex]}, {age}")
                 message = f"both sexes need every age from {ages[0]} to {ages[-1]}"
                 raise section.error("file", got, f"{message} in {file}")
     order = [(sex, age) for sex in (MALE, FEMALE) for age in range(ages[0], ages[-1] + 1)]
-    labels = tuple(f"{SEX[sex]} {age}" for sex, age in order)
-    values = [numbers[key] for key in order]
-    position = _square(len(order))
-    return ages[0], PROBABILITY.input("death_probability", values, labels, position)
+    labels, ordered = [f"{SEX[sex]} {age}" for sex, age in order], [cells[key] for key in order]
+    index = _square(len(order))
+    return ages[0], PROBABILITY.from_rows("death_probability", ordered, labels, index=index)
 
 
 def _square(count: int) -> np.ndarray:
@@ -143,6 +143,7 @@ def _whole_age(row: Row) -> int:
 def _gompertz(section: TableContext, table: MortalityTable) -> CaseInput:
     """alpha, beta and makeham by sex [2, 3]."""
     values: list[float] = []
+    positions: list[FilePosition] = []
     for key in SEX:
         inputs = getattr(table, key)
         if inputs is None:
@@ -151,39 +152,37 @@ def _gompertz(section: TableContext, table: MortalityTable) -> CaseInput:
         if beta <= 0 or makeham < 0:
             raise section.error(key, inputs, "beta is above 0 and makeham at least 0")
         values += [alpha, beta, makeham]
+        positions += [(*section.keys, key, i) if i < len(inputs) else None for i in range(3)]
     labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]
-    return FORMULA.input("gompertz", values, labels, _square(6))
+    return FORMULA.input("gompertz", values, labels, index=_square(6), positions=tuple(positions))
 
 
 def _banded(
     section: TableReader,
     table: MortalityTable,
     key: str,
-    name: str,
     ages: range,
-    metadata: InputNumber,
-    low: float = 0.0,
+    in_file: Range,
 ) -> CaseInput:
-    """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G]."""
-    value = getattr(table, key)
-    if isinstance(value, str):
-        return bands(FileReference(section, key, value), "value", name, ages, metadata, low)
-    position = np.zeros((2, len(ages)), np.int64)
-    return section.input(table, key, metadata.input(name, [value], ("",), position))
+    """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G].
+
+    `in_file`: the numbers that the CSV may have.
+    """
+    numbers = getattr(table, key)
+    if isinstance(numbers, str):
+        declared = quantity_of(type(table).model_fields[key])
+        assert isinstance(declared, FundQuantity)
+        reference = FileReference(section, key, numbers)
+        return bands(reference, declared.name or key, ages, replace(declared, range=in_file))
+    index = np.zeros((2, len(ages)), np.int64)
+    return section.input(table, key, replace(numbers, index=index))
 
 
-def bands(
-    reference: FileReference,
-    column: str,
-    name: str,
-    ages: range,
-    metadata: InputNumber,
-    low: float = -np.inf,
-) -> CaseInput:
+def bands(reference: FileReference, name: str, ages: range, quantity: FundQuantity) -> CaseInput:
     """Numbers by sex that hold from an age on; a number that no age of the table meets is left
     out."""
-    rows = read_rows(reference, ("sex", "age", column))
-    values, labels = [], []
+    rows = read_rows(reference, ("sex", "age", quantity.column))
+    used, labels = [], []
     index = np.zeros((2, len(ages)), np.int64)
     for sex in (MALE, FEMALE):
         local = [row for row in rows if word(row, "sex", SEX) == SEX[sex]]
@@ -196,10 +195,10 @@ def bands(
                 raise row.error("age", f"ages must rise, and the row before has {before}")
         position = np.searchsorted(begins, np.array(ages), side="right") - 1
         for band in np.unique(position):
-            index[sex, position == band] = len(values)
-            values.append(local[band].number(column, low))
+            index[sex, position == band] = len(used)
+            used.append(local[band])
             labels.append(f"{SEX[sex]} from {begins[band]}" if len(local) > 1 else SEX[sex])
-    return metadata.input(name, values, labels, index)
+    return quantity.from_rows(name, used, labels, index=index)
 
 
 def read_lee_carter(
@@ -211,6 +210,6 @@ def read_lee_carter(
     ages = range(mortality.first_age, mortality.first_age + mortality.ages)
     reference = FileReference(section, "file", table.file)
     return LeeCarter(
-        volatility=single("lee_carter_volatility", table.volatility, FACTOR),
-        loading=bands(reference, "loading", "lee_carter_loading", ages, LOADING),
+        volatility=input_of(table, "volatility", "lee_carter"),
+        loading=bands(reference, "lee_carter_loading", ages, LOADING),
     )

@@ -15,7 +15,7 @@ USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
 
 
 def read_objectives(file: str, data: Any, more: Sequence[str] = ()) -> tuple[ObjectiveTerm, ...]:
-    """One table, or several that are added up; `more`: outputs beside those of every fund."""
+    """One table, or several that are added up; `more`: further outputs than those of every fund."""
     many = isinstance(data, list)
     terms = data if many else [data or {"kind": "crra", "risk_aversion": 5.0}]
     if not terms:

@@ -1,36 +1,32 @@
 """Reads `[members]`: the cohorts of the fund, or the actuary's cash flows."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.given import CaseInput
+from snapo.case.quantity import ANY
 from snapo.case.table import TableContext
 
+from ..quantities import AMOUNT
 from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, FundMembers, Mortality
-from ..records.said import amount
-from .cells import (
-    WHOLE,
-    TableReader,
-    TimeGrid,
-    empty,
-    listed,
-    number,
-    single,
-    unique,
-    word,
-    years,
-)
+from .cells import WHOLE, TableReader, TimeGrid, empty, number, unique, word, years
 from .mortality import SEX
 from .tables_people import MembersTable
 
 STATUS = ("active", "deferred", "pensioner", "spouse")
-NUMBER = amount("the number of members of a cohort", "people", "members")
-PENSION = "the yearly pension that each member has earned"
-SALARY = "the salary of each member, and with it contributions and accrual"
-FACTOR = amount("the death probabilities of a cohort rise by 1 % of themselves", "people", "1")
-FLOW, COST = "an expected payment", "the value of the accrual of a step today"
+PEOPLE = AMOUNT.of("people")
+NUMBER = PEOPLE.in_column("number", "the number of members of a cohort", unit="members")
+PENSION = PEOPLE.in_column("pension", "the yearly pension that each member has earned")
+SALARY = PEOPLE.in_column(
+    "salary", "the salary of each member, and with it contributions and accrual"
+)
+FACTOR = PEOPLE.of("people", unit="1", blank=1.0).in_column(
+    "mortality", "the death probabilities of a cohort rise by 1 % of themselves"
+)
+FLOW = PEOPLE.in_column("amount", "an expected payment", range=ANY)
 
 
 def read_members(
@@ -55,20 +51,15 @@ def read_members(
         row.cells.setdefault("salary", "")
         if item != ACTIVE and number(row, "salary", 0.0) != 0:
             raise row.error("salary", "only active members have a salary")
-    money = grid.currency
+    yearly = f"{grid.currency}/year"
     return FundMembers(
         names=names,
         status=status,
         sex=sex,
         age=age,
-        number=listed("members", _each(rows, "number"), names, NUMBER),
-        pension=listed(
-            "accrued_pension",
-            _each(rows, "pension"),
-            names,
-            amount(PENSION, "people", f"{money}/year"),
-        ),
-        salary=_salary(rows, status, names, money),
+        number=NUMBER.from_rows("members", rows, names),
+        pension=replace(PENSION, unit=yearly).from_rows("accrued_pension", rows, names),
+        salary=_salary(rows, status, names, yearly),
         service=np.array([number(row, "service", 0.0, 0.0) for row in rows]),
         mortality=_factor(rows, names),
     )
@@ -78,8 +69,7 @@ def _factor(rows: Sequence[Row], names: Sequence[str]) -> CaseInput | None:
     """Factors on death probabilities, 1 in an empty cell; None without the column."""
     if not any(row.cells.get("mortality") for row in rows):
         return None
-    return listed("member_mortality", [number(row, "mortality", 1.0, 0.0) for row in rows], names,
-                  FACTOR)  # fmt: skip
+    return FACTOR.from_rows("member_mortality", rows, names)
 
 
 def _age(row: Row, first: int, last: int) -> float:
@@ -90,20 +80,15 @@ def _age(row: Row, first: int, last: int) -> float:
     return age
 
 
-def _each(rows: Sequence[Row], column: str) -> list[float]:
-    return [row.number(column, 0.0) for row in rows]
-
-
-def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> CaseInput:
+def _salary(rows: Sequence[Row], status: np.ndarray, names, unit: str) -> CaseInput:
     """Salaries of those who are active; who is not has no salary that could be an input."""
     active = [i for i, item in enumerate(status) if item == ACTIVE]
     if not active:
         return empty("salary", (len(rows),))
-    values = [rows[i].number("salary", 0.0) for i in active]
     index = np.zeros(len(rows), np.int64)
     index[active] = np.arange(len(active))
-    metadata = amount(SALARY, "people", f"{money}/year")
-    return metadata.input("salary", values, [names[i] for i in active], index)
+    salary, paid = replace(SALARY, unit=unit), [rows[i] for i in active]
+    return salary.from_rows("salary", paid, [names[i] for i in active], index=index)
 
 
 def read_cash_flows(
@@ -127,13 +112,17 @@ def read_cash_flows(
         steps.append(paid)
     labels = [f"at {years(row.number('year'))}" for row in rows]
     money = grid.currency
-    flow = amount(FLOW, "people", money)
-    cost = amount(COST, "people", f"{money}/step")
-    pay = amount("all salaries", "people", f"{money}/year")
-    normal_cost = single("normal_cost", table.normal_cost * grid.step, cost)
+    cost = table.normal_cost
+    normal_cost = replace(
+        cost,
+        unit=f"{money}/step",
+        values=cost.values * grid.step,
+        positions=cost.positions if grid.step == 1 else (),  # the case has that of a year
+    )
+    payroll = replace(table.salary, unit=f"{money}/year")
     return CashFlows(
-        amount=listed("cash_flow", [row.number("amount") for row in rows], labels, flow),
+        amount=replace(FLOW, unit=money).from_rows("cash_flow", rows, labels),
         step=np.array(steps, np.int64),
         normal_cost=section.input(table, "normal_cost", normal_cost),
-        salary=section.input(table, "salary", single("payroll", table.salary, pay)),
+        salary=section.input(table, "salary", payroll),
     )

@@ -12,11 +12,11 @@ from snapo.case.table import TableContext
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
+from ..quantities import input_of
 from ..records.case import Frontier, PensionCase
 from ..records.plan import Contribution, Indexation, Liability, PensionPlan, Reconcile, Revaluation
-from ..records.said import YEARLY, InputNumber, amount, rate, share, time
 from .cash_plan import PlanClock, read_cash_plan
-from .cells import WHOLE, TableReader, empty, single, years
+from .cells import WHOLE, TableReader, empty, years
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,
@@ -27,16 +27,6 @@ from .tables_people import (
     RevaluationTable,
 )
 
-ACCRUAL = rate("the share of salary less offset that a year of service earns", "plan")
-OFFSET, EXPENSES = "the part of a salary without a pension", "the yearly expenses of the scheme"
-SPOUSE = share("the spouse's pension as a share of the member's", "plan")
-MARRIED = share("the share of members with a spouse", "plan")
-REVALUED = rate("the yearly increase of rights before payment", "plan")
-LOADED = share("the reserve for expenses, as a share of the value of the payments", "plan")
-INDEXED = rate("the rate, or a limit, of yearly indexation", "plan")
-RATIO = share("a funding ratio in the rule of indexation", "plan")
-RULE = share("a number of the rule of contributions", "plan")
-VALUED = rate("the rate that is added to the curve, or takes its place, in valuation", "plan")
 LIMITS = ("floor", "cap", "sponsor_limit")
 
 
@@ -48,27 +38,21 @@ def read_plan(
     contribution: Contribution,
     money: str,
 ) -> PensionPlan:
-    """Terms of the scheme; numbers that nothing was said about are no inputs."""
+    """Terms of the scheme; numbers left at a default of zero are no inputs."""
 
-    def input(name: str, metadata: InputNumber) -> CaseInput:
-        value = getattr(table, name)
-        written = name in table.model_fields_set
-        # A share of one that was left unsaid is a fact of the format, not a number of the owner.
-        return (
-            single(f"plan_{name}", value, metadata)
-            if written or value
-            else _nothing(f"plan_{name}")
-        )
+    def input(key: str) -> CaseInput:
+        numbers = input_of(table, key, "plan", money)
+        # A default share of one is an input, a default of zero is not.
+        stated = key in table.model_fields_set or numbers.used() != 0
+        return numbers if stated else _nothing(numbers.name)
 
-    yearly = f"{money}/year"
-    married = input("married_share", MARRIED) if table.spouse_share else _nothing("married")
-
+    married = input("married_share") if table.spouse_share.used() else _nothing("married")
     return PensionPlan(
         timing=table.timing,
         retirement_age=table.retirement_age,
-        accrual_rate=input("accrual_rate", ACCRUAL),
-        offset=input("offset", amount(OFFSET, "plan", yearly)),
-        spouse_share=input("spouse_share", SPOUSE),
+        accrual_rate=input("accrual_rate"),
+        offset=input("offset"),
+        spouse_share=input("spouse_share"),
         married_share=married,
         spouse_age_gap=table.spouse_age_gap,
         age_basis=table.age_basis,
@@ -77,7 +61,7 @@ def read_plan(
         accruing=table.accruing,
         entry_age=table.entry_age,
         max_service=table.max_service,
-        expenses=input("expenses", amount(EXPENSES, "plan", yearly)),
+        expenses=input("expenses"),
         indexation=indexation,
         contribution=contribution,
         revaluation=revaluation,
@@ -88,6 +72,11 @@ def _nothing(name: str) -> CaseInput:
     return empty(name, ())
 
 
+def _check_limits(section: TableContext, floor: CaseInput, cap: CaseInput) -> None:
+    if floor.used() > cap.used():
+        raise section.error("floor", floor.written, f"allowed is at most cap, {cap.written:g}")
+
+
 def read_indexation(section: TableContext, table: IndexationTable) -> Indexation:
     """Increases once a year; cap and floor only where the rule has them."""
     kind = table.kind
@@ -95,17 +84,14 @@ def read_indexation(section: TableContext, table: IndexationTable) -> Indexation
     cuts = ["required_ratio"] if table.cut_years else []
     if kind == "fixed" and table.rate is None:
         raise section.error("rate", None, 'kind "fixed" needs this key')
-    if table.floor > table.cap:
-        raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
-    if "lower_ratio" in used and table.lower_ratio >= table.upper_ratio:
-        message = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
-        raise section.error("lower_ratio", table.lower_ratio, message)
+    _check_limits(section, table.floor, table.cap)
+    if "lower_ratio" in used and table.lower_ratio.used() >= table.upper_ratio.used():
+        message = f"allowed is less than upper_ratio, {table.upper_ratio.written:g}"
+        raise section.error("lower_ratio", table.lower_ratio.written, message)
 
-    def input(name: str) -> CaseInput:
-        available = name in used or name in cuts
-        metadata = INDEXED if name in ("cap", "floor", "rate") else RATIO
-        name, value = f"indexation_{name}", getattr(table, name)
-        return single(name, value, metadata) if available else _nothing(name)
+    def input(key: str) -> CaseInput:
+        available = key in used or key in cuts
+        return input_of(table, key, "indexation") if available else _nothing(f"indexation_{key}")
 
     return Indexation(
         kind=kind,
@@ -127,9 +113,7 @@ def read_revaluation(section: TableReader, table: RevaluationTable | None) -> Re
         return None
 
     def input(key: str) -> CaseInput:
-        return section.input(
-            table, key, single(f"revaluation_{key}", getattr(table, key), REVALUED)
-        )
+        return section.input(table, key, input_of(table, key, "revaluation"))
 
     return Revaluation(deferred=input("deferred"), active=input("active"))
 
@@ -150,29 +134,24 @@ def read_contribution(
     for key in used:
         if getattr(table, key) is None:
             raise section.error(key, None, f'kind "{kind}" needs this key')
-    if table.floor is not None and table.cap is not None and table.floor > table.cap:
-        raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
+    if table.floor is not None and table.cap is not None:
+        _check_limits(section, table.floor, table.cap)
     level = None
     if kind == "target" and table.recovery == "level":
-        step = timer.grid.step
-        level = round(table.recovery_years / step)
-        if not level or abs(level * step - table.recovery_years) > WHOLE:
+        step, term = timer.grid.step, float(table.recovery_years.used())
+        level = round(term / step)
+        if not level or abs(level * step - term) > WHOLE:
             message = f"level payments end after whole steps of {years(step)}"
-            raise section.error("recovery_years", table.recovery_years, message)
-    metadata = {
-        "spread_factor": share(RULE.meaning, "plan", YEARLY),
-        "recovery_years": time(RULE.meaning, "plan"),
-        "sponsor_limit": amount(RULE.meaning, "plan", f"{money}/year"),
-    }
+            raise section.error("recovery_years", term, message)
 
     def input(name: str) -> CaseInput:
-        value, full = getattr(table, name), f"contribution_{name}"
-        # A loading of zero that nobody wrote is no number of the owner's.
+        # A default loading of zero is no input.
         requested = name in used and (name != "loading" or name in table.model_fields_set)
-        requested = requested and (
-            name != "recovery_years" or level is None
-        )  # a date has no gradient
-        return single(full, value, metadata.get(name, RULE)) if requested else _nothing(full)
+        if name == "recovery_years" and level is not None:
+            requested = False  # a date has no gradient
+        if not requested:
+            return _nothing(f"contribution_{name}")
+        return input_of(table, name, "contribution", money)
 
     return Contribution(
         kind=kind,
@@ -198,11 +177,12 @@ def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -
     requested = table.basis != "risk-free"
     if requested and table.rate is None:
         raise section.error("rate", None, f'basis "{table.basis}" needs this key')
-    name = "liability_rate"
-    added = single(name, table.rate, VALUED) if table.rate is not None else _nothing(name)
+    added = (
+        _nothing("liability_rate") if table.rate is None else input_of(table, "rate", "liability")
+    )
     loading = None
-    if table.expense_loading:
-        loading = single("liability_expense_loading", table.expense_loading, LOADED)
+    if table.expense_loading.used():
+        loading = input_of(table, "expense_loading", "liability")
     return Liability(table.basis, added, table.future_indexation, annual, loading)
 
 

@@ -1,7 +1,7 @@
 """Reads `[stress]`: shocks from a file; lines of the same scenario hold together.
 
 A line moves a curve ("curve", "break_even": `label` is a tenor in years, between tenors the size
-is linear and beyond them constant; no label moves all nodes alike; "multiply" is of annual rates,
+is linear and beyond them constant; no label moves all nodes equally; "multiply" is of annual rates,
 "add" of continuous ones), the price of assets ("price": `label` is a class or a kind of classes),
 or any other input of the case by its name and label.
 """
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.load import load
 from snapo.case.plausible import CheckedNumbers
-from snapo.case.table import TableContext, load, nearest, parse
+from snapo.case.table import TableContext, nearest, parse
 
 from ..records.case import PensionCase
 from ..records.inputs import every_given

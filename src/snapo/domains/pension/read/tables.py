@@ -1,4 +1,4 @@
-"""The tables of a pension case as they stand in the TOML file, each key with its meaning.
+"""The tables of a pension case of the TOML file, each key with its meaning.
 
 The description of a key is the text that an error message quotes as allowed.
 """
@@ -9,9 +9,24 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
+from snapo.case.given import CaseInput
 from snapo.case.meaning import Only
 from snapo.case.parts import PartNames, names_of_parts
-from snapo.case.table import TITLE, CaseTable, NotNegative, Positive, Title
+from snapo.case.quantity import FRACTION, NOT_NEGATIVE, POSITIVE, Range
+from snapo.case.table import TITLE, CaseTable, Title
+
+from ..quantities import (
+    AMOUNT,
+    FROM_YEAR,
+    NUMBER,
+    QUIET_VOLATILITY,
+    RATE,
+    SHARE,
+    SQUARE_ROOT,
+    YEARLY,
+    YEARLY_RATE,
+    plain,
+)
 
 
 def _plain_day(value: Any) -> Any:
@@ -23,16 +38,27 @@ def _plain_day(value: Any) -> Any:
 
 Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 Name = Annotated[str, Field(min_length=1)]
-Share = Annotated[float, Field(ge=0, le=1)]
-YearlyRate = Annotated[float, Field(gt=-1, lt=1)]
+HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
+Ratio = Annotated[float, Field(gt=0)]
+DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
+OF_FACTOR = "of a factor of the short rate; the curve is fitted again"
+OF_INFLATION = "of expected inflation; break-evens are fitted again"
+MOVING = QUIET_VOLATILITY.of("volatility", by=FROM_YEAR)
+REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
+PRICE_OF_RISK = NUMBER.of("premium", unit=SQUARE_ROOT)
+FAR_OUT = "the forward rate far beyond the last node"
+RESERVE = SHARE.of("plan")
+OF_RESERVE = "the solidarity reserve: its size, its filling or its release"
+SWAP_LIMIT, A_LIMIT = SHARE.of("overlay"), "a limit of the swaps"
+OVER_GILTS = YEARLY_RATE._replace(noun="a rate over gilts")
 
-DATE = "a date, YYYY-MM-DD"
-RATE = "a number between -1 and 1, like 0.02 for 2 %"
-MINIMUM = "a number of at least 0"
-ABOVE = "a number above 0"
-SHARE = "a number from 0 to 1"
-STEPS = "or the name of a CSV file with columns from_year,value"
-VOLATILITY = f"{MINIMUM}, {STEPS}"
+
+def _share_of(text: str) -> Range:
+    return FRACTION._replace(noun=f"a share of {text}")
+
+
+def _above(text: str) -> Range:
+    return POSITIVE._replace(noun=text)
 
 
 COHORTS = Only(
@@ -63,12 +89,12 @@ SOUGHT = Only(
 
 
 def csv(columns: str, default: Any = ...) -> Any:
-    """A field that names a CSV beside the case."""
+    """A field that names a CSV next to the case."""
     return Field(default, description=f"the name of a CSV file with columns {columns}")
 
 
 def one_of(*available: str, default: Any = ...) -> Any:
-    """A field that takes one of a few words."""
+    """A field that takes one of a few names."""
     displayed = [f'"{item}"' for item in available]
     text = (
         displayed[0] if len(displayed) == 1 else f"{', '.join(displayed[:-1])} or {displayed[-1]}"
@@ -80,10 +106,13 @@ class FundTable(CaseTable):
     """`[fund]`: the horizon, its steps and the money."""
 
     valuation_date: Day = Field(description=DATE)
-    years: Annotated[int, Field(ge=1, le=60)] = Field(description="a whole number from 1 to 60")
+    years: int = plain(Range(1, 60, noun=WHOLE))
     step: Literal["month", "year"] = one_of("month", "year", default="month")
-    assets: Positive = Field(description="the market value of all assets, above 0")
     currency: Name = Field("EUR", description='a name such as "EUR"')
+    assets: CaseInput = AMOUNT(
+        "the market value of all assets today",
+        unit="{currency}", range=_above("the market value of all assets,"), group="assets",
+    )  # fmt: skip
 
 
 class CurveTable(CaseTable):
@@ -97,11 +126,11 @@ class CurveTable(CaseTable):
     extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = one_of(
         "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
-    ultimate: YearlyRate | None = Field(None, description=RATE)
-    speed: Annotated[Positive | None, NOT_FLAT] = Field(None, description=ABOVE)
-    last_liquid: Positive | None = Field(None, description=f"a tenor in years, {ABOVE}")
-    convergence: Annotated[Positive | None, SMITH_WILSON, SOUGHT] = Field(
-        None, description=f"a term in years, {ABOVE}"
+    ultimate: CaseInput | None = RATE(FAR_OUT, None, group="model", name="ultimate_forward")
+    speed: Annotated[float | None, NOT_FLAT] = plain(POSITIVE, None)
+    last_liquid: float | None = plain(_above("a tenor in years"), None)
+    convergence: Annotated[float | None, SMITH_WILSON, SOUGHT] = plain(
+        _above("a term in years"), None
     )
 
 
@@ -109,14 +138,10 @@ class RatesTable(CaseTable):
     """`[rates]`: the model of the short rate; lists have one number per factor."""
 
     kind: Name = Field(description='the name of a model, such as "hull-white" or "g2++"')
-    mean_reversion: Positive | list[Positive] = Field(
-        description="a number above 0, or a list with one for each factor"
-    )
-    volatility: NotNegative | Name | list[NotNegative | Name] = Field(
-        description=f"{VOLATILITY}; a list with one for each factor"
-    )
-    price_of_risk: float | list[float] = Field(
-        0.0, description="a number, or a list with one for each factor"
+    mean_reversion: tuple[CaseInput, ...] = REVERSION(f"mean reversion {OF_FACTOR}", by_factor=True)
+    volatility: tuple[CaseInput, ...] = MOVING(f"volatility {OF_FACTOR}", by_factor=True)
+    price_of_risk: tuple[CaseInput, ...] = PRICE_OF_RISK(
+        "held while the curve moves; higher is a lower premium of long bonds", 0.0, by_factor=True
     )
 
 
@@ -130,15 +155,19 @@ class InflationTable(CaseTable):
     extrapolation: Literal["flat-forward", "ultimate"] = one_of(
         "flat-forward", "ultimate", default="flat-forward"
     )
-    ultimate: YearlyRate | None = Field(None, description=RATE)
-    speed: Annotated[Positive, ULTIMATE] = Field(0.1, description=ABOVE)
-    mean_reversion: Positive = Field(0.3, description=ABOVE)
-    volatility: NotNegative | Name = Field(0.007, description=VOLATILITY)
-    price_of_risk: float = Field(0.0, description="a number")
-    index_volatility: NotNegative | Name = Field(0.01, description=VOLATILITY)
-    index_price_of_risk: float = Field(0.0, description="a number")
-    real_wage_growth: YearlyRate = Field(0.0, description=RATE)
-    wage_volatility: NotNegative = Field(0.0, description=MINIMUM)
+    ultimate: CaseInput | None = RATE(FAR_OUT, None, group="model", name="ultimate_break_even")
+    speed: Annotated[float, ULTIMATE] = plain(POSITIVE, 0.1)
+    mean_reversion: CaseInput = REVERSION(
+        f"mean reversion {OF_INFLATION}", 0.3, name="inflation_mean_reversion"
+    )
+    volatility: CaseInput = MOVING(f"volatility {OF_INFLATION}", 0.007, name="inflation_volatility")
+    price_of_risk: CaseInput = PRICE_OF_RISK(
+        f"price of the risk {OF_INFLATION}", 0.0, name="inflation_price_of_risk"
+    )
+    index_volatility: CaseInput = MOVING("volatility of realised prices", 0.01)
+    index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised prices", 0.0)
+    real_wage_growth: CaseInput = RATE("growth of wages over prices", 0.0, group="model")
+    wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages over prices", 0.0)
 
 
 class AssetsTable(CaseTable):
@@ -147,9 +176,7 @@ class AssetsTable(CaseTable):
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
     return_kind: Literal["excess", "total"] = one_of("excess", "total")
     mean_kind: Literal["geometric", "arithmetic", "log"] = one_of("geometric", "arithmetic", "log")
-    turnover: Positive | None = Field(
-        None, description=f"the largest share of the assets traded per year, {ABOVE}"
-    )
+    turnover: float | None = plain(_above("the largest share of the assets traded per year,"), None)
 
 
 class CreditTable(CaseTable):
@@ -172,16 +199,18 @@ class CorrelationsTable(CaseTable):
 
 
 class OverlayTable(CaseTable):
-    """`[overlay]`: receiver swaps by tenor, at par unless their kind says otherwise."""
+    """`[overlay]`: receiver swaps by tenor, at par unless their kind is another."""
 
     file: Name = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = one_of("assets", "liability", default="assets")
-    leverage: NotNegative = Field(1.0, description=MINIMUM)
-    collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")
+    leverage: CaseInput = SWAP_LIMIT(A_LIMIT, 1.0, range=NOT_NEGATIVE)
+    collateral_stress: CaseInput = SWAP_LIMIT(
+        A_LIMIT, 0.035, unit=YEARLY, range=Range(0.0, noun="a rise in rates")
+    )
 
 
 class ScenariosTable(CaseTable):
-    """`[scenarios]`: ready-made scenarios in place of the generator."""
+    """`[scenarios]`: ready-made scenarios instead of the generator."""
 
     training: Name = Field(description="the name of a CSV file")
     evaluation: Name = Field(description="the name of another CSV file")
@@ -191,9 +220,7 @@ class PolicyTable(CaseTable):
     """`[policy]`: the observation, and the widths of the hidden layers."""
 
     observation: list[str] | None = Field(None, description="a list of names")
-    hidden: Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)] = Field(
-        [32, 32], description="a list of widths, such as [32, 32]"
-    )
+    hidden: HiddenLayers = Field([32, 32], description="a list of widths, such as [32, 32]")
 
 
 class SensitivityTable(CaseTable):
@@ -205,11 +232,9 @@ class SensitivityTable(CaseTable):
 class FrontierTable(CaseTable):
     """`[frontier]`: contributions against the shortfall, from a sweep."""
 
-    points: Annotated[int, Field(ge=2, le=20)] = Field(5, description="a whole number from 2 to 20")
-    steps: Annotated[int, Field(ge=1)] = Field(60, description="a whole number, 1 or more")
-    level: Annotated[float, Field(ge=0.5, le=0.99)] = Field(
-        0.95, description="a number from 0.5 to 0.99"
-    )
+    points: int = plain(Range(2, 20, noun=WHOLE), 5)
+    steps: int = plain(Range(1, noun=WHOLE), 60)
+    level: float = plain(Range(0.5, 0.99), 0.95)
 
 
 class StressTable(CaseTable):
@@ -225,14 +250,14 @@ class FundReportTable(CaseTable):
 
 
 class RegulationTable(CaseTable):
-    """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
+    """`[regulation]`: a regulator's rules, and the figures they ask for."""
 
     rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
-    policy_ratios: list[Positive] = Field(
+    policy_ratios: list[Ratio] = Field(
         [], description="funding ratios at the ends of the last months, the newest last"
     )
-    insurance_risk: Share = Field(0.0, description=f"a share of the liability, {SHARE}")
-    active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
+    insurance_risk: float = plain(_share_of("the liability"), 0.0)
+    active_risk: float = plain(_share_of("the assets"), 0.0)
 
 
 class PotsTable(CaseTable):
@@ -240,21 +265,23 @@ class PotsTable(CaseTable):
 
     rules: Name = Field(description='"dutch-wtp", or the name of a TOML file of rules')
     allocation: Name = csv("age,protection,exposure")
-    reserve: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
-    fill_contribution: Share = Field(0.0, description=f"a share of contributions, {SHARE}")
-    fill_return: Share = Field(0.0, description=f"a share of a year's excess return, {SHARE}")
-    release: Share = Field(0.2, description=f"a share of the reserve, {SHARE}")
-    largest: Share | None = Field(None, description=f"a share of the assets, {SHARE}")
+    reserve: CaseInput = RESERVE(
+        OF_RESERVE, 0.0, range=_share_of("the assets"), name="reserve_today"
+    )
+    fill_contribution: CaseInput = RESERVE(OF_RESERVE, 0.0, range=_share_of("contributions"))
+    fill_return: CaseInput = RESERVE(OF_RESERVE, 0.0, range=_share_of("a year's excess return"))
+    release: CaseInput = RESERVE(OF_RESERVE, 0.2, range=_share_of("the reserve"))
+    largest: CaseInput | None = RESERVE(OF_RESERVE, None, range=_share_of("the assets"))
 
 
 class FundingTable(CaseTable):
     """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
 
     rules: Name = Field(description='"uk", or the name of a TOML file of rules')
-    technical_provisions: YearlyRate = Field(description=f"over gilts, {RATE}")
-    low_dependency: YearlyRate | None = Field(None, description=f"over gilts, {RATE}")
-    buy_out: YearlyRate = Field(description=f"over gilts, {RATE}")
-    recovery_years: Positive | None = Field(None, description=ABOVE)
+    technical_provisions: float = plain(OVER_GILTS)
+    low_dependency: float | None = plain(OVER_GILTS, None)
+    buy_out: float = plain(OVER_GILTS)
+    recovery_years: float | None = plain(POSITIVE, None)
 
 
 class PensionTable(CaseTable):

@@ -5,26 +5,26 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from snapo.case.given import CaseInput
 from snapo.case.meaning import Only, Tables
+from snapo.case.quantity import ANY, FRACTION, NOT_NEGATIVE, POSITIVE, Range
 from snapo.case.table import CaseTable
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
-from .tables import (
-    ABOVE,
-    COHORTS,
-    MINIMUM,
-    PROMISED,
+from ..quantities import (
+    AMOUNT,
+    BY_AGE,
+    MONEY_YEARLY,
     RATE,
     SHARE,
-    Name,
-    NotNegative,
-    Positive,
-    Share,
-    YearlyRate,
-    csv,
-    one_of,
+    SQUARE_ROOT,
+    TIME,
+    YEARLY,
+    YEARLY_RATE,
+    plain,
 )
+from .tables import COHORTS, PROMISED, Name, csv, one_of
 
 BY_SALARY = ("rate", "floor", "cap")  # numbers of a contribution that are shares of salaries
 
@@ -87,9 +87,11 @@ def _averaging(tables: Tables) -> bool:
 FLOWS = Only(lambda tables: tables["members"].cash_flows is not None, "with cash_flows")
 SALARIES = Only(_on_salaries, "where contributions or their limits are shares of salaries")
 ACCRUING = Only(lambda tables: tables["plan"].accruing, "where the plan is accruing")
-ACCRUED = Only(lambda tables: tables["plan"].accrual_rate > 0, "with an accrual_rate above 0")
+ACCRUED = Only(
+    lambda tables: tables["plan"].accrual_rate.used() > 0, "with an accrual_rate above 0"
+)
 OPEN = Only(lambda tables: tables["plan"].open, "in an open plan")
-SPOUSES = Only(lambda tables: tables["plan"].spouse_share > 0, "with a spouse_share above 0")
+SPOUSES = Only(lambda tables: tables["plan"].spouse_share.used() > 0, "with a spouse_share above 0")
 INCREASING = Only(_increasing, "where something happens once a year: increases, cuts or pots")
 AVERAGED = Only(_averaging, 'with kind "conditional" or with cuts', _kind("plan.indexation"))
 CUTS = Only(
@@ -136,6 +138,16 @@ COMPARED = Only(
 )
 
 
+MEMBER_MONEY = AMOUNT.of("people", unit="money/year", range=MONEY_YEARLY)
+PLAN_MONEY, PLAN_RATE = MEMBER_MONEY.of("plan"), RATE.of("plan")
+PLAN_SHARE, RATIO = SHARE.of("plan"), SHARE.of("plan", range=NOT_NEGATIVE)
+INDEXED = "the rate, or a limit, of yearly indexation"
+THRESHOLD = "a funding ratio in the rule of indexation"
+REVALUED = "the yearly increase of rights before payment"
+OF_RULE = "a number of the rule of contributions"
+RULE = SHARE.of("plan", range=ANY)
+OF_SALARIES = Range(noun="a share of salaries")
+WHOLE = "a whole number"
 FormulaTable = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
@@ -146,11 +158,11 @@ class MembersTable(CaseTable):
         "name,status,sex,age,number,pension and, where they apply, salary,service,mortality", None
     )
     cash_flows: Name | None = csv("year (or month),amount", None)
-    normal_cost: Annotated[NotNegative, FLOWS, ACCRUING] = Field(
-        0.0, description="money per year, at least 0"
+    normal_cost: Annotated[CaseInput, FLOWS, ACCRUING] = MEMBER_MONEY(
+        "the value of the accrual of a step today", 0.0, name="normal_cost"
     )
-    salary: Annotated[NotNegative, FLOWS, SALARIES] = Field(
-        0.0, description="money per year, at least 0"
+    salary: Annotated[CaseInput, FLOWS, SALARIES] = MEMBER_MONEY(
+        "all salaries", 0.0, name="payroll"
     )
 
 
@@ -165,21 +177,24 @@ class MortalityTable(CaseTable):
     female: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
         None, description="[alpha, beta] or [alpha, beta, makeham]"
     )
-    year: Annotated[int, Field(ge=1900, le=2200)] | None = Field(
-        None, description="the calendar year of these probabilities, from 1900 to 2200"
+    year: int | None = plain(
+        Range(1900, 2200, noun="the calendar year of these probabilities,"), None
     )
-    improvement: YearlyRate | Name = Field(
-        0.0, description="a number between -1 and 1, or a CSV file with columns sex,age,value"
+    improvement: CaseInput | Name = RATE(
+        "the yearly fall of death rates", 0.0, group="people", by=BY_AGE
     )
-    multiplier: Positive | Name = Field(
-        1.0, description="a number above 0, or a CSV file with columns sex,age,value"
-    )
+    multiplier: CaseInput | Name = AMOUNT(
+        "death probabilities at these ages rise by 1 % of themselves", 1.0, unit="1",
+        range=POSITIVE, group="people", by=BY_AGE, name="mortality_multiplier",
+    )  # fmt: skip
 
 
 class LeeCarterTable(CaseTable):
     """`[lee_carter]`: the stochastic factor of mortality."""
 
-    volatility: NotNegative = Field(description=MINIMUM)
+    volatility: CaseInput = AMOUNT(
+        "volatility of the mortality factor", unit=SQUARE_ROOT, group="volatility"
+    )
     file: Name = csv("sex,age,loading")
 
 
@@ -193,27 +208,29 @@ class PlanTable(CaseTable):
     fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = one_of(
         "constant-force", "uniform", default="constant-force"
     )
-    retirement_age: Annotated[float, Field(ge=40, le=90), COHORTS] = Field(
-        67.0, description="an age from 40 to 90"
-    )
+    retirement_age: Annotated[float, COHORTS] = plain(Range(40.0, 90.0, noun="an age"), 67.0)
     accruing: Annotated[bool, PROMISED] = Field(True, description="true or false")
     open: Annotated[bool, COHORTS] = Field(False, description="true or false")
-    entry_age: Annotated[float, Field(ge=15, le=90), COHORTS, OPEN, ACCRUING] = Field(
-        25.0, description="an age from 15 to 90"
+    entry_age: Annotated[float, COHORTS, OPEN, ACCRUING] = plain(
+        Range(15.0, 90.0, noun="an age"), 25.0
     )
-    max_service: Annotated[Positive, COHORTS, PROMISED, ACCRUING, ACCRUED] = Field(
-        60.0, description="a number of years above 0"
+    max_service: Annotated[float, COHORTS, PROMISED, ACCRUING, ACCRUED] = plain(
+        Range(0.0, endpoints="()", noun="a number of years"), 60.0
     )
-    accrual_rate: Annotated[Share, COHORTS, PROMISED, ACCRUING] = Field(0.0, description=SHARE)
-    offset: Annotated[NotNegative, COHORTS, PROMISED, ACCRUING, ACCRUED] = Field(
-        0.0, description="money per year, at least 0"
+    accrual_rate: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING] = PLAN_RATE(
+        "the share of salary less offset that a year of service earns", 0.0, range=FRACTION
     )
-    spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
-    married_share: Annotated[Share, COHORTS, SPOUSES] = Field(1.0, description=SHARE)
-    spouse_age_gap: Annotated[int, Field(ge=-20, le=20), COHORTS, SPOUSES] = Field(
-        3, description="a whole number from -20 to 20"
+    offset: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING, ACCRUED] = PLAN_MONEY(
+        "the part of a salary without a pension", 0.0
     )
-    expenses: NotNegative = Field(0.0, description="money per year, at least 0")
+    spouse_share: Annotated[CaseInput, COHORTS] = PLAN_SHARE(
+        "the spouse's pension as a share of the member's", 0.0
+    )
+    married_share: Annotated[CaseInput, COHORTS, SPOUSES] = PLAN_SHARE(
+        "the share of members with a spouse", 1.0
+    )
+    spouse_age_gap: Annotated[int, COHORTS, SPOUSES] = plain(Range(-20, 20, noun=WHOLE), 3)
+    expenses: CaseInput = PLAN_MONEY("the yearly expenses of the scheme", 0.0)
     indexation: dict = Field({}, description="the table [plan.indexation]")
     revaluation: Annotated[dict | None, COHORTS, PROMISED, FIXED] = Field(
         None, description="the table [plan.revaluation]"
@@ -222,32 +239,32 @@ class PlanTable(CaseTable):
 
 
 class IndexationTable(CaseTable):
-    """`[plan.indexation]`: increases of pensions in payment, and of other rights alike where there
-    is no `[plan.revaluation]`."""
+    """`[plan.indexation]`: increases of pensions in payment, and of other rights equally where
+    there is no `[plan.revaluation]`."""
 
     kind: Literal["none", "fixed", "full", "capped", "conditional"] = one_of(
         "none", "fixed", "full", "capped", "conditional", default="none"
     )
-    rate: Annotated[YearlyRate | None, _increase("rate")] = Field(None, description=RATE)
-    month: Annotated[int, Field(ge=1, le=12), INCREASING] = Field(1, description="a month, 1 to 12")
-    averaging: Annotated[int, Field(ge=1, le=12), AVERAGED] = Field(
-        12, description="a whole number of months, 1 to 12"
-    )
-    cap: Annotated[YearlyRate, _increase("cap")] = Field(0.5, description=RATE)
-    floor: Annotated[YearlyRate, _increase("floor")] = Field(-0.5, description=RATE)
-    lower_ratio: Annotated[NotNegative, _increase("lower_ratio")] = Field(1.1, description=MINIMUM)
-    upper_ratio: Annotated[NotNegative, _increase("upper_ratio")] = Field(1.3, description=MINIMUM)
-    required_ratio: Annotated[NotNegative, CUTS] = Field(1.0, description=MINIMUM)
-    cut_years: Annotated[int, Field(ge=0, le=50), PROMISED] = Field(
-        0, description="a whole number from 0 to 50"
-    )
+    rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE(INDEXED, None)
+    month: Annotated[int, INCREASING] = plain(Range(1, 12, noun="a month"), 1)
+    averaging: Annotated[int, AVERAGED] = plain(Range(1, 12, noun="a whole number of months"), 12)
+    cap: Annotated[CaseInput, _increase("cap")] = PLAN_RATE(INDEXED, 0.5)
+    floor: Annotated[CaseInput, _increase("floor")] = PLAN_RATE(INDEXED, -0.5)
+    lower_ratio: Annotated[CaseInput, _increase("lower_ratio")] = RATIO(THRESHOLD, 1.1)
+    upper_ratio: Annotated[CaseInput, _increase("upper_ratio")] = RATIO(THRESHOLD, 1.3)
+    required_ratio: Annotated[CaseInput, CUTS] = RATIO(THRESHOLD, 1.0)
+    cut_years: Annotated[int, PROMISED] = plain(Range(0, 50, noun=WHOLE), 0)
 
 
 class RevaluationTable(CaseTable):
     """`[plan.revaluation]`: fixed increases of rights before payment, apart from payment."""
 
-    deferred: YearlyRate = Field(0.0, description=f"of deferred members' rights, {RATE}")
-    active: YearlyRate = Field(0.0, description=f"of rights in service, {RATE}")
+    deferred: CaseInput = PLAN_RATE(
+        REVALUED, 0.0, range=YEARLY_RATE._replace(noun="a rate for deferred members' rights")
+    )
+    active: CaseInput = PLAN_RATE(
+        REVALUED, 0.0, range=YEARLY_RATE._replace(noun="a rate for rights in service")
+    )
 
 
 class ContributionTable(CaseTable):
@@ -259,27 +276,25 @@ class ContributionTable(CaseTable):
     normal_cost: Annotated[Literal["valuation", "rate"], BY_COST] = one_of(
         "valuation", "rate", default="valuation"
     )
-    rate: Annotated[NotNegative | None, RATED] = Field(
-        None, description=f"a share of salaries, {MINIMUM}"
+    rate: Annotated[CaseInput | None, RATED] = RULE(
+        OF_RULE, None, range=OF_SALARIES._replace(low=0.0)
     )
-    loading: Annotated[float, Field(ge=-1), BY_COST, VALUED] = Field(
-        0.0, description="a number of at least -1"
+    loading: Annotated[CaseInput, BY_COST, VALUED] = RULE(OF_RULE, 0.0, range=Range(-1.0))
+    spread_factor: Annotated[CaseInput | None, _contribution("spread_factor")] = RULE(
+        OF_RULE, None, unit=YEARLY, range=Range(0.0, noun="a number per year")
     )
-    spread_factor: Annotated[NotNegative | None, _contribution("spread_factor")] = Field(
-        None, description=f"per year, {MINIMUM}"
+    target_ratio: Annotated[CaseInput, _contribution("target_ratio")] = RULE(
+        OF_RULE, 1.0, range=POSITIVE
     )
-    target_ratio: Annotated[Positive, _contribution("target_ratio")] = Field(1.0, description=ABOVE)
     recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = one_of(
         "rolling", "level", default="rolling"
     )
-    recovery_years: Annotated[Positive, _contribution("recovery_years")] = Field(
-        10.0, description=ABOVE
+    recovery_years: Annotated[CaseInput, _contribution("recovery_years")] = TIME(
+        OF_RULE, 10.0, group="plan"
     )
-    floor: Annotated[float | None, PAID] = Field(None, description="a share of salaries")
-    cap: Annotated[float | None, PAID] = Field(None, description="a share of salaries")
-    sponsor_limit: Annotated[NotNegative | None, PAID] = Field(
-        None, description="money per year, at least 0"
-    )
+    floor: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
+    cap: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
+    sponsor_limit: Annotated[CaseInput | None, PAID] = PLAN_MONEY(OF_RULE, None)
     schedule: Name | None = csv("date,amount (or year,amount)", None)
 
 
@@ -289,10 +304,13 @@ class LiabilityTable(CaseTable):
     basis: Literal["risk-free", "spread", "fixed"] = one_of(
         "risk-free", "spread", "fixed", default="risk-free"
     )
-    rate: Annotated[YearlyRate | None, ADDED] = Field(None, description=RATE)
-    expense_loading: Annotated[Share, PROMISED] = Field(
-        0.0, description=f"a share of the value of the payments, {SHARE}"
+    rate: Annotated[CaseInput | None, ADDED] = PLAN_RATE(
+        "the rate that is added to the curve, or takes its place, in valuation", None
     )
+    expense_loading: Annotated[CaseInput, PROMISED] = PLAN_SHARE(
+        "the reserve for expenses, as a share of the value of the payments", 0.0,
+        range=FRACTION._replace(noun="a share of the value of the payments"),
+    )  # fmt: skip
     future_indexation: Literal["none", "full", "capped"] = one_of(
         "none", "full", "capped", default="none"
     )
@@ -301,8 +319,6 @@ class LiabilityTable(CaseTable):
 class ReconcileTable(CaseTable):
     """`[reconcile]`: the actuary's own figures."""
 
-    liability: Positive | None = Field(None, description=ABOVE)
-    duration: Positive | None = Field(None, description=ABOVE)
-    tolerance: Annotated[float, Field(gt=0, lt=1), COMPARED] = Field(
-        0.001, description="a number above 0 and below 1"
-    )
+    liability: float | None = plain(POSITIVE, None)
+    duration: float | None = plain(POSITIVE, None)
+    tolerance: Annotated[float, COMPARED] = plain(Range(0.0, 1.0, "()"), 0.001)

@@ -1,14 +1,46 @@
 """Holdings of the fund as resolved data; conventions as in `records.case`."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from snapo.case.given import CaseInput
 
-if TYPE_CHECKING:
-    from ..market.assets.asset_class import AssetClass
+AttributionPart = Literal["cash", "rates", "credit", "assets"]
+
+
+@dataclass(frozen=True)
+class AssetRow:
+    """One row of the asset table, with the properties of its kind. Exactly one of a case is cash.
+
+    - `currency`: position in `PensionCase.currencies`, -1 for the fund's own.
+    - `group`: name of a group, or "". `eligible`: share that counts as collateral, 0 to 1.
+
+    A kind, a subclass of `market.assets.asset_class.AssetClass`, sets:
+
+    - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
+    - `part`: the part of an attribution that its return over cash belongs to.
+    - `collateral`: the share that is eligible where the table has none.
+    - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
+      table has none, one of `records.regulation.RISKS`; "none" only where there is none.
+    - `linked`: whether its payments follow prices.
+    - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
+    """
+
+    kind: ClassVar[str]
+    description: ClassVar[str]
+    part: ClassVar[AttributionPart]
+    risk: ClassVar[str]
+    collateral: ClassVar[float] = 0.0
+    linked: ClassVar[bool] = False
+    own_shock: ClassVar[bool] = False
+    is_cash: ClassVar[bool] = False
+
+    name: str
+    currency: int = -1
+    group: str = ""
+    eligible: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +75,7 @@ class Assets:
     - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """
 
-    classes: "tuple[AssetClass, ...]"
+    classes: tuple[AssetRow, ...]
     return_kind: Literal["excess", "total"]
     mean_kind: Literal["geometric", "arithmetic", "log"]
     mean: CaseInput
@@ -91,7 +123,7 @@ class Overlay:
       receive the growth of prices); the others are of rates, at par but for those at the positions
       `zero_coupon`.
     - `maturity`: [b] whole steps, rising among swaps of rates and of inflation. `notional`: money,
-      what the fixed leg is worth when the swap is struck, index [b].
+      the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of the liability
       payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].

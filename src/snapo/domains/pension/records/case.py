@@ -2,10 +2,10 @@
 
 Conventions for every record. Time runs in steps of `PensionCase.step` years (1/12 or 1), step t
 from time t * step to (t + 1) * step; T is the number of steps with a decision. Numbers are per
-year and continuous unless a field says otherwise, shares are fractions (0.05 is 5 %), money is
-in `PensionCase.currency`. A `Given` keeps the numbers as the owner gave them and becomes an
+year and continuous unless a field has another unit, shares are fractions (0.05 is 5 %), money is
+in `PensionCase.currency`. A `CaseInput` keeps the numbers as they were entered and becomes an
 input with a sensitivity under its own name, unless `PensionCase.held` names it; where it is
-used it is `given.values[given.index]`. Plain NumPy arrays, integers and names have no gradient.
+used it is `x.values[x.index]`. Plain NumPy arrays, integers and names have no gradient.
 """
 
 from dataclasses import dataclass
@@ -47,14 +47,14 @@ class Frontier:
 
 @dataclass(frozen=True, eq=False)
 class PensionCase:
-    """All that a pension case says.
+    """A pension case.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
-    - `pots`: personal pots in place of promised rights; None where these are promised.
-    - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
+    - `pots`: personal pots instead of promised rights; None where these are promised.
+    - `held`: names of `CaseInput`s that are no inputs. `notes`: remarks for the user.
     - `slips`: names of numbers that one of the notes supposes to be in another unit.
     - `parts`: names of those parts of a run that are wanted, () for all.
     """

@@ -20,7 +20,7 @@ class MarketCurve:
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
       "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
       "smith-wilson" is that method for all terms, with `speed`, or where it is None with the
-      least one at which forward rates have come to `ultimate` at `convergence` years.
+      least one at which forward rates have reached `ultimate` at `convergence` years.
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
@@ -107,7 +107,7 @@ class Correlation:
 
 @dataclass(frozen=True, eq=False)
 class SuppliedScenarios:
-    """Ready-made scenarios in place of the generator: two different sets of paths.
+    """Ready-made scenarios instead of the generator: two different sets of paths.
 
     - `training`, `evaluation`: [paths, T, K], over step t (returns, growth) or at its end (zeros).
     - `columns`: [K] "return CLASS" for every class (simple, of the step), then "inflation" and

@@ -7,7 +7,7 @@ PARTS = (
     "outputs", "certificate", "attribution", "variance by source", "market consistency",
     "classical policies", "frontier", "pots",
 )  # fmt: skip
-# What is worked out of promised rights alone; a fund of pots has its own part.
+# Parts of promised rights only; a fund of pots has its own part.
 OF_RIGHTS = ("attribution", "variance by source", "market consistency", "frontier")
 # What moves or replaces the numbers of the models.
 OF_MODELS = ("variance by source", "market consistency")

@@ -11,7 +11,7 @@ from snapo.case.given import CaseInput
 @dataclass(frozen=True, eq=False)
 class Indexation:
     """Increases once a year in calendar month `month`: of pensions in payment, and of all other
-    rights alike where the plan has no `Revaluation`.
+    rights equally where the plan has no `Revaluation`.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
@@ -94,7 +94,7 @@ class PensionPlan:
     - `revaluation`: of rights before payment; None: they grow as pensions in payment do.
 
     - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
-      contributions alike.
+      contributions equally.
     - `retirement_age`: whole or fractional years, no gradient (a date). `accrual_rate`: pension
       per year of service as a share of (salary - `offset`), index []; `offset`: money, index [].
     - `spouse_share`: of the member's pension, index []; `married_share`: index [];
@@ -103,7 +103,7 @@ class PensionPlan:
     - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between
       birthdays "constant-force", "uniform" deaths.
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
-      same salary, so that payroll in wages of today stays constant. Closed: nobody enters, actives
+      same salary, so that payroll in wages of today stays constant. Closed: no one enters, actives
       go on accruing. `accruing` False: no new accrual at all (frozen plan).
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """

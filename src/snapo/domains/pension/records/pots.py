@@ -22,7 +22,7 @@ class PotRules:
 
 @dataclass(frozen=True, eq=False)
 class Pots:
-    """Personal pots in place of rights; C cohorts, shares as fractions.
+    """Personal pots instead of rights; C cohorts, shares as fractions.
 
     - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.
     - `fill_contribution`, `fill_return`: the shares of contributions and of a year's positive

@@ -1,4 +1,4 @@
-"""Technical provisions beside low dependency and buy-out, and the payments of a recovery plan.
+"""Technical provisions, low dependency and buy-out, and the payments of a recovery plan.
 
 Each basis discounts the expected payments at annual rates of the curve plus its margin (gilts plus
 a margin). Payments, and so mortality, are the same on every basis: a case has one set of them.
@@ -36,12 +36,12 @@ class Basis:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Level payments `probability` year, money, at the end of each of `years` years, which are
+    """Level payments of `payment` a year, money, at the end of each of `years` years, which are
     worth the deficit on technical provisions; their `total`; all 0 without a deficit."""
 
     deficit: float
     years: float
-    probability: float
+    payment: float
     total: float
 
 
@@ -88,18 +88,18 @@ def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
 
 
 def side_by_side(case: PensionCase, paid: Due) -> Bases:
-    """The same from expected payments, discounted on the curve alone."""
+    """The same from expected payments, discounted only on the curve."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding
-    basises = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
-    mature = next(item for item in basises if item.name == LOW).duration
+    rows = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
+    mature = next(item for item in rows if item.name == LOW).duration
     old = mature <= funding.significant_maturity
     years = funding.recovery_years
     if years is None:
         years = funding.mature if old else funding.longest
-    recovery = _recovery(basises[0], paid, years)
-    return Bases(basises, recovery, old, funding.since, funding.source)
+    recovery = _recovery(rows[0], paid, years)
+    return Bases(rows, recovery, old, funding.since, funding.source)
 
 
 def discounted(paid: Due, margin: float) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""A fund's stand before its regulator: required own funds, policy ratio, and the way to recover."""
+"""A fund's position before its regulator: required own funds, policy ratio, and the way to
+recover."""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""A pension case made ready to solve: its problem, policy and engines; what it is judged by."""
+"""A pension case made ready to solve: its problem, policy and engines; its measure of success."""
 
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from ..records.market import SuppliedScenarios
 
 
 class OutcomeMeasure(NamedTuple):
-    """The output that tells how a fund came out, a ratio of which 1 is the mark; words for it."""
+    """The output that summarises a fund, a ratio of which 1 is the mark; words for it."""
 
     output: str
     mean: str
@@ -71,7 +71,7 @@ def simulator_of(case: PensionCase) -> PensionSimulator:
 
 
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
+    """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
     Nothing is compiled where the fund takes these numbers from its inputs only.
     """

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from snapo.solver.provenance.versions import versions
-from snapo.study import choice
+from snapo.solver.provenance import versions
+from snapo.study import training
 from snapo.study.domain import Options
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
@@ -65,7 +65,7 @@ def pension_study(case: PensionCase, options: Options) -> Study:
         return FundRelaxation(setup().problem, setup().policy)
 
     every, selected = parts(case), requested(case)
-    available = about(case) | {"notes": list(notes)} | choice.summary(every, selected)
+    available = about(case) | {"notes": list(notes)} | training.summary(every, selected)
     if TRAINING not in selected:  # which says them
         available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
@@ -83,9 +83,9 @@ def requested(case: PensionCase) -> list[Part]:
     """The parts that the case asks for and those that they need; with a policy also the words for
     its value, which every report begins with."""
     every = parts(case)
-    selected = choice.with_needs(every, case.parts)
+    selected = training.with_needs(every, case.parts)
     if case.parts and TRAINING in selected:
-        selected = choice.with_needs(every, (*case.parts, OBJECTIVE.name))
+        selected = training.with_needs(every, (*case.parts, OBJECTIVE.name))
     return selected
 
 

@@ -148,7 +148,8 @@ class ProfileSlopes:
 def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
     """One adjoint for each attribute.
 
-    The profile gets many nodes; the derivative by one is spread over the time that it stands for.
+    The profile gets many nodes; the derivative with respect to one is spread over the time that it
+    represents.
     """
     rows = []
     for unit in case.units:
@@ -212,7 +213,7 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """Of every attribute by the pairs of parameters that the case names, in owners' units."""
+    """Of every attribute by the pairs of parameters that the case names, in the case's units."""
     complete, case = process(run), process(run).case
     pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
     rows = second(complete, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))

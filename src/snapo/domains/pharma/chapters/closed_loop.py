@@ -8,12 +8,11 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.problem.smooth import Exact
-from snapo.report.drawing import draw
-from snapo.report.evidence import history
+from snapo.report.drawing import LIGHT, draw
+from snapo.report.evidence import training_history
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Mark, Table, Text
 from snapo.report.quantity import number, percent, with_unit
-from snapo.report.theme import LIGHT
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Floats, Number
@@ -267,7 +266,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     once = [x for x in result.recipe if len(x.time) == 1]
     if once:
         blocks.append(_once(once))
-    return [*blocks, *history(run, "objective").blocks]
+    return [*blocks, *training_history(run, "objective").blocks]
 
 
 def _goal(result: ClosedLoopResult) -> Table:

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import draw, legend_above, unit_above
+from snapo.report.drawing import LIGHT, draw, legend_above, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity, with_unit
-from snapo.report.theme import LIGHT
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
@@ -32,7 +30,7 @@ MAP, ENDS = "design_space.csv", "design_space_boundary.csv"
 
 @dataclass(frozen=True, eq=False)
 class SpaceMap:
-    """The map over two or three parameters, in their owners' units.
+    """The map over two or three parameters, in the case's units.
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.

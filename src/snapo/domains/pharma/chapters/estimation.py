@@ -11,9 +11,9 @@ from scipy.stats import t as student
 from snapo.case.quantity import numbers_in
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, power, with_unit
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
@@ -34,7 +34,7 @@ DOUBT = 0.01  # tail below which a batch is not as the model expects
 @dataclass(frozen=True)
 class Agreement:
     """One batch: `points` measured, of which `inside` lie in their intervals; `chi2` of all of them
-    together, and `tail`, the chance of more than that."""
+    together, and `tail`, the probability of more than that."""
 
     experiment: str
     points: int
@@ -104,7 +104,7 @@ def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> V
 class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
-    - `measured_own`, `fitted_own`: in the owner's units, of `state`s in `state_unit`s at `time` of
+    - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
       an `experiment`. `start`: the case's own numbers; `units`, `scales`: of the fitted numbers.
     - `level`: of the intervals; `errors`: how those of the measurements are known.
     """
@@ -245,12 +245,12 @@ def _weighed(result: ParameterFit) -> str:
     scale = number(result.scale)
     if finite(result.tail) is None:
         return (
-            "Errors are known up to a factor alone, so the covariance is chi² per degree of "
-            f"freedom, {scale}, times that of the errors as they stand."
+            "Errors are known only up to a factor, so the covariance is chi² per degree of "
+            f"freedom, {scale}, times that of the stated errors."
         )
     text = f"Chi² is exceeded by chance in {percent(result.tail)} of all cases"
     if result.scale == 1:
-        return f"{text}; the covariance is that of the errors as they stand."
+        return f"{text}; the covariance is that of the stated errors."
     return (
         f"{text}: the model does not describe the data, or their errors are too small. The "
         f"covariance was multiplied by chi² per degree of freedom, {scale}."
@@ -262,7 +262,7 @@ def _use(reasons: Sequence[str]) -> str:
     if reasons:
         return "As not all numbers are identified, there is no fitted.csv to go on with."
     return (
-        "The other parts of this run take the numbers of the case as they stand. fitted.csv of "
+        "The other parts of this run take the numbers of the case. fitted.csv of "
         "this run has the fitted ones with their covariance: copied beside the case and named "
         'there, fitted = "fitted.csv", they take the place of these numbers and of their '
         "[[uncertainty]]."

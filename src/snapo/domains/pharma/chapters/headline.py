@@ -8,10 +8,10 @@ from importlib.metadata import PackageNotFoundError, version
 
 from snapo.report.evidence import spent
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity, seconds
-from snapo.report.sections.lacking import why_missing
-from snapo.solver.provenance.versions import versions
+from snapo.solver.provenance import versions
 from snapo.study.chapter import Chapter
 from snapo.study.domain import GOOD
 from snapo.study.run_folder import case_files
@@ -138,7 +138,7 @@ def _note(run: RunFiles) -> str:
 
 
 def marks(run: RunFiles) -> list[Mark]:
-    """Verdicts on the numbers, then on the process; nothing good stands above a bad status."""
+    """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
     rows, state = checks(run), str(run.result.get("status") or "ok")
     failed = [name for name, valid, _ in rows if not valid]
     verdicts = []
@@ -188,7 +188,7 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
         if first.outside:
             note = f"{attribute} is beyond its limit"
         elif first.spent:
-            note = f"for {attribute}, of which variation alone takes the room"
+            note = f"for {attribute}, of which its variation takes all the room"
         facts.append(("Most critical parameter", first.parameter, note))
     if space and space.box:
         volume = percent(space.box.volume, 0)
@@ -214,7 +214,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
                 quantity(room, unit) if attribute.limited else "–",
             )
         )  # fmt: skip
-    names = ("Attribute", "Limit", "Where it stands", "", "Value", "Room to the limit")
+    names = ("Attribute", "Limit", "Position", "", "Value", "Room to the limit")
     caption = "Quality attributes of one batch at the set point"
     return Table([(name, "") for name in names], rows, caption, 4)
 

@@ -38,7 +38,7 @@ SCOPE = (
 
 @dataclass(frozen=True)
 class AttributeStatement:
-    """A quality attribute with its limits in `unit`; `citation`: where they stand."""
+    """A quality attribute with its limits in `unit`; `citation`: their source."""
 
     name: str
     measure: str = ""
@@ -71,7 +71,7 @@ class AttributeStatement:
 
 @dataclass(frozen=True)
 class ParameterStatement:
-    """A process parameter in its owner's unit; `of`: the number of the model that it is."""
+    """A process parameter in the case's unit; `of`: the number of the model that it is."""
 
     name: str
     of: str

@@ -31,7 +31,7 @@ from ..recipe.records import Optimise, Term
 from ..setpoints import HEADER, setpoints
 from ..shared import MESH, open_loop, sampled
 
-BATCHES = 1024  # fresh ones, for the chance to keep all limits before and after
+BATCHES = 1024  # fresh ones, for the probability to keep all limits before and after
 FILE = "setpoints_best.csv"
 
 
@@ -146,8 +146,8 @@ def optimal(request: Optimise, values: Sequence[float]) -> dict[Entry, float]:
 
 
 def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecipe:
-    """Decisions, limits and ramps with their multipliers, the chance to keep all limits before and
-    after, and how the answer was found. User units."""
+    """Decisions, limits and ramps with their multipliers, the probability to keep all limits before
+    and after, and how the answer was found. User units."""
     recipe, conditions = optimum.recipe, optimum.recipe.conditions
     start = np.array([decision.start for decision in request.decisions])
     (first, before), (last, after) = (_at(run, request, x) for x in (start, recipe.x))
@@ -188,7 +188,7 @@ def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecip
 
 
 def _at(run: StudyRun, request: Optimise, x: np.ndarray) -> tuple[np.ndarray, KeptChance]:
-    """[Q] nominal attributes, and the chance to keep all limits with its standard error."""
+    """[Q] nominal attributes, and the probability to keep all limits with its standard error."""
     process, seed = sampled(run), open_loop(run).seed + 2
     changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(request.decisions, x)}
     rows = batches.drawn(process, changes, BATCHES, seed)

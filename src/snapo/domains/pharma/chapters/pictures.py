@@ -5,10 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from snapo.report.axes import number_axis
-from snapo.report.drawing import legend_above, unit_above
+from snapo.report.drawing import LIGHT, legend_above, number_axis, unit_above
 from snapo.report.quantity import number, with_unit
-from snapo.report.theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +75,7 @@ def tornado(axes: "Axes", names: Sequence[str], values: np.ndarray, unit: str) -
 def curves(
     axes: "Axes", x: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], unit: str, zero=False
 ) -> None:
-    """Named lines over one axis, told apart by colour and by dashes."""
+    """Named lines over one axis, distinguished by colour and by dashes."""
     for i, (name, values) in enumerate(lines):
         style = {"color": LIGHT[CURVES[i % len(CURVES)]], "linestyle": STYLES[i % len(STYLES)]}
         axes.plot(x, values, label=name, **style)
@@ -91,7 +89,7 @@ def curves(
 
 
 def minutes_below(*panels: "Axes") -> None:
-    """The time under every panel: those that share an axis show it under the last alone."""
+    """The time under every panel: those that share an axis show it only under the last."""
 
     for axes in panels:
         axes.tick_params(axis="x", labelbottom=True)

@@ -98,7 +98,7 @@ def _edges(proven: AcceptableRange) -> str:
 def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
     """Proven ranges of two parameters at once."""
     if not result:
-        return [Missing("There is one parameter alone, so that there are no pairs.")]
+        return [Missing("There is only one parameter, so that there are no pairs.")]
     order = sorted(result, key=lambda pair: (_least(pair), -(finite(pair.used) or 0.0)))
     names, case = stated(run).attribute_names, stated(run)
     rows = [

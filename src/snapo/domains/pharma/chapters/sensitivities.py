@@ -7,9 +7,9 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, percent, with_unit
-from snapo.report.sections.lacking import why_missing
 from snapo.study.chapter import Chapter, Floats
 from snapo.study.study import Part, StudyRun
 
@@ -201,7 +201,7 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "variation alone takes the room" if x.spent else "",
+            else "its variation takes all the room" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip

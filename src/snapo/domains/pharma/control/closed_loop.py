@@ -37,7 +37,7 @@ def objective(case: PharmaCase) -> Objective:
 
 
 def in_words(goal: Goal) -> str:
-    """The objective in words, in the unit of the goal's attribute where it has one."""
+    """The objective as text, in the unit of the goal's attribute where it has one."""
     if goal.kind == "probability":
         return "probability of all limits"
     which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
@@ -119,7 +119,7 @@ class ClosedLoop:
         return self._setups[available]
 
     def setup_at(self, before: Setup, other: PharmaCase) -> Setup:
-        """The setup of a case that differs in the numbers of its inputs alone."""
+        """The setup of a case that differs only in the numbers of its inputs."""
         loop = closed_loop(other, seed=self.training.seed)
         values = {name: item.value for name, item in loop.inputs.items()}
         return at_values(

@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.simulator import Simulator, probe
 
 from ..flowsheet.case import PharmaCase

@@ -65,7 +65,7 @@ class Cascade:
 
 @dataclass(frozen=True)
 class ControlRule:
-    """A rival of the policy: PI controllers about the recipe.
+    """A baseline for the policy: PI controllers about the recipe.
 
     `tuning`: of what is not given: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
     """
@@ -82,7 +82,7 @@ class Control:
     - `steps`: decisions per unit, by name; a unit that is not named runs open loop on its own
       numbers. `substeps`: fixed integration steps within one decision, at most 64.
     - `solubility_margin`: most relative supersaturation allowed, as a path constraint; or None.
-    - `rules`: controllers to stand beside the policy, by the same batches.
+    - `rules`: controllers to compare with the policy, by the same batches.
     """
 
     manipulated: tuple[Manipulated, ...]
@@ -95,7 +95,8 @@ class Control:
 
 @dataclass(frozen=True)
 class Goal:
-    """What is made large: by expectation, in the worst batches, or the chance to keep all limits.
+    """What is maximised: by expectation, in the worst batches, or the probability to keep all
+    limits.
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
       limits as penalties; "probability" is of all limits together and needs no attribute.

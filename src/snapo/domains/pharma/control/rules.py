@@ -1,4 +1,4 @@
-"""PI controllers and cascades of them as a policy: a rival of the trained one.
+"""PI controllers and cascades of them as a policy: a baseline for the trained one.
 
 A loop moves its control about the recipe: v = recipe + K e + I, e = setpoint - reading, at every
 decision. Its integral moves by dt / Ti (K e + applied - v): what limits and ramps took away runs
@@ -24,7 +24,7 @@ from .policy import EDGE
 
 
 class LoopConnection(NamedTuple):
-    """How one PI controller is connected. An outer one stands before its inner one.
+    """How one PI controller is connected. An outer one comes before its inner one.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: numbers of the
       features with its reading and with what was applied of `position`, the number in the action.

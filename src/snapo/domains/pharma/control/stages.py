@@ -113,13 +113,13 @@ class Stage(Simulator):
         """Values of the varied numbers."""
         uncertain, inputs = self.varied, constants["inputs"]
         z = constants["correlated"] @ noise[: len(uncertain.inputs)]
-        drawns = [
+        columns = [
             drawn(distribution, inputs[name][entry], z[i])
             for i, (distribution, name, entry) in enumerate(
                 zip(uncertain.distributions, uncertain.inputs, uncertain.entries)
             )
         ]
-        return jnp.stack(drawns) if drawns else jnp.zeros(0)
+        return jnp.stack(columns) if columns else jnp.zeros(0)
 
     def inputs_of(self, constants, draws) -> dict[str, Array]:
         """The inputs of this batch."""

@@ -43,7 +43,7 @@ def varied(case: PharmaCase) -> Varied:
 
 
 def drawn(distribution: Distribution, centre, z) -> Array:
-    """The value that a standard normal stands for; formulas in `Distribution`."""
+    """The value of a standard normal; formulas in `Distribution`."""
     if distribution.kind == "normal":
         return centre + distribution.spread * z
     if distribution.kind == "lognormal":

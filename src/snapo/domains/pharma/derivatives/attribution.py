@@ -17,7 +17,7 @@ from .local import DerivativeBlock, Local
 
 class Path(NamedTuple):
     """A way through the flowsheet, from the unit that the parameter acts in to the one where the
-    attribute is measured, and its contribution, in the owner's units."""
+    attribute is measured, and its contribution, in the case's units."""
 
     units: tuple[str, ...]
     value: float
@@ -34,7 +34,7 @@ class Split(NamedTuple):
 
 
 def split(case: PharmaCase, blocks: Local, raw: np.ndarray) -> Split:
-    """Every entry of `raw` [Q, P], owner's units, as a sum over paths."""
+    """Every entry of `raw` [Q, P], the case's units, as a sum over paths."""
     table: dict[tuple[str, str], tuple[Path, ...]] = {}
     total = np.zeros(raw.shape)
     for q, attribute in enumerate(case.attributes):

@@ -72,7 +72,8 @@ def _differences(process: Process, inputs) -> Jacobian:
 
 
 def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Convergence:
-    """Every attribute and its derivative by every parameter, three ways; the case's own is judged.
+    """Every attribute and its derivative with respect to every parameter, three ways; the case's
+    own is judged.
 
     `tolerance` is that of the adaptive solution, or the case's if that is tighter. Where units hold
     steps its derivatives are differences of its values: through an implicit solver with error

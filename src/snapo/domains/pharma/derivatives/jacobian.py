@@ -14,7 +14,7 @@ ADJOINT_COST = 1.1
 
 
 class Jacobian(NamedTuple):
-    """[Q, E] `jacobian`: owner's unit of the attribute per DOMAIN unit of the entry.
+    """[Q, E] `jacobian`: the case's unit of the attribute per DOMAIN unit of the entry.
 
     `values`: [Q]; `mode`: "adjoint" or "forward", and the `reason` for it; `passes`: adjoint
     passes or forward tangents that were run.
@@ -63,7 +63,7 @@ def matrix(
 def choose(
     process: Process, rows: int, columns: int, mode: Literal["auto", "adjoint", "forward"]
 ) -> tuple[Mode, str]:
-    """The cheaper mode, by counting tangents, and the count in words."""
+    """The cheaper mode, by counting tangents, and the count as text."""
     adjoint, forward = ADJOINT_COST * rows, float(columns)
     if process.case.numerics.method == "adaptive":
         if mode == "forward":

@@ -1,4 +1,4 @@
-"""Derivatives of every unit alone, from which paths through the flowsheet are put together."""
+"""Derivatives of every unit by itself, from which paths through the flowsheet are put together."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,11 +21,11 @@ LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ..
 
 
 class DerivativeBlock(NamedTuple):
-    """Derivatives of one unit alone: of its outlets and measures by its inlets and own numbers.
+    """Derivatives of one unit by itself: of its outlets and measures by its inlets and own numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
-    A loop is one unit here, called by its units in words.
+    A loop is one unit here, called by its units as text.
 
     - `inlets`, `outlets`: names of the streams ("unit.outlet", or a feed's name), in order.
     - `stream`: [outlets, K, inlets, K]; `measure`: [M, inlets, K].
@@ -54,7 +54,7 @@ class Local(NamedTuple):
 
 
 def local(process: Process, inputs=None) -> Local:
-    """The derivatives of every unit alone at the streams that flow at `inputs`."""
+    """The derivatives of every unit by itself at the streams that flow at `inputs`."""
     case, values = process.case, process.nominal_inputs(inputs)
     streams = process.run(inputs).streams
     fed, blocks = sources(case), {}

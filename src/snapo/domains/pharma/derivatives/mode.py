@@ -16,5 +16,5 @@ DERIVATIVES: dict[Mode, Callable] = {"adjoint": jax.jacrev, "forward": jax.jacfw
 
 def of_method(method: Literal["mesh", "adaptive"]) -> Callable:
     """The derivative of a few numbers by a few, through this method of integration: error control
-    has an adjoint alone."""
+    has only an adjoint."""
     return DERIVATIVES["adjoint" if method == "adaptive" else "forward"]

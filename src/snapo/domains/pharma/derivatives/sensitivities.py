@@ -23,10 +23,10 @@ BEYOND = 1e6  # above any share of a room
 class MatrixForms(NamedTuple):
     """Q attributes by P parameters.
 
-    - `raw`: attribute's unit per owner's unit of the parameter.
+    - `raw`: attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
     - `share`: `scaled` over the distance to the nearest limit; NaN where the attribute has no
-      limit, infinite where it stands on or beyond it.
+      limit, infinite where it is on or beyond it.
     - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
     """
 
@@ -66,8 +66,8 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
-    about the set point. `outside`: the attribute stands beyond its limit already, `spent`: its
-    variation alone takes the room; a share has then no meaning.
+    about the set point. `outside`: the attribute is beyond its limit already, `spent`: its
+    its variation takes all the room; a share has then no meaning.
     """
     room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
@@ -109,7 +109,7 @@ def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
 class Spread:
     """Where the batch-to-batch spread of each attribute comes from, to first order.
 
-    - `sources`: [V] names; `part`: [Q, V] standard deviation that each causes alone.
+    - `sources`: [V] names; `part`: [Q, V] standard deviation that each one causes.
     - `total`: [Q] of independent sources together, in quadrature (a correlation adds its terms).
     """
 
@@ -134,7 +134,7 @@ def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
 
 
 def source_names(case: PharmaCase) -> tuple[str, ...]:
-    """[V] `all_entries(case)` in words: a parameter by its name, a number with its label."""
+    """[V] `all_entries(case)` as text: a parameter by its name, a number with its label."""
     names = {(parameter.input, parameter.entry): parameter.name for parameter in case.parameters}
     return tuple(names.get(entry) or entry_name(case, *entry) for entry in all_entries(case))
 

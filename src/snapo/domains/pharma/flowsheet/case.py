@@ -2,9 +2,9 @@
 
 Conventions for every record. Numbers are in the domain's own units, to which reading converts:
 K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
-number; shares are fractions, but attributes are in the unit that their measure states. A `Given`
-named "unit.field" becomes an input with a sensitivity under that name; where it is used it is
-`given.values[given.index]`. Plain NumPy arrays, floats, integers and names have no gradient.
+number; shares are fractions, but attributes are in the unit that their measure states. A
+`CaseInput` named "unit.field" becomes an input with a sensitivity under that name; where it is used
+it is `given.values[given.index]`. Plain NumPy arrays, floats, integers and names have no gradient.
 S is the number of species, R of reactions.
 """
 
@@ -39,11 +39,12 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class PharmaCase:
-    """A whole case; `units` stand in the order in which material flows.
+    """A whole case; `units` are in the order in which material flows.
 
-    - `purpose`: a sentence for the report. `assumptions`: the owner's, beside those of the units.
+    - `purpose`: a sentence for the report. `assumptions`: the user's, in addition to those of the
+      units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
-    - `held`: names of `Given`s that are no inputs.
+    - `held`: names of `CaseInput`s that are no inputs.
     - `parts`: names of those parts of a run that are wanted, () for all.
     - `control`, `design_space`, `estimation`, `optimise`: None where it does not ask for them.
     """

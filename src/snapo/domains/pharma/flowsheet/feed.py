@@ -1,29 +1,42 @@
 """Feeds: material that enters the flowsheet."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
+
+from pydantic import Field
 
 from snapo.case.given import CaseInput
 
 from ..given import use
+from ..read.declared import ABSOLUTE, TIME, VOLUME, TableRecord, UnitQuantity
+from ..read.numbers import LIQUID
 from .stream import Stream, clear
 
 
-@dataclass(frozen=True, eq=False)
-class Feed:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Feed(TableRecord):
     """Material that enters: amounts of one batch, or of `duration` seconds of a continuous run.
 
-    - `volume`: m3, index []; `temperature`: K, []; `concentration`: kmol/m3, index [S], labels are
-      the species; `solvent`: kg/m3 of solvent per volume fed, [].
-    - `duration`: s over which a continuous unit takes it in; None for a batch.
+    - `concentration`: kmol/m3, index [S], labels are the species.
+    - `duration`: over which a continuous unit takes it in; None for a batch.
     """
 
     name: str
-    volume: CaseInput
-    temperature: CaseInput
+    volume: CaseInput = VOLUME("volume fed", example="60 L")
+    temperature: CaseInput = ABSOLUTE("temperature of the feed")
     concentration: CaseInput
-    solvent: CaseInput
-    duration: float | None
+    solvent: CaseInput = UnitQuantity("kg/m3", LIQUID, example="887.6 kg/m^3")(
+        "solvent per volume fed"
+    )
+    duration: float | None = TIME.number("time in which it is fed", None, example="2 h")
+
+    heading = "`[feeds.NAME]`"
+    more_keys: ClassVar = {
+        "concentration": (
+            dict[str, Any],
+            Field({}, description='concentrations such as { A = "0.33 mol/L" }'),
+        )
+    }
 
 
 def feed(record: Feed, inputs: dict[str, Any]) -> Stream:

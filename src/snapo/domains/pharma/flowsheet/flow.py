@@ -18,7 +18,7 @@ from .stream import Stream, blank
 
 class Flow(NamedTuple):
     """`streams` {"unit.outlet" or feed's name: Stream}, `measures` {"unit.measure": number},
-    `outcomes` {unit: Outcome}, `loops` {units of a loop, in words: how it was closed}."""
+    `outcomes` {unit: Outcome}, `loops` {units of a loop, as text: how it was closed}."""
 
     streams: dict[str, Stream]
     measures: dict[str, Array]

@@ -25,7 +25,7 @@ class Grid:
 
 
 NO_CRYSTALS = Grid(())
-# Of crystals whose moments alone are known there is no grid.
+# Of crystals of which only the moments are known there is no grid.
 Sizes = Grid | None
 
 

@@ -1,4 +1,4 @@
-"""The delivery of a unit, and the terms of its balance beside its streams."""
+"""The delivery of a unit, and the terms of its balance other than its streams."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from .stream import Stream
 
 
 class Ledger(NamedTuple):
-    """The terms of a unit's balance beside its streams, all of one batch.
+    """The terms of a unit's balance other than its streams, all of one batch.
 
     - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
       the end than at the start; `left`: [S] kmol of its inlets that it has not taken in.

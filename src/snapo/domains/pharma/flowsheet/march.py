@@ -1,7 +1,7 @@
 """The time loops of many batches by the native engine: its lanes are batches, its steps the mesh's.
 
 Between the units all is algebra, which XLA does for many batches side by side. What takes time,
-a unit's steps, is one kernel. Derivatives go forward beside the values, and a unit carries only
+a unit's steps, is one kernel. Derivatives go forward with the values, and a unit carries only
 those by numbers that act on it.
 """
 
@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from snapo.engine import Native
 from snapo.problem.actions import Box
-from snapo.problem.policy import Constant
+from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -30,16 +30,15 @@ from .flow import flow, problem_of
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
-BatchKind = Literal[
-    "shared", "drawn", "moving"
-]  # the same for all batches, or not, or with derivatives
+# The same for all batches, or not, or with derivatives.
+BatchKind = Literal["shared", "drawn", "moving"]
 
 
 class March(Simulator):
     """A unit's steps for one batch, from a state that is given.
 
     State: `y` [m]; `drawn` and `moving`, numbers of these kinds that the steps read; `dy` [C, m]
-    and `d_moving`, derivatives by C numbers. What is `shared` are the constants.
+    and `d_moving`, derivatives with respect to C numbers. What is `shared` are the constants.
     """
 
     horizon: int = eqx.field(static=True)
@@ -95,7 +94,8 @@ class Batches(Protocol):
 
 
 class Marches:
-    """Attributes of many batches on the mesh, and their derivatives by `by`, at draws of `entries`.
+    """Attributes of many batches on the mesh, and their derivatives with respect to `by`, at draws
+    of `entries`.
 
     Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
     """
@@ -111,7 +111,7 @@ class Marches:
     def __call__(
         self, draws: Float[np.ndarray, "N E"], inputs: dict[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, "N Q P"]]:
-        """The attributes, and their derivatives by `by`."""
+        """The attributes, and their derivatives with respect to `by`."""
         endpoints: dict[str, np.ndarray] = {}
         d_ends: dict[str, np.ndarray] = {}
         for name, leg in self.legs.items():

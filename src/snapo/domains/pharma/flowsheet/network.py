@@ -30,7 +30,8 @@ class FlowNetwork:
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
     - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
-    - `order`: [R, S] exponents, not negative; those of the reactants unless the case says else.
+    - `order`: [R, S] exponents, not negative; those of the reactants unless the case says
+      otherwise.
     - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
       with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.
     - `heat`: "kinetics.heat", [R], J/mol of reaction extent, negative where heat is released.

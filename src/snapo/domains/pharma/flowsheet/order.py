@@ -1,4 +1,4 @@
-"""Which units come before which, and which of them stand in a loop."""
+"""Which units come before which, and which of them are in a loop."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -21,7 +21,7 @@ class Group(NamedTuple):
 
     @property
     def loop(self) -> str:
-        """The units in words; "" for one without a loop."""
+        """The units as text; "" for one without a loop."""
         return " -> ".join(unit.name for unit in self.units) if self.torn else ""
 
 
@@ -39,7 +39,7 @@ def ancestors(units: Sequence[Unit], connections: Sequence[Connection]) -> dict[
 
 
 def in_order(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Unit, ...]:
-    """The units in the order in which material flows; those of a loop stand together."""
+    """The units in the order in which material flows; those of a loop are together."""
     before = ancestors(units, connections)
     left, results = [unit.name for unit in units], []
     while left:
@@ -75,7 +75,7 @@ def _around(names: list[str], connections: Sequence[Connection]) -> list[str]:
 
 
 def groups(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Group, ...]:
-    """The units, which stand in order, with those of a loop together."""
+    """The units, which are in order, with those of a loop together."""
     before = ancestors(units, connections)
     position = {unit.name: i for i, unit in enumerate(units)}
     results: list[Group] = []

@@ -34,12 +34,12 @@ class ProcessRun(NamedTuple):
     """One batch through the flowsheet.
 
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
-      the domain's unit}; `attributes`: {name: number in the owner's unit}.
+      the domain's unit}; `attributes`: {name: number in the case's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
     - `status`: "ok"; "unit: did not converge at t s", with the error estimate of a held step that
       it refuses; "unit: the steps are too long …"; or which measure has a value that cannot be.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
-    - `loops`: {units of a loop, in words: (relative change in one more turn, rounds of Newton)}.
+    - `loops`: {units of a loop, as text: (relative change in one more turn, rounds of Newton)}.
     """
 
     streams: dict[str, Stream]
@@ -64,14 +64,12 @@ class Process:
 
     - `case`: as it was given, with the steps that it needs.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
-      `entries`: [P] where they stand. `traces` counts how often the flowsheet was traced.
+      `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
     """
 
     def __init__(self, case: PharmaCase):
         self.case = case = with_steps(case)
-        self.inputs = {
-            name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()
-        }
+        self.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
         self.names = tuple(attribute.name for attribute in case.attributes)
         self.parameters = tuple(parameter.name for parameter in case.parameters)
         self.entries: tuple[Entry, ...] = tuple((p.input, p.entry) for p in case.parameters)
@@ -82,7 +80,7 @@ class Process:
     def attributes(
         self, inputs: dict[str, Array], along: bool = False, nominal_steps: bool = True
     ) -> Float[Array, " Q"]:
-        """The quality attributes in their owner's units; plain JAX, to be traced. `along` and
+        """The quality attributes in the case's units; plain JAX, to be traced. `along` and
         `nominal_steps` as in `Numerics`."""
         return self.of_measures(
             self.flow(inputs, along=along, nominal_steps=nominal_steps).measures
@@ -162,7 +160,7 @@ class Process:
         )
 
     def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
-        """The first unit whose model ended within the run, in words; "" where none did."""
+        """The first unit whose model ended within the run, as text; "" where none did."""
         with jax.enable_x64(True):
             metadata = (
                 unit.unsound(trajectories[unit.name], inputs)
@@ -172,7 +170,7 @@ class Process:
             return next(filter(None, metadata), "")
 
     def _open(self, loops: dict[str, Closed]) -> str:
-        """The first loop without a steady state, in words; "" where all have one."""
+        """The first loop without a steady state, as text; "" where all have one."""
         for name, loop in loops.items():
             if not loop.converged:
                 text = entry_words(self.case, name)[int(loop.worst)]
@@ -218,9 +216,10 @@ class Process:
         inputs=None,
         engine: Literal["auto", "native", "xla"] = "auto",
     ) -> Batch:
-        """Attributes, and derivatives by `sensitivities`, at `draws` [N, E] of `entries`.
+        """Attributes, and derivatives with respect to `sensitivities`, at `draws` [N, E] of
+        `entries`.
 
-        The rest stands as in `inputs`. Chunks are of one shape: the last is filled up with its own
+        The rest is as in `inputs`. Chunks are of one shape: the last is filled up with its own
         first row. They run on all cores. "auto" takes the native engine where it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from ..time.numerics import Numerics
 from .stream import Stream
 
-# What is guessed; the rest of a stream goes around the loop as it is.
+# What is guessed; the rest of a stream goes around the loop unchanged.
 GUESSED = (
     "species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "temperature",
     "moments", "numbers",

@@ -80,12 +80,12 @@ def _controlled(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
-    """False where a bound from the numbers alone says that explicit steps are stable."""
+    """False where a bound from the numbers says that explicit steps are stable."""
     return unit.reacts and longest_step(case, unit) * fastest(case, unit) > STABLE
 
 
 def longest_step(case: PharmaCase, unit: Timed) -> float:
-    """Seconds of the longest explicit step, by the profiles alone."""
+    """Seconds of the longest explicit step, by the profiles only."""
     edges = edges_of(unit.profiles)
     within = steps_per_piece(case.numerics.steps, len(edges) - 1)
     return float(unit.duration.used() * np.diff(edges).max() / within)
@@ -111,7 +111,7 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
         choice = choose(problem, case.numerics.stiff_tolerance, case.numerics.max_steps)
         return choice, choice.fastest * _longest(problem, case.numerics.steps)
 
-    inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
+    inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
     with jax.enable_x64(True):
         result = jax.tree.map(np.asarray, jax.jit(nominal)(inputs))
     if result is None:
@@ -147,6 +147,6 @@ def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
             [attribute.scale * measures[attribute.measure] for attribute in case.attributes]
         )
 
-    inputs = {name: pharma_input.value for name, pharma_input in pharma_inputs(case).items()}
+    inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
     with jax.enable_x64(True):
         return np.asarray(jax.jit(nominal)(inputs))

@@ -27,7 +27,7 @@ class Stream(eqx.Module):
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
       which are then what moments, density and shape speak of; 0 where crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
-    - `grid`: `NO_CRYSTALS` of a clear liquid; None where the moments alone are known.
+    - `grid`: `NO_CRYSTALS` of a clear liquid; None where only the moments are known.
     - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None where they are
       not counted.
     """

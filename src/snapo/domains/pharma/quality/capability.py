@@ -33,7 +33,7 @@ class Capability:
 
     All of these vary what is not known together with what differs between batches. Apart:
 
-    - `cpk_batches`: Cpk of what differs between batches alone, the model's numbers at their nominal
+    - `cpk_batches`: Cpk of differences between batches only, the model's numbers at their nominal
       values; NaN where nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
       uncertain numbers; NaN where all are known.
     """
@@ -62,7 +62,7 @@ def capability(process: "Process", count: int, seed: int) -> Capability:
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
-    """The same from attributes [n, Q]; rows that are not finite broke down and break all limits."""
+    """The same from attributes [n, Q]; non-finite rows broke down and break all limits."""
     limits, count = AttributeLimits.of(case), len(values)
     selected = limits.hold(values)
     valid = np.isfinite(values).all(-1)

@@ -42,7 +42,7 @@ class Point(NamedTuple):
 
 
 class ProbabilityMap(NamedTuple):
-    """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array;
+    """`axes`: names; `grid`: per axis its points in the case's unit; `at`: one `Point` array;
     `boundaries`: where the space ends along the lines of the map."""
 
     axes: tuple[str, ...]
@@ -116,13 +116,14 @@ def parameter(case: PharmaCase, name: str) -> Parameter:
 
 
 def in_case_unit(item: Parameter, value):
-    """A number of the domain in the owner's unit."""
+    """A number of the domain in the case's unit."""
     return (value - item.offset) / item.scale
 
 
 @dataclass(frozen=True, eq=False)
 class LargestBox:
-    """A box inside the design space, in owners' units, [axes] each; `volume`: share of the map."""
+    """A box inside the design space, in the case's units, [axes] each; `volume`: share of the
+    map."""
 
     low: Floats
     high: Floats
@@ -134,7 +135,7 @@ def largest_box(
 ) -> LargestBox | None:
     """The largest box between grid points that holds the set point and only good points.
 
-    Exact search: every pair of grid points on each axis that encloses `nominal` (owner's units),
+    Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
     points counted by a summed-area table. None where the set point's own cell is not good.
     """
     invalid = np.pad(

@@ -109,7 +109,7 @@ def values(
 
 
 def value(distribution: Distribution, z: np.ndarray, centre) -> np.ndarray:
-    """The values that standard normals stand for; exact formulas in `Distribution`."""
+    """The values of standard normals; exact formulas in `Distribution`."""
     spread = distribution.spread
     match distribution.kind:
         case "normal":

@@ -3,7 +3,7 @@
 Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
 standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
 intervals take Student's t with n - p degrees of freedom, which is a little wide. Where chi^2 is
-larger than chance explains, or the errors are known up to a factor alone, the covariance is
+larger than chance explains, or the errors are known only up to a factor, the covariance is
 multiplied by chi^2 / (n - p), as large as the residuals say.
 
 The search begins at the case's own numbers and at points of a Halton sequence within the bounds. Of
@@ -46,10 +46,10 @@ class ParameterFit:
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
       0 for numbers at a bound. `scale`: what (J^T J)^-1 was multiplied by.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
-      of `freedom` = n - P degrees of freedom; `tail`: the chance of more, NaN where only the ratios
-      of errors are known. `measured`, `fitted_values`: [n].
+      of `freedom` = n - P degrees of freedom; `tail`: the probability of more, NaN where only the
+      ratios of errors are known. `measured`, `fitted_values`: [n].
     - `condition`: largest over smallest singular value, variables scaled by their bounds.
-    - `unidentified`: directions that the data do not narrow, in words; `converged` says why.
+    - `unidentified`: directions that the data do not narrow, as text; `converged` says why.
     - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from
       how many points the search began.
     """

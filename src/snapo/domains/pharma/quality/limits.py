@@ -24,7 +24,7 @@ class AttributeLimits(NamedTuple):
         return cls(np.array(low), np.array(high), np.array(possible))
 
     def hold(self, values: np.ndarray) -> np.ndarray:
-        """[…, Q] whether each limit holds; a value that is not finite breaks a limit."""
+        """[…, Q] whether each limit holds; a non-finite value breaks a limit."""
         selected = (values >= self.low) & (values <= self.high)
         selected = selected | ~self.any() & np.isfinite(values)
         return np.asarray(selected & (values >= self.lower))

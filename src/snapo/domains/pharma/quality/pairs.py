@@ -83,7 +83,7 @@ def pairs(
     samples: int,
     seed: int,
 ) -> list[Pair]:
-    """Every pair of the parameters, with both kinds of proven ranges as they were found alone."""
+    """Every pair of the parameters, with both kinds of proven ranges, each by itself."""
     both = list(combinations(process.case.parameters, 2))
     fixed, drawn = goods(process, required, samples, seed)
     plain = _together(process, both, nominal, fixed, NOMINAL)
@@ -139,16 +139,16 @@ def _together(
     if not ways:
         return [None] * len(both)
     endpoints = _search(ways, valid, search)
-    togethers: list[Together | None] = []
+    results: list[Together | None] = []
     for i in range(len(both)):
         local = [(end, key_path) for end, key_path in zip(endpoints, ways) if key_path.pair == i]
         if not local:
-            togethers.append(None)
+            results.append(None)
             continue
         (share, fails, *_), path = min(local, key=lambda item: item[0][0])
         certain, possible = (min(end[k] for end, _ in local) for k in (2, 3))
-        togethers.append(Together(share, path.corner, fails, certain, possible))
-    return togethers
+        results.append(Together(share, path.corner, fails, certain, possible))
+    return results
 
 
 def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:

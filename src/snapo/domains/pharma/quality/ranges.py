@@ -22,7 +22,7 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 @dataclass(frozen=True)
 class AcceptableRange:
-    """A range in the owner's unit; an edge names the attribute that fails beyond it.
+    """A range in the case's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
     the studied range ends before any limit. `certain`: ends between which every point looked at

@@ -21,11 +21,11 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A process parameter, as a filing lists it: one entry of one `Given`.
+    """A process parameter, as a filing lists it: one entry of one `CaseInput`.
 
-    - `name`: in tables; `input`, `entry`: the `Given`'s name and the position in its `values`.
-    - `unit`: the owner's unit, `scale`: the domain's unit per owner's unit (a sensitivity per
-      owner's unit is `scale` times the raw one), `offset`: domain value = scale * owner's + offset.
+    - `name`: in tables; `input`, `entry`: the `CaseInput`'s name and the position in its `values`.
+    - `unit`: the case's unit, `scale`: the domain's unit per case's unit (a sensitivity per
+      case's unit is `scale` times the raw one), `offset`: domain value = scale * case's + offset.
     - `low`, `high`: proven or studied range; `normal_low`, `normal_high`: normal operating range,
       both in the domain's unit.
     - `distribution`: its variation about the set point; None where it holds exactly.
@@ -53,8 +53,8 @@ class Attribute:
 
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
       attribute = `scale` times the measure in the domain's unit.
-    - `low`, `high`: limits in `unit`; None where there is none. `citation`: where the limit stands
-      (guideline, version, table), or that it is the owner's own; never empty where one is set.
+    - `low`, `high`: limits in `unit`; None where there is none. `citation`: the source of the limit
+      (guideline, version, table), or that it is the user's own; never empty where one is set.
     - `margin`: what counts as a small difference in `unit`, above 0: smooth indicators' width.
     """
 
@@ -72,9 +72,10 @@ class Attribute:
 class Uncertainty:
     """Model parameters that are not known exactly, jointly lognormal or normal, and disturbances.
 
-    U numbers; each is one entry of one `Given`, like a `Parameter`. The policy does not see them.
+    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not see
+    them.
 
-    - `inputs`: [U] names of `Given`s; `entries`: [U] positions; `distributions`: [U].
+    - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
     - `between`: [U] whether it differs between batches (a feed), or is one number that is not known
       (a rate constant); () where only what changes within a batch differs between them.
@@ -111,8 +112,8 @@ class DesignSpace:
 class Experiment:
     """One measured batch: its settings, and its measurements with their times.
 
-    - `settings`: ((`Given` name, entry, value in the domain's unit), …) other than the case's.
-    - `units`: [n] the owner's of `value`, with (scale, offset) of each in `scales`, as of a
+    - `settings`: ((`CaseInput` name, entry, value in the domain's unit), …) other than the case's.
+    - `units`: [n] those of the case for `value`, with (scale, offset) of each in `scales`, as of a
       `Parameter`.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
       domain's unit, `error`: [n] standard deviation, above 0.
@@ -134,7 +135,7 @@ class Estimation:
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: of the confidence intervals. `units`, `scales`: [P] the owner's, as of a `Parameter`.
+    - `level`: of the confidence intervals. `units`, `scales`: [P] the case's, as of a `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.
     - `starts`: points from which the search begins, the case's own first.

@@ -28,8 +28,8 @@ def sampler(
     """The process for statistics, and the accuracy that its mesh costs. `made`: makes the same
     process on other steps, `on_steps` where none is given.
 
-    On a quarter of the steps, if the nominal attributes then move by at most a hundredth of their
-    margins; the process as it is where they move by more, and where it has no mesh.
+    On a quarter of the steps, if the nominal attributes then move by at most 1 % of their
+    margins; the process itself where they move by more, and where it has no mesh.
     """
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)

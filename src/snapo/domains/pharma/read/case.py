@@ -1,4 +1,4 @@
-"""Reads a pharma case: a TOML file and the CSVs beside it become a `PharmaCase`."""
+"""Reads a pharma case: a TOML file and the CSVs next to it become a `PharmaCase`."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from snapo.case.error import CaseError
+from snapo.case.load import load
 from snapo.case.parts import known_parts
 from snapo.case.plausible import CaseFiles
 from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
-from snapo.case.table import TableContext, load, parse
+from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import PharmaCase
+from ..flowsheet.feed import Feed
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
@@ -20,10 +22,9 @@ from .connections import ordered, read_connections
 from .entries import EntryNumbers
 from .estimation import read_estimation
 from .fitted import read_fitted
-from .goal import read_design_space, read_goal
 from .loops.control import read_control
 from .network import read_feeds, read_network
-from .optimise import OptimiseTable, read_optimise
+from .optimise import OptimiseTable, read_design_space, read_goal, read_optimise
 from .plausible.checks import (
     check_amounts,
     check_decided,
@@ -38,7 +39,6 @@ from .tables import (
     CorrelationTable,
     DesignSpaceTable,
     DistributionTable,
-    FeedTable,
     GoalTable,
     NumericsTable,
     ParameterTable,
@@ -71,7 +71,7 @@ FORMATS = {
     "": PharmaTable,
     "species.*": SpeciesTable,
     "reactions[]": ReactionTable,
-    "feeds.*": FeedTable,
+    "feeds.*": Feed.table,
     "units.*": [unit.table for variants in TYPES.values() for unit in variants.values()],
     "parameters[]": ParameterTable,
     "parameters[].distribution": DistributionTable,
@@ -99,7 +99,7 @@ def read_case(path: str | Path) -> PharmaCase:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    """The same for TOML data that was read already; other files are looked for next to `file`."""
     top = parse(PharmaTable, data, str(file), "")
     notes: list[str] = []
     network = read_network(file, top.species, top.reactions, top.reference_temperature, notes)

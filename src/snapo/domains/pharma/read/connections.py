@@ -70,7 +70,7 @@ def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> t
         for unit in group.units if group.torn else ():
             if not isinstance(unit, Instant):
                 message = (
-                    f"{unit.name} runs over time and stands in a loop, {group.loop}; a loop is "
+                    f"{unit.name} runs over time and is in a loop, {group.loop}; a loop is "
                     "solved at its steady state, of units that are at theirs all the time"
                 )
                 raise CaseError(str(file), "connections", None, message)
@@ -79,7 +79,7 @@ def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> t
 
 
 def _check_crystals(file, units: Sequence[Unit], connections: Sequence[Connection]) -> None:
-    """Some units take liquids alone, and some need crystals, or need them counted by size."""
+    """Some units take only liquids, and some need crystals, or need them counted by size."""
     fed: dict[tuple[str, str], Sizes] = {(c.source, ""): NO_CRYSTALS for c in connections}
     _, into = settled(units, connections, fed, NO_CRYSTALS, lambda unit, sizes: unit.sizes(sizes))
     for unit in units:
@@ -93,7 +93,7 @@ def _check_inlet(file, unit: Unit, inlet: Inlet, result: Sizes) -> None:
         if inlet.crystals in ("needed", "counted"):
             message = "no crystals reach this unit: there is no crystalliser before it"
     elif inlet.crystals == "refused":
-        message = f"crystals reach the inlet {inlet.name} of this unit, which takes liquids alone"
+        message = f"crystals reach the inlet {inlet.name} of this unit, which takes only liquids"
     elif result is None and (inlet.crystals == "counted" or inlet.grid):
         message = "crystals reach this unit whose sizes are not counted on a grid"
     elif inlet.grid and result != inlet.grid:

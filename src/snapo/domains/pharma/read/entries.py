@@ -31,7 +31,7 @@ class EntryNumbers(NamedTuple):
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
     def all(self, section: Location, key: str, text: str) -> list[Entry]:
-        """The entries that "name", "name[1]" or "name[label]" stands for."""
+        """The entries that "name", "name[1]" or "name[label]" means."""
         result = ENTRY.fullmatch(text)
         name = result[1] if result else text
         if result is None or name not in self.givens:
@@ -49,7 +49,7 @@ class EntryNumbers(NamedTuple):
         raise section.error(key, text, f"its entries are {available}")
 
     def one(self, section: Location, key: str, text: str) -> Entry:
-        """The one entry that a text stands for."""
+        """The one entry that a text means."""
         result = self.all(section, key, text)
         if len(result) > 1:
             message = f"{text} has {len(result)} entries; say which, such as {text}[0]"
@@ -73,7 +73,7 @@ class EntryNumbers(NamedTuple):
 
 
 def limits(values: CaseInput) -> str:
-    """What a number may be, in words: "above 0", "from 100 to 1000 K"."""
+    """What a number may be, as text: "above 0", "from 100 to 1000 K"."""
     unit = "" if values.unit == "1" or "order" in values.unit else f" {values.unit}"
     if values.high < math.inf:
         return f"from {values.low:.6g} to {values.high:.6g}{unit}"

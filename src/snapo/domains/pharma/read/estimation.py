@@ -7,6 +7,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
+from snapo.case.quantity import Range
 from snapo.case.table import TableContext, parse
 
 from ..flowsheet.possible import smallest
@@ -15,7 +16,7 @@ from ..given import Entry
 from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
 from .entries import EntryNumbers
-from .numbers import ANY, NOT_NEGATIVE, POSITIVE, ValueRange, quantity, suggest, unit_of
+from .numbers import ANY, NOT_NEGATIVE, POSITIVE, quantity, suggest, unit_of
 from .quantities import conversion, own_basis
 from .tables import EstimationTable, ExperimentTable, FitTable
 
@@ -36,7 +37,7 @@ def read_estimation(
         fit = parse(FitTable, item, str(file), section.name)
         entry = numbers.one(section, "of", fit.of)
         if entry in which:
-            raise section.error("of", fit.of, "this number stands there twice")
+            raise section.error("of", fit.of, "this number is there twice")
         unit = numbers.unit(*entry)
         low, high = (
             quantity(section, key, raw, unit, basis=own_basis(entry[0]))
@@ -87,7 +88,7 @@ def read_estimation(
 def _experiment(
     file, raw, i: int, numbers: EntryNumbers, available, endpoints: dict[str, Entry], fit, notes
 ) -> Experiment:
-    """`available`: {state: unit}; `endpoints`: where the duration of a unit stands; `fit`: {number:
+    """`available`: {state: unit}; `endpoints`: the key of a unit's duration; `fit`: {number:
     its lower bound}."""
     section = TableContext(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)
@@ -144,7 +145,7 @@ def _scale(local: str, unit: str) -> tuple[float, float]:
     return change.scale, change.offset
 
 
-def _cell(row: Row, column: str, unit: str, bounds: ValueRange = NOT_NEGATIVE) -> float:
+def _cell(row: Row, column: str, unit: str, bounds: Range = NOT_NEGATIVE) -> float:
     """A quantity in a cell, "600 s"; mistakes name the line."""
     cell, error, local = _Cell(row, column), column == "error", own_basis(row.cells["state"])
     return quantity(cell, column, row.cells[column], unit, bounds, error, local)

@@ -1,14 +1,13 @@
 """Fields of a table: each description is the text that an error message quotes as allowed."""
 
-from typing import Annotated, Any, Literal
+import math
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range
 
-NUMBER = "a number, such as 1.32"
-
-
+PROBABILITY = Range(0.0, 1.0, "()", noun="a probability")
 TextKey = Annotated[str, Field(min_length=1)]
 
 
@@ -21,26 +20,32 @@ def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> An
     return Field(default, description=text, title=meaning)
 
 
-def number(subject: str = NUMBER, default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a pure number."""
-    return Field(default, description=subject, title=meaning)
+def whole(low: int, high: float = math.inf, default: Any = ..., note: str = "") -> Any:
+    """A field for a whole number of a range."""
+    return within(Range(low, high, note=note, noun="a whole number"), default)
 
 
-def profile(default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a temperature, or any control, over time."""
-    message = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
-    return Field(default, description=message, title=meaning)
+def within(bounds: Range, default: Any = ...) -> Any:
+    """A field for a number of a range, which its type does not repeat."""
+    low, high = bounds.endpoints
+    limits = {
+        "gt" if low == "(" else "ge": bounds.low,
+        "lt" if high == ")" else "le": bounds.high,
+    }
+    limits: Any = {name: end for name, end in limits.items() if math.isfinite(end)}
+    return Field(default, description=str(bounds), **limits)
+
+
+def tables(name: str) -> Any:
+    """A field for one table of an array, or more."""
+    return Field(description=f"one table {name} or more", min_length=1)
+
+
+def pair(subject: str) -> Any:
+    """A field for a list of two."""
+    return Field(description=f"two {subject}", min_length=2, max_length=2)
 
 
 def word(*text: str, default: Any = ...) -> Any:
-    """A field for one of a few words."""
+    """A field for one of a few names."""
     return Field(default, description=" or ".join(f'"{item}"' for item in text))
-
-
-class ProfileTable(CaseTable):
-    """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
-
-    nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')
-    at: Any = Field(None, description="shares of the unit's duration, rising from 0 to 1")
-    kind: Literal["linear", "constant"] = word("linear", "constant", default="linear")
-    ramp: Any = quantity('"0.5 K/min"', None)

@@ -40,7 +40,7 @@ def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str])
         line = _Line(row)
         entry = numbers.one(line, "of", row.cells["of"])
         if entry in entries:
-            raise row.error("of", "this number stands there twice")
+            raise row.error("of", "this number is there twice")
         unit = numbers.unit(*entry)
         value = quantity(line, "value", row.cells["value"], unit, ANY)
         numbers.check(line, "value", row.cells["value"], entry, value)

@@ -1,4 +1,4 @@
-"""Names that an owner gives: of species, feeds, units and ports."""
+"""Names that a user gives: of species, feeds, units and ports."""
 
 import re
 from typing import Any

@@ -7,25 +7,26 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.quantity import Range
 from snapo.case.table import TableContext, parse
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import FlowNetwork
+from .declared import values
 from .names import check_name
 from .numbers import (
     ANY,
-    LIQUID,
     NOT_NEGATIVE,
     POSITIVE,
-    ValueRange,
     absent,
     case_input,
+    position,
     quantity,
     suggest,
 )
 from .quantities import prefactor_unit
 from .reader import Reader
-from .tables import FeedTable, ReactionTable, SpeciesTable
+from .tables import ReactionTable, SpeciesTable
 
 TERM = re.compile(r"(?:(\d+\.?\d*|\.\d+)\s*)?([A-Za-z][A-Za-z0-9_-]*)")
 MASS_TOLERANCE = 1e-4  # textbooks give molar masses to a few digits: 211.22 for 211.213
@@ -37,7 +38,7 @@ def read_network(
 ) -> FlowNetwork:
     """The reactions of the case; without any, nothing reacts."""
     section = TableContext(file, "species", notes)
-    names = tuple(check_name(section, specy, specy) for specy in species)
+    names = tuple(check_name(section, name, name) for name in species)
     if not names:
         raise CaseError(str(file), "species", None, "a case needs one species or more")
     masses = []
@@ -60,12 +61,24 @@ def read_network(
     units = {entry["unit"] for entry in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
 
-    def of_all(key: str, measured: str, bounds: ValueRange = ANY) -> CaseInput:
+    def of_all(key: str, measured: str, bounds: Range = ANY) -> CaseInput:
         if not count:
             return absent(f"kinetics.{key}", measured)
         values = np.array([value[key] for value in read])
         text = ReactionTable.model_fields[key].title or ""
-        return case_input(f"kinetics.{key}", values, labels, measured, meaning=text, bounds=bounds)
+        where = tuple(
+            position(item["section"], key, item["unit"] if key == "prefactor" else measured)
+            for item in read
+        )
+        return case_input(
+            f"kinetics.{key}",
+            values,
+            labels,
+            measured,
+            meaning=text,
+            bounds=bounds,
+            positions=where,
+        )
 
     return FlowNetwork(
         species=names,
@@ -107,6 +120,7 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     unit = prefactor_unit(total)
     return {
         "name": name,
+        "section": section,
         "row": right - left,
         "order": order,
         "unit": unit,
@@ -151,22 +165,17 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
         where = f"feeds.{name}"
         section = TableContext(file, where, notes)
         check_name(TableContext(file, "feeds", notes), name, name)
-        table = parse(FeedTable, raw, str(file), where)
+        table: Any = parse(Feed.table, raw, str(file), where, notes)
         amounts = np.zeros(len(species))
         for item, raw_amount in table.concentration.items():
             at = _species(section, f"concentration.{item}", item, species)
             key = f"concentration.{item}"
             amounts[at] = quantity(section, key, raw_amount, "kmol/m3", NOT_NEGATIVE)
-        duration = None
-        if table.duration is not None:
-            duration = quantity(section, "duration", table.duration, "s", POSITIVE)
-        read = Reader(section, name, table)
+        read = Reader(section, name, table, raw)
         text = "concentration in the feed"
         results.append(
             Feed(
                 name=name,
-                volume=read.number("volume", "m3", POSITIVE),
-                temperature=read.number("temperature", "K", POSITIVE),
                 concentration=case_input(
                     f"{name}.concentration",
                     amounts,
@@ -174,9 +183,11 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                     "kmol/m3",
                     meaning=text,
                     bounds=NOT_NEGATIVE,
+                    positions=tuple(
+                        position(section, f"concentration.{item}", "kmol/m3") for item in species
+                    ),
                 ),
-                solvent=read.number("solvent", "kg/m3", LIQUID),
-                duration=duration,
+                **values(Feed, read),
             )
         )
     return tuple(results)

@@ -3,58 +3,56 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from pydantic import Field
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput
-from snapo.case.table import LARGEST, TOO_LARGE, TableContext, nearest, parse
+from snapo.case.given import CaseInput, FilePosition, QuantityKey
+from snapo.case.quantity import Range, choice
+from snapo.case.table import LARGEST, TOO_LARGE, CaseTable, TableContext, keys_of, nearest, parse
 
 from ..time.profile import Profile
-from .fields import ProfileTable
-from .quantities import PURE, UnitError, check_basis, conversion, own_basis, split
+from .quantities import PURE, Conversion, UnitError, check_basis, conversion, own_basis, split
 
 ZERO_CELSIUS = 273.15
 EXAMPLES = {"K": "313.15 K", "s": "3600 s", "m": "20 um", "kmol/m3": "0.33 mol/L", "m3": "60 L"}
 
 
 class Location(Protocol):
-    """Where a quantity stands: a key of a table, or a cell of a file."""
+    """The position of a quantity: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
         """The mistake at this place."""
         ...
 
 
-class ValueRange(NamedTuple):
-    """A closed or open interval in the domain's unit, and its words."""
+class ProfileTable(CaseTable):
+    """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
 
-    low: float
-    high: float
-    open_low: bool
-    description: str
-
-    def contains(self, number: float) -> bool:
-        above = number > self.low if self.open_low else number >= self.low
-        return above and number <= self.high
-
-    @property
-    def smallest(self) -> float:
-        """The smallest number that the interval holds."""
-        return float(np.nextafter(self.low, math.inf)) if self.open_low else self.low
+    nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')
+    at: Any = Field(None, description="shares of the unit's duration, rising from 0 to 1")
+    kind: Literal["linear", "constant"] = choice("linear", "constant")
+    ramp: Any = Field(None, description='a quantity in quotation marks, such as "0.5 K/min"')
 
 
-ANY = ValueRange(-math.inf, math.inf, False, "a finite number")
-POSITIVE = ValueRange(0.0, math.inf, True, "above 0")
-NOT_NEGATIVE = ValueRange(0.0, math.inf, False, "at least 0")
+ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="(]")
 # Processes in liquids run at no other temperatures; a number beyond was typed in another unit.
-TEMPERATURE = ValueRange(100.0, 1000.0, False, "from 100 K to 1000 K (25 degC is 298.15 K)")
-LIQUID = ValueRange(0.0, 3000.0, False, "from 0 to 3000 kg/m^3")  # mass per volume of a liquid
-DENSITY = ValueRange(300.0, 10_000.0, False, "from 300 to 10000 kg/m^3")  # of crystals
-POROSITY = ValueRange(0.1, 0.95, False, "from 0.1 to 0.95")  # of a cake of crystals
-SHARE = ValueRange(0.0, 1.0, False, "a share from 0 to 1")
-INSIDE = ValueRange(0.0, float(np.nextafter(1.0, 0.0)), True, "between 0 and 1, without either")
+TEMPERATURE = Range(100.0, 1000.0, note=" (25 degC is 298.15 K)")
+LIQUID = Range(0.0, 3000.0)  # mass per volume of a liquid
+DENSITY = Range(300.0, 10_000.0)  # of crystals
+POROSITY = Range(0.1, 0.95)  # of a cake of crystals
+SHARE = Range(0.0, 1.0, noun="a share")
+INSIDE = Range(0.0, 1.0, "()", noun="a share")
+
+
+def range_text(bounds: Range, unit: str) -> str:
+    """The numbers of a range, with the unit of its ends."""
+    if unit in PURE:
+        return str(bounds)
+    note = f" {unit}{bounds.note}" if math.isfinite(bounds.high) else bounds.note
+    return str(bounds._replace(noun="a quantity", note=note))
 
 
 def quantity(
@@ -62,7 +60,7 @@ def quantity(
     key: str,
     raw: Any,
     unit: str,
-    bounds: ValueRange = ANY,
+    bounds: Range = ANY,
     difference: bool = False,
     basis: str | None = None,
 ) -> float:
@@ -75,17 +73,20 @@ def quantity(
         value = conversion(name, unit, difference)(number)
     except UnitError as error:
         raise section.error(key, raw, str(error)) from None
-    if not math.isfinite(value) or not bounds.contains(value):
-        raise section.error(key, raw, f"allowed is {bounds.description}")
+    allowed = f"allowed is {range_text(bounds, unit)}"
+    if not math.isfinite(value):
+        raise section.error(key, raw, f"{allowed}, and finite")
+    if not bounds.contains(value):
+        raise section.error(key, raw, allowed)
     if abs(value) > LARGEST:
-        raise section.error(key, raw, f"allowed is {bounds.description}; {TOO_LARGE}")
+        raise section.error(key, raw, f"{allowed}; {TOO_LARGE}")
     if unit == "K" and not difference and not TEMPERATURE.contains(value):
-        raise section.error(key, raw, f"allowed is {TEMPERATURE.description}")
+        raise section.error(key, raw, f"allowed is {range_text(TEMPERATURE, unit)}")
     return value
 
 
 def unit_of(section: Location, key: str, raw: Any, unit: str) -> str:
-    """The unit that the owner wrote under `key`, for a quantity in the domain's `unit`."""
+    """The unit that the user wrote under `key`, for a quantity in the domain's `unit`."""
     return _split(section, key, raw, unit)[1] or "1"
 
 
@@ -113,12 +114,14 @@ def _example(unit: str) -> str:
 
 def case_input(
     name: str, values: np.ndarray, labels: Sequence[str], unit: str,
-    index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: ValueRange = ANY,
+    index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
+    positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with all that is said about them; used in order unless `index` says else.
+    """Numbers of a case with all that is known of them; used in order unless `index` says else.
 
-    `local`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
+    `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
+    low, high = (TEMPERATURE if unit == "K" else bounds).closed
     size = float(np.max(np.abs(values), initial=0.0))
     return CaseInput(
         name,
@@ -132,23 +135,40 @@ def case_input(
         display_factor=1.0 if local in PURE else 1 / conversion(local, unit, difference=True).scale,
         group=name.partition(".")[0],
         meaning=meaning,
-        low=TEMPERATURE.low if unit == "K" else bounds.smallest,
-        high=TEMPERATURE.high if unit == "K" else bounds.high,
+        low=low,
+        high=high,
+        positions=positions,
     )
 
 
+def position(section: TableContext, key: str, unit: str) -> FilePosition:
+    """The position of a number under a key such as "moments[0]", in the domain's `unit`."""
+    path = (*section.keys, *keys_of(key))
+    return path if unit in PURE else QuantityKey(path, unit)
+
+
+def positions(section: TableContext, key: str, raw: Any, unit: str) -> tuple[FilePosition, ...]:
+    """Those of a list; () where it has one unit for all, and that is not the domain's."""
+    if not isinstance(raw, dict):
+        return tuple(position(section, f"{key}[{i}]", unit) for i in range(len(raw)))
+    if conversion(raw["unit"], unit) != Conversion(1.0, 0.0):
+        return ()
+    return tuple(position(section, f"{key}.value[{i}]", "1") for i in range(len(raw["value"])))
+
+
 def single(
-    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
+    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: Range = ANY,
     text: str = "",
 ) -> CaseInput:  # fmt: skip
     """One number, index [], called `name` in tables of sensitivities."""
     value = quantity(section, key, raw, unit, bounds)
     local = unit_of(section, key, raw, unit)
-    return case_input(name, np.array([value]), ("",), unit, np.array(0), text, local, bounds)
+    where = (position(section, key, unit),)
+    return case_input(name, np.array([value]), ("",), unit, np.array(0), text, local, bounds, where)
 
 
 def listed(
-    section: TableContext, key: str, raw: Any, unit: str, bounds: ValueRange = ANY
+    section: TableContext, key: str, raw: Any, unit: str, bounds: Range = ANY
 ) -> list[float]:
     """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
     if isinstance(raw, dict):
@@ -171,13 +191,14 @@ def listed(
 def several(
     section: TableContext, name: str, key: str, raw: Any, unit: str,
     labels: Sequence[str] | str = "",
-    bounds: ValueRange = ANY, text: str = "",
+    bounds: Range = ANY, text: str = "",
 ) -> CaseInput:  # fmt: skip
     """A list of numbers, index [n]; labels are `labels`, or that text with the entry's number."""
     values = np.array(listed(section, key, raw, unit, bounds))
     if isinstance(labels, str):
         labels = tuple(f"{labels}{i}" for i in range(len(values)))
-    return case_input(name, values, labels, unit, meaning=text, bounds=bounds)
+    where = positions(section, key, raw, unit)
+    return case_input(name, values, labels, unit, None, text, "", bounds, where)
 
 
 def absent(name: str, unit: str) -> CaseInput:
@@ -186,7 +207,7 @@ def absent(name: str, unit: str) -> CaseInput:
 
 
 def profile(
-    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: ValueRange = ANY,
+    section: TableContext, name: str, key: str, raw: Any, unit: str, bounds: Range = ANY,
     meaning: str = "",
 ) -> Profile:  # fmt: skip
     """A control over a unit's time: one quantity, or a table with nodes."""
@@ -201,7 +222,8 @@ def profile(
     edges = len(values) if table.kind == "linear" else len(values) + 1
     shares = np.linspace(0.0, 1.0, edges) if table.at is None else _shares(inner, table.at, edges)
     labels = tuple(f"node {i}" for i in range(len(values)))
-    numbers = case_input(name, np.array(values), labels, unit, meaning=meaning, bounds=bounds)
+    where = positions(inner, "nodes", table.nodes, unit)
+    numbers = case_input(name, np.array(values), labels, unit, None, meaning, "", bounds, where)
     ramp = None
     if table.ramp is not None:
         ramp = quantity(inner, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)

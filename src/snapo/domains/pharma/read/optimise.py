@@ -1,18 +1,23 @@
-"""Reads `[optimise]`: decisions within their bounds, and the goal."""
+"""Reads `[optimise]`, `[goal]` and `[design_space]`."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 from pydantic import Field
 
+from snapo.case.error import CaseError
+from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext, parse
 
+from ..control.records import Goal
+from ..quality.records import Attribute, DesignSpace, Parameter
 from ..recipe.records import Decision, Optimise, Term
 from .entries import EntryNumbers
-from .fields import TextKey, word
+from .fields import TextKey, tables, whole, within, word
 from .fields import quantity as quantity_field
 from .numbers import quantity, suggest, unit_of
 from .quantities import UnitError, check_basis, conversion, own_basis
+from .tables import DesignSpaceTable, GoalTable
 
 
 class TermTable(CaseTable):
@@ -35,20 +40,12 @@ class OptimiseTable(CaseTable):
     """`[optimise]`"""
 
     sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
-    terms: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[optimise.terms]]"
-    )
+    terms: list[dict] = tables("[[optimise.terms]]")
     per: list[dict] = Field([], description="tables [[optimise.per]]")
-    decisions: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[optimise.decisions]]"
-    )
-    reserve: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="a number of margins, 0 or more"
-    )
-    deviations: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="a number of standard deviations, 0 or more"
-    )
-    starts: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="a whole number, 1 or more")
+    decisions: list[dict] = tables("[[optimise.decisions]]")
+    reserve: float = within(Range(0.0, noun="a number of margins"), 0.0)
+    deviations: float = within(Range(0.0, noun="a number of standard deviations"), 0.0)
+    starts: int = whole(1, 1000, default=1)
 
 
 def read_optimise(
@@ -102,7 +99,7 @@ def _term(
 
 
 def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[Decision]:
-    """One for each entry that `of` stands for, all with the same bounds."""
+    """One for each entry that `of` means, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
     decisions = []
     for name, entry in numbers.all(section, "of", table.of):
@@ -128,3 +125,48 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
             Decision(label, name, entry, local, change.scale, change.offset, low, high, start)
         )
     return decisions
+
+
+def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
+    """`[goal]`: the probability of keeping all limits, or the mean or tail of an attribute."""
+    table = parse(GoalTable, raw, str(file), "goal")
+    section = TableContext(file, "goal", [])
+    names = [attribute.name for attribute in attributes]
+    if table.kind == "probability" and "attribute" in raw:
+        message = 'kind "probability" is of all limits together and has no such key'
+        raise section.error("attribute", table.attribute, message)
+    if table.kind != "probability" and table.attribute not in names:
+        hint = suggest(table.attribute, names, "attribute")
+        raise section.error("attribute", table.attribute, f"there is no such attribute; {hint}")
+    if table.kind == "cvar" and table.sense == "minimise":
+        message = 'kind "cvar" is the mean of the lowest values, which only makes sense to maximise'
+        raise section.error("sense", table.sense, message)
+    sense: Any = 1 if table.sense == "maximise" else -1
+    return Goal(table.kind, table.attribute, sense, table.level, table.penalty)
+
+
+def read_design_space(
+    file, raw: dict | None, parameters: Sequence[Parameter], attributes: Sequence[Attribute]
+) -> DesignSpace | None:
+    """`[design_space]`: its parameters, its points, and the probability it must keep."""
+    if raw is None:
+        return None
+    section = TableContext(file, "design_space", [])
+    table = parse(DesignSpaceTable, raw, str(file), "design_space")
+    names = [parameter.name for parameter in parameters]
+    for i, axis in enumerate(table.axes):
+        if axis not in names:
+            hint = suggest(axis, names, "parameter")
+            raise section.error(f"axes[{i}]", axis, f"there is no such parameter; {hint}")
+        if axis in table.axes[:i]:
+            raise section.error(f"axes[{i}]", axis, "this parameter is there twice")
+    if all(attribute.low is None and attribute.high is None for attribute in attributes):
+        message = "no attribute has a limit, so nothing bounds a design space"
+        raise CaseError(str(file), "design_space", None, message)
+    return DesignSpace(
+        tuple(table.axes),
+        (table.points,) * len(table.axes),
+        table.samples,
+        tuple(sorted(table.levels)),
+        table.required,
+    )

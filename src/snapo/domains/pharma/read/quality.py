@@ -105,7 +105,7 @@ def _pair(section: TableContext, key: str, raw: list, unit: str, basis: str) -> 
 def read_attributes(
     file, raw: list[dict], network: FlowNetwork, feeds: Sequence[Feed], units: Sequence[Unit], notes
 ) -> tuple[Attribute, ...]:
-    """`[[attributes]]`: a measure of a unit, in the owner's unit, with cited limits."""
+    """`[[attributes]]`: a measure of a unit, in the case's unit, with cited limits."""
     available = every_measure(network, units)
     attributes: list[Attribute] = []
     for i, item in enumerate(raw):
@@ -210,9 +210,11 @@ def read_uncertainty(
         table = parse(UncertaintyTable, correlation, str(file), section.name)
         for entry in numbers.all(section, "of", table.of):
             if entry in which:
-                raise section.error("of", table.of, "this number stands there twice")
+                raise section.error("of", table.of, "this number is there twice")
             if entry in fit.entries:
-                message = "the uncertainty of this number comes with its fit, from the file `fitted`"
+                message = (
+                    "the uncertainty of this number comes with its fit, from the file `fitted`"
+                )
                 raise section.error("of", table.of, message)
             unit = numbers.unit(*entry)
             distribution = read_distribution(section, table.distribution, unit)

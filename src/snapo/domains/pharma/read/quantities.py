@@ -1,6 +1,6 @@
-"""Quantities with units: an owner's text, "40 degC", becomes a number in the domain's unit.
+"""Quantities with units: a user's text, "40 degC", becomes a number in the domain's unit.
 
-A text is taken apart here and only the name of its unit goes to pint, so nothing that stands in a
+A text is taken apart here and only the name of its unit goes to pint, so nothing that is in a
 case is ever evaluated. The domain's own units are written as in `records`: "kmol/m3", "1/s", "1".
 """
 
@@ -38,7 +38,7 @@ OWN = {
 PURE = ("", "1")
 # A fraction as an exponent may be written to three digits, of a length three times: (cm^3)^0.333.
 DIGITS = 3 * 5e-4
-EXACT = 1e-9  # exponents of dimensions that differ by round-off alone are the same
+EXACT = 1e-9  # exponents of dimensions that differ only by round-off are the same
 
 
 class UnitError(ValueError):
@@ -46,7 +46,7 @@ class UnitError(ValueError):
 
 
 class Conversion(NamedTuple):
-    """domain value = `scale` * owner's value + `offset`."""
+    """domain value = `scale` * case's value + `offset`."""
 
     scale: float
     offset: float

@@ -1,4 +1,4 @@
-"""The tables of a pharma case as they stand in the TOML file, each key with its meaning.
+"""The tables of a pharma case of the TOML file, each key with its meaning.
 
 A quantity is any value here: whether its number and unit are right is decided by `numbers`. Tables
 of units are those of the unit operations.
@@ -10,9 +10,10 @@ import pydantic
 from pydantic import Field
 
 from snapo.case.parts import PartNames, names_of_parts
+from snapo.case.quantity import Range
 from snapo.case.table import TITLE, CaseTable, Title
 
-from .fields import TextKey, quantity, word
+from .fields import PROBABILITY, TextKey, pair, quantity, tables, whole, within, word
 
 
 class SpeciesTable(CaseTable):
@@ -30,18 +31,6 @@ class ReactionTable(CaseTable):
     activation: Any = quantity('"40 kJ/mol"', meaning="activation energy")
     heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", meaning="heat of reaction")
     order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
-
-
-class FeedTable(CaseTable):
-    """`[feeds.NAME]`"""
-
-    volume: Any = quantity('"60 L"', meaning="volume fed")
-    temperature: Any = quantity('"313.15 K"', meaning="temperature of the feed")
-    concentration: dict[str, Any] = Field(
-        {}, description='concentrations such as { A = "0.33 mol/L" }'
-    )
-    solvent: Any = quantity('"887.6 kg/m^3"', meaning="solvent per volume fed")
-    duration: Any = quantity('"2 h"', None)
 
 
 # `from` is a word of Python, so this table is not written as a class.
@@ -64,12 +53,8 @@ class ParameterTable(CaseTable):
 
     name: TextKey = Field(description="a name")
     of: TextKey = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
-    range: Annotated[list[Any], Field(min_length=2, max_length=2)] = Field(
-        description='two quantities such as ["303 K", "323 K"]'
-    )
-    normal: Annotated[list[Any], Field(min_length=2, max_length=2)] = Field(
-        description='two quantities such as ["312 K", "314 K"]'
-    )
+    range: list[Any] = pair('quantities such as ["303 K", "323 K"]')
+    normal: list[Any] = pair('quantities such as ["312 K", "314 K"]')
     distribution: dict | None = Field(None, description='{ kind = "normal", spread = "0.5 K" }')
     control: bool = Field(True, description="true or false")
     source: TextKey = Field(description="a sentence on where the range comes from")
@@ -83,7 +68,7 @@ class AttributeTable(CaseTable):
     unit: str = Field(description='a unit such as "um", or "1"')
     low: Any = quantity('"80 um"', None)
     high: Any = quantity('"100 um"', None)
-    citation: str = Field("", description="a sentence on where the limit stands")
+    citation: str = Field("", description="the source of the limit, a sentence")
     margin: Any = quantity('"1 um"', None)
 
 
@@ -99,10 +84,8 @@ class UncertaintyTable(CaseTable):
 class CorrelationTable(CaseTable):
     """`[[correlations]]`"""
 
-    between: Annotated[list[TextKey], Field(min_length=2, max_length=2)] = Field(
-        description="two of the numbers under [[uncertainty]]"
-    )
-    value: Annotated[float, Field(gt=-1, lt=1)] = Field(description="a number between -1 and 1")
+    between: list[TextKey] = pair("of the numbers under [[uncertainty]]")
+    value: float = within(Range(-1.0, 1.0, "()"))
 
 
 class ManipulatedTable(CaseTable):
@@ -127,18 +110,12 @@ class MeasurementTable(CaseTable):
 class ControlTable(CaseTable):
     """`[control]`"""
 
-    manipulated: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[control.manipulated]]"
-    )
-    measurements: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[control.measurements]]"
-    )
-    steps: dict[str, Annotated[int, Field(ge=1, le=1000)]] = Field(
+    manipulated: list[dict] = tables("[[control.manipulated]]")
+    measurements: list[dict] = tables("[[control.measurements]]")
+    steps: dict[str, Annotated[int, whole(1, 1000)]] = Field(
         description="decisions per unit, such as { crystalliser = 12 }"
     )
-    substeps: Annotated[int, Field(ge=1, le=64)] = Field(
-        32, description="a whole number from 1 to 64"
-    )
+    substeps: int = whole(1, 64, default=32)
     solubility_margin: Any = Field(None, description="a number above 0")
     rules: list[dict] = Field([], description="tables [[control.rules]]")
 
@@ -151,28 +128,22 @@ class GoalTable(CaseTable):
     )
     attribute: str = Field("", description="the name of an attribute")
     sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
-    level: Annotated[float, Field(gt=0, lt=1)] = Field(0.95, description="between 0 and 1")
-    penalty: Annotated[float, Field(ge=0)] = Field(1.0, description="a number, 0 or more")
+    level: float = within(PROBABILITY, 0.95)
+    penalty: float = within(Range(0.0), 1.0)
 
 
 class DesignSpaceTable(CaseTable):
     """`[design_space]`"""
 
-    axes: Annotated[list[TextKey], Field(min_length=2, max_length=3)] = Field(
-        description="the names of two or three parameters"
+    axes: list[TextKey] = Field(
+        min_length=2, max_length=3, description="the names of two or three parameters"
     )
-    points: Annotated[int, Field(ge=3, le=201)] = Field(
-        17, description="a whole number from 3 to 201, of points along each axis"
+    points: int = whole(3, 201, default=17, note=", of points along each axis")
+    samples: int = whole(16, 10**6, default=256, note=", of draws at each point")
+    levels: list[Annotated[float, within(PROBABILITY)]] = Field(
+        [0.85, 0.95, 0.99], min_length=1, description=f"a list, each {PROBABILITY}"
     )
-    samples: Annotated[int, Field(ge=16, le=10**6)] = Field(
-        256, description="a whole number from 16 to 1000000, of draws at each point"
-    )
-    levels: Annotated[list[Annotated[float, Field(gt=0, lt=1)]], Field(min_length=1)] = Field(
-        [0.85, 0.95, 0.99], description="probabilities between 0 and 1"
-    )
-    required: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="a probability between 0 and 1"
-    )
+    required: float = within(PROBABILITY, 0.9)
 
 
 class FitTable(CaseTable):
@@ -198,15 +169,14 @@ class ExperimentTable(CaseTable):
 class EstimationTable(CaseTable):
     """`[estimation]`"""
 
-    fit: Annotated[list[dict], Field(min_length=1)] = Field(description="tables [[estimation.fit]]")
-    experiments: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[estimation.experiments]]"
-    )
-    level: Annotated[float, Field(gt=0, lt=1)] = Field(0.95, description="between 0 and 1")
+    fit: list[dict] = tables("[[estimation.fit]]")
+    experiments: list[dict] = tables("[[estimation.experiments]]")
+    level: float = within(PROBABILITY, 0.95)
     errors: Literal["known", "relative"] = word("known", "relative", default="known")
-    starts: Annotated[int, Field(ge=1, le=1000)] = Field(
-        8, description="a whole number from 1 to 1000, of points from which the search begins"
-    )
+    starts: int = whole(1, 1000, default=8, note=", of points from which the search begins")
+
+
+TOLERANCE = Range(0.0, 0.1, "()", note=", such as 1e-10")
 
 
 class NumericsTable(CaseTable):
@@ -215,20 +185,12 @@ class NumericsTable(CaseTable):
     method: Literal["auto", "mesh", "stiff", "adaptive"] = word(
         "auto", "mesh", "stiff", "adaptive", default="auto"
     )
-    steps: Annotated[int, Field(ge=8, le=100_000)] = Field(
-        320, description="a whole number, 8 or more"
-    )
-    tolerance: Annotated[float, Field(gt=0, lt=0.1)] = Field(
-        1e-10, description="a number above 0, such as 1e-10"
-    )
-    max_steps: Annotated[int, Field(ge=1)] = Field(20_000, description="a whole number, 1 or more")
+    steps: int = whole(8, 100_000, default=320)
+    tolerance: float = within(TOLERANCE, 1e-10)
+    max_steps: int = whole(1, default=20_000)
     refine: bool = Field(True, description="true or false")
-    loop_tolerance: Annotated[float, Field(gt=0, lt=0.1)] = Field(
-        1e-10, description="a number above 0, such as 1e-10"
-    )
-    loop_rounds: Annotated[int, Field(ge=1, le=1000)] = Field(
-        50, description="a whole number, 1 or more"
-    )
+    loop_tolerance: float = within(TOLERANCE, 1e-10)
+    loop_rounds: int = whole(1, 1000, default=50)
 
 
 class ReportTable(CaseTable):
@@ -254,15 +216,11 @@ class PharmaTable(CaseTable):
     feeds: dict = Field(description="tables [feeds.NAME]")
     units: dict = Field(description="tables [units.NAME]")
     connections: list[dict] = Field([], description="tables [[connections]]")
-    parameters: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[parameters]]"
-    )
-    attributes: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[attributes]]"
-    )
+    parameters: list[dict] = tables("[[parameters]]")
+    attributes: list[dict] = tables("[[attributes]]")
     uncertainty: list[dict] = Field([], description="tables [[uncertainty]]")
     correlations: list[dict] = Field([], description="tables [[correlations]]")
-    pairs: list[Annotated[list[TextKey], Field(min_length=2, max_length=2)]] = Field(
+    pairs: list[Annotated[list[TextKey], pair("parameters")]] = Field(
         [], description='pairs of parameters, such as [["T_R", "W"]]'
     )
     control: dict | None = Field(None, description="the table [control]")

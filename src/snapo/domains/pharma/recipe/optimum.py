@@ -28,7 +28,7 @@ ROUNDS = 3  # a solver that stops short starts again from where it stopped
 class Conditions(NamedTuple):
     """The Karush-Kuhn-Tucker conditions at a point, in variables scaled to 0..1.
 
-    With f the goal to be made small (minus the goal where it is made large), grad f is the sum of
+    With f the goal to be made small (minus the goal where it is maximised), grad f is the sum of
     multipliers, none negative, times the gradients of what is active (x - low, high - x and what
     shall not be below 0): relaxing one of these by one unit improves the goal by its multiplier.
 
@@ -52,7 +52,7 @@ class Conditions(NamedTuple):
 class Recipe(NamedTuple):
     """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` says
     whether it `converged`; `constraints` [k + m] at x; how much work it was; `message`: why it
-    stopped, in words."""
+    stopped, as text."""
 
     x: np.ndarray
     value: float
@@ -139,7 +139,7 @@ class BestSoFar:
     def see(self, u: np.ndarray, values: np.ndarray, goal: float) -> None:
         """A point with its numbers, the goal first and with the sign to make it small.
 
-        **Raises:** `Stopped` at a limit, and where a number is not finite.
+        **Raises:** `Stopped` at a limit, and where a number is non-finite.
         """
         count = self.traced.evaluations - self.before
         if count == self._last:  # the same point, asked for again
@@ -163,7 +163,8 @@ class BestSoFar:
             raise Stopped(f"it stopped after {taken:.0f} s")
 
     def best(self, start: np.ndarray) -> np.ndarray:
-        """The best point seen: least violation first, then the goal; the start where none was."""
+        """The best point evaluated: least violation first, then the goal; the start where none
+        was."""
         return start if self._best is None else self._best[1]
 
 
@@ -185,7 +186,8 @@ def best(
     """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
     `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
     first-order conditions. Where it ends short of that, at one of the `limits` or because the
-    function is not a number, it is the best point seen, not `converged`, and `message` says why."""
+    function is not a number, it is the best point evaluated, not `converged`, and `message` says
+    why."""
     parts, count = [item for item in (function, equality, inequality) if item is not None], 0
     if equality is not None:
         with jax.enable_x64(True):

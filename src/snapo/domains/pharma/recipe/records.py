@@ -6,10 +6,10 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Decision:
-    """What is chosen: one entry of one `Given`.
+    """What is chosen: one entry of one `CaseInput`.
 
-    - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `Given` and the position.
-    - `unit`: the owner's; domain value = `scale` * owner's + `offset`.
+    - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `CaseInput` and the position.
+    - `unit`: the case's; domain value = `scale` * case's + `offset`.
     - `low`, `high`, `start`: in the domain's unit; the start is the case's own number.
     """
 
@@ -24,7 +24,7 @@ class Decision:
     start: float
 
     def in_case_unit(self, value: float) -> float:
-        """A number of the domain in the owner's unit."""
+        """A number of the domain in the case's unit."""
         return (value - self.offset) / self.scale
 
 
@@ -32,8 +32,8 @@ class Decision:
 class Term:
     """`weight` times a measure, or times a number of the case, in the owner's `unit`.
 
-    - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `Given`'s values, None
-      for a measure. `scale`: owner's unit = `scale` times the domain's (0 is 0 in both).
+    - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `CaseInput`'s values, None
+      for a measure. `scale`: case's unit = `scale` times the domain's (0 is 0 in both).
     """
 
     of: str
@@ -50,7 +50,7 @@ class Optimise:
     - `sense`: 1 to make it large, -1 to make it small.
     - `reserve`: the attributes stay this many margins within their limits, and `deviations`: this
       many standard deviations of the batches about the case's own recipe.
-    - `starts`: the case's own recipe, and random ones within the bounds beside it.
+    - `starts`: the case's own recipe, and random ones within the bounds.
     """
 
     sense: Literal[-1, 1]

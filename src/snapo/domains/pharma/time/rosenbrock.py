@@ -1,10 +1,10 @@
-"""Rosenbrock steps for stiff units: L-stable, linear algebra alone, with an error estimate.
+"""Rosenbrock steps for stiff units: L-stable, linear algebra only, with an error estimate.
 
 Rodas5P (Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
 within the Julia Differential Equations package, BIT Numerical Mathematics 63:27, 2023,
 doi:10.1007/s10543-023-00967-x): 8 stages, order 5, stiffly accurate, R(infinity) = 0, with an
 embedded method of order 4. With J = df/dy at the start of a step of h seconds, and f_t the
-derivative by time through the controls,
+derivative with respect to time through the controls,
 
     (I - gamma h J) u_i = gamma (h f(y + sum_j a_ij u_j, t + c_i h) + sum_j C_ij u_j + d_i h^2 f_t),
 
@@ -63,7 +63,7 @@ def _apply(factors: LUFactors, right: Array) -> Array:
 
 
 def _inverse(matrix: Float[Array, "m m"]) -> Float[Array, "m m"]:
-    """The inverse; not finite where the matrix is singular."""
+    """The inverse; non-finite where the matrix is singular."""
     size = len(matrix)
     table = jnp.concatenate([matrix, jnp.eye(size, dtype=matrix.dtype)], 1)
     for k in range(size):
@@ -113,7 +113,7 @@ BY_TIME = (
     0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
     2.325825639765069, 0.0, 0.0, 0.0,
 )  # fmt: skip
-# The same as square tables, with zeros where nothing stands.
+# The same as square tables, with zeros elsewhere.
 _TABLES = tuple(
     np.array([(*row, *[0.0] * (len(AT) - len(row))) for row in item]) for item in (A, C)
 )

@@ -6,7 +6,7 @@ in amounts per m3 of the first charge.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,70 +14,48 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.quantity import choice
+from snapo.case.table import TableContext
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import MOMENTS, Stream
 from ..given import absent, fixed, use
-from ..read.fields import TextKey, number, profile, quantity, word
-from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE
+from ..read.declared import (
+    ABSOLUTE,
+    CONCENTRATION,
+    CRYSTALS,
+    FLOW,
+    LENGTH,
+    SHAPE,
+    TIME,
+    inner,
+    key,
+    species_key,
+    values,
+)
+from ..read.numbers import NOT_NEGATIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.event import saturation_share
 from ..time.profile import Profile, flow_of
 from .crystals.disappeared import disappeared
 from .crystals.finite_volumes import by_finite_volumes
-from .crystals.kinetics import Kinetics, KineticsTable, kinetics, read_kinetics
+from .crystals.kinetics import Kinetics, kinetics
 from .crystals.moments import by_moments
 from .crystals.population import NUMBER, SIZE, UNITS, Population, mean_sizes
 from .crystals.quantiles import QUANTILES
-from .crystals.seed import Seed, SeedTable, read_seed, seed_moments, seed_numbers
+from .crystals.seed import Seed, seed_moments, seed_numbers
 from .crystals.sizes import SizesTable, check_seed, halved, read_edges
-from .crystals.solubility import (
-    Solubility,
-    SolubilityTable,
-    antisolvent_factor,
-    read_solubility,
-    solubility,
-)
+from .crystals.solubility import Solubility, antisolvent_factor, solubility
 from .operation import Inlet, Timed
-
-
-class CrystalliserTable(CaseTable):
-    """`type = "crystalliser"`"""
-
-    type: Literal["crystalliser"]
-    method: Literal["moments", "finite-volumes"] = word(
-        "moments", "finite-volumes", default="moments"
-    )
-    sizes: dict | None = Field(None, description="the table sizes")
-    solute: TextKey = Field(description="the name of a species")
-    duration: Any = quantity('"7200 s"', meaning="time of crystallisation")
-    temperature: Any = profile(meaning="temperature of the crystalliser")
-    initial_concentration: Any = quantity(
-        '"49 kg/m^3"', None, meaning="concentration of the solute at the start"
-    )
-    solubility: dict = Field(description="the table solubility")
-    kinetics: dict = Field(description="the table kinetics")
-    seed: dict = Field(description="the table seed")
-    shape: Any = number(
-        "a number above 0, such as 0.5236", meaning="volume of a crystal per cube of its size"
-    )
-    density: Any = quantity('"1200 kg/m^3"', meaning="density of crystals")
-    nuclei_size: Any = quantity('"1 um"', "0 m", meaning="size of new crystals")
-    separate: bool = Field(False, description="true or false")
-    dosing: Any = profile(None, meaning="flow of anti-solvent")
-    basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
 
 
 @dataclass(frozen=True, eq=False)
 class Crystalliser(Timed):
     """Batch crystalliser; anti-solvent is dosed in proportion to the flow `dosing`.
 
-    - `solute`: species; `initial_concentration`: kg/m3, [], where it replaces the feed's (a
-      crystalliser alone); None otherwise.
-    - `shape`: kv, []; `density`: of crystals, kg/m3, []; `nuclei_size`: m, [].
+    - `initial_concentration`: where it replaces the feed's (a crystalliser alone); else None.
     - `separate`: whether seed and nuclei keep moments of their own.
     - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
       volumes; crystals of the feed are then counted on the same. None: by the moments 0 to 5.
@@ -85,24 +63,32 @@ class Crystalliser(Timed):
       their own; "suspension": per volume of both together, as for few crystals.
     """
 
-    solute: str
-    temperature: Profile
-    initial_concentration: CaseInput | None
-    solubility: Solubility
-    kinetics: Kinetics
-    shape: CaseInput
-    density: CaseInput
-    nuclei_size: CaseInput
-    seed: Seed
-    separate: bool
-    dosing: Profile | None
+    solute: str = species_key("the name of a species")
+    duration: CaseInput = TIME("time of crystallisation", example="7200 s")
+    temperature: Profile = ABSOLUTE.profile("temperature of the crystalliser")
+    initial_concentration: CaseInput | None = CONCENTRATION(
+        "concentration of the solute at the start", None, example="49 kg/m^3"
+    )
+    solubility: Solubility = inner(Solubility)
+    kinetics: Kinetics = inner(Kinetics)
+    shape: CaseInput = SHAPE("volume of a crystal per cube of its size")
+    density: CaseInput = CRYSTALS("density of crystals")
+    nuclei_size: CaseInput = LENGTH(
+        "size of new crystals", "0 m", range=NOT_NEGATIVE, example="1 um"
+    )
+    seed: Seed = inner(Seed)
+    separate: bool = key(Field(False, description="true or false"))
+    dosing: Profile | None = FLOW.profile("flow of anti-solvent", None)
     edges: np.ndarray | None = None
-    basis: Literal["solution", "suspension"] = "solution"
+    basis: Literal["solution", "suspension"] = key(choice("solution", "suspension"))
 
     type = "crystalliser"
+    more_keys: ClassVar = {
+        "method": (Literal["moments", "finite-volumes"], choice("moments", "finite-volumes")),
+        "sizes": (dict | None, Field(None, description="the table sizes")),
+    }
     variant = ""
     title = "crystalliser"
-    table = CrystalliserTable
     reacts = False
     symbols = (
         ("c", "concentration"),
@@ -119,25 +105,8 @@ class Crystalliser(Timed):
 
     @classmethod
     def read(cls, read, species):
-        table = read.table
-        seed = read_seed(read.inner("seed", SeedTable))
-        return cls(
-            name=read.name,
-            solute=read.one_of("solute", species, "species"),
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            initial_concentration=read.optional("initial_concentration", "kg/m3", POSITIVE),
-            solubility=read_solubility(read.inner("solubility", SolubilityTable)),
-            kinetics=read_kinetics(read.inner("kinetics", KineticsTable)),
-            shape=read.number("shape", "1", POSITIVE),
-            density=read.number("density", "kg/m3", DENSITY),
-            nuclei_size=read.number("nuclei_size", "m", NOT_NEGATIVE),
-            seed=seed,
-            separate=table.separate,
-            dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
-            edges=_edges(read, seed),
-            basis=table.basis,
-        )
+        edges = _edges(read, read.table.seed)
+        return cls(name=read.name, edges=edges, **values(cls, read, species))
 
     @property
     def inlets(self):
@@ -242,7 +211,7 @@ class Crystalliser(Timed):
             to_dose = lambda y: dose.volume - volume * y[-1]  # noqa: E731
 
         def taken(mu3):
-            """What crystals take beside the liquid, per first volume of that."""
+            """The volume of crystals in addition to the liquid, per first volume of that."""
             return shape * units[3] * mu3 if self.basis == "solution" else jnp.zeros(())
 
         def scaled(y) -> tuple[Array, Array]:
@@ -355,11 +324,11 @@ def _edges(read: Reader, seed: Seed) -> np.ndarray | None:
         return None
     if table.sizes is None:
         raise read.section.error("sizes", None, f'method "{method}" needs this key')
-    for key, owned in (("separate", "keeps no moments apart"),
-                       ("nuclei_size", "has nuclei of the smallest size")):  # fmt: skip
-        if key in table.model_fields_set:
+    for name, owned in (("separate", "keeps no moments apart"),
+                        ("nuclei_size", "has nuclei of the smallest size")):  # fmt: skip
+        if name in table.model_fields_set:
             message = f'method "{method}" {owned} and has no such key'
-            raise read.section.error(key, getattr(table, key), message)
+            raise read.section.error(name, read.raw[name], message)
     if seed.spread is None:
         seeded = TableContext(read.section.file, f"{read.section.name}.seed", read.section.notes)
         message = f'method "{method}" needs a seed with loading, size and spread'

@@ -1,50 +1,36 @@
 """The product's dissolution test: spheres that shrink in a film, of all sizes that were counted."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
 from ..given import use
-from ..read.fields import quantity
-from ..read.numbers import POSITIVE
+from ..read.declared import CONCENTRATION, DIFFUSIVITY, LENGTH, TIME
 from .operation import Inlet, Instant
 from .solids.release import BY_MEAN, gone, lasting, over_sizes
-
-
-class DissolutionTable(CaseTable):
-    """`type = "dissolution"`"""
-
-    type: Literal["dissolution"]
-    diffusivity: Any = quantity('"7e-10 m^2/s"', meaning="diffusivity in the film")
-    solubility: Any = quantity('"0.5 kg/m^3"', meaning="solubility in the test's liquid")
-    film: Any = quantity('"30 um"', meaning="thickness of the film")
-    time: Any = quantity('"30 min"', meaning="time of the test")
 
 
 @dataclass(frozen=True, eq=False)
 class Dissolution(Instant):
     """Dissolution test of the product, shrinking spheres of the sizes that are counted, or of d32.
 
-    Dissolved share at `test_time` s: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once a sphere is gone;
-    the crystals' density comes with the stream. `diffusivity`: m2/s; `solubility`: kg/m3; `film`:
-    m; each index [].
+    Dissolved share at `test_time`: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once a sphere is gone; the
+    crystals' density comes with the stream.
     """
 
-    diffusivity: CaseInput
-    solubility: CaseInput
-    film: CaseInput
-    test_time: CaseInput
+    diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")
+    solubility: CaseInput = CONCENTRATION("solubility in the test's liquid", example="0.5 kg/m^3")
+    film: CaseInput = LENGTH("thickness of the film", example="30 um")
+    test_time: CaseInput = TIME("time of the test", alias="time", example="30 min")
 
     type = "dissolution"
     variant = ""
     title = "dissolution"
-    table = DissolutionTable
     reacts = False
     symbols = (
         ("D", "diffusivity"),
@@ -54,16 +40,6 @@ class Dissolution(Instant):
         ("d₃₂", "mean size by surface"),
     )
     assumptions = (BY_MEAN,)
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(
-            name=read.name,
-            diffusivity=read.number("diffusivity", "m2/s", POSITIVE),
-            solubility=read.number("solubility", "kg/m3", POSITIVE),
-            film=read.number("film", "m", POSITIVE),
-            test_time=read.number("time", "s", POSITIVE),
-        )
 
     @property
     def inlets(self):

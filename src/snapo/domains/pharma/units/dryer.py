@@ -1,21 +1,20 @@
 """Falling-rate drying of the cake, in closed form along the temperature profile."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT
 from ..flowsheet.stream import Stream, clear
 from ..given import use
-from ..read.fields import profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.declared import ABSOLUTE, ENERGY, LENGTH, RATE, TIME
 from ..time.dynamics import Track
 from ..time.mesh import edges_of, make_mesh
 from ..time.profile import Profile
@@ -25,56 +24,33 @@ from .operation import Inlet, Outcome, Unit
 STEPS = 32  # per piece of the profile, by Simpson's rule; exact where temperature is constant
 
 
-class DryerTable(CaseTable):
-    """`type = "dryer"`, `kind = "falling-rate"`"""
-
-    type: Literal["dryer"]
-    kind: Literal["falling-rate"] = word("falling-rate", "tray", default="falling-rate")
-    duration: Any = quantity('"3 h"', meaning="drying time")
-    temperature: Any = profile(meaning="temperature of the shelf")
-    rate: Any = quantity('"1e-3 1/s"', meaning="drying rate at the reference")
-    activation: Any = quantity('"40 kJ/mol"', meaning="activation energy of drying")
-    reference_temperature: Any = quantity('"323.15 K"')
-    reference_size: Any = quantity('"40 um"', meaning="size to which the drying rate refers")
-
-
 @dataclass(frozen=True, eq=False)
 class Dryer(Unit):
     """Dryer by a rate constant.
 
     Falling rate: X' = -k X, k = rate exp(-activation / R (1/T - 1/reference_temperature))
-    (reference_size / d32); X is solvent per crystals, kg/kg. `rate`: 1/s, `reference_size`: m.
+    (reference_size / d32); X is solvent per crystals, kg/kg.
     """
 
-    duration: CaseInput
-    temperature: Profile
-    rate: CaseInput
-    activation: CaseInput
-    reference_temperature: float
-    reference_size: CaseInput
+    duration: CaseInput = TIME("drying time", example="3 h")
+    temperature: Profile = ABSOLUTE.profile("temperature of the shelf")
+    rate: CaseInput = RATE("drying rate at the reference")
+    activation: CaseInput = ENERGY("activation energy of drying")
+    reference_temperature: float = ABSOLUTE.number(
+        "temperature to which the drying rate refers", example="323.15 K"
+    )
+    reference_size: CaseInput = LENGTH("size to which the drying rate refers", example="40 um")
 
     type = "dryer"
+    more_keys: ClassVar = {"kind": (Literal["falling-rate"], choice("falling-rate", "tray"))}
     variant = "falling-rate"
     title = "dryer"
-    table = DryerTable
     reacts = False
     symbols = (
         ("X", "solvent per crystals"),
         ("d₃₂", "mean size by surface"),
     )
     assumptions = ()
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(
-            name=read.name,
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            rate=read.number("rate", "1/s", NOT_NEGATIVE),
-            activation=read.number("activation", "J/mol"),
-            reference_temperature=read.plain("reference_temperature", "K", POSITIVE),
-            reference_size=read.number("reference_size", "m", POSITIVE),
-        )
 
     @property
     def inlets(self):

@@ -12,67 +12,48 @@ from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream, clear
 from ..given import use
-from ..read.fields import number, quantity, word
+from ..read.declared import AREA, PRESSURE, UnitQuantity, key
 from ..read.numbers import NOT_NEGATIVE, POROSITY, POSITIVE, SHARE
 from .crystals.population import mean_sizes
 from .operation import Inlet, Instant
-
-
-class FilterTable(CaseTable):
-    """`type = "filter"`"""
-
-    type: Literal["filter"]
-    area: Any = quantity('"200 cm^2"', meaning="filter area")
-    pressure: Any = quantity('"1 bar"', meaning="pressure difference")
-    viscosity: Any = quantity('"0.46 mPa*s"', meaning="viscosity of the liquor")
-    medium_resistance: Any = quantity('"1e10 1/m"', meaning="resistance of the filter medium")
-    porosity: Any = number("a share between 0 and 1", meaning="porosity of the cake")
-    saturation: Any = number(
-        "a share between 0 and 1", meaning="share of the cake's voids that keeps liquor"
-    )
-    resistance: Any = quantity('"1e11 m/kg"', None, meaning="specific resistance of the cake")
-    wash: Literal["exponential", "dispersion"] = word(
-        "exponential", "dispersion", default="exponential"
-    )
-    wash_ratio: Any = number("a number, 0 or more", meaning="wash liquid per void volume")
-    efficiency: Any = number("a number above 0", None, meaning="efficiency of the wash")
-    peclet: Any = number("a number above 0", None, meaning="Peclet number of the wash")
 
 
 @dataclass(frozen=True, eq=False)
 class Filter(Instant):
     """Filter and wash at constant pressure.
 
-    All are numbers, index []: m2, Pa, Pa s, 1/m, "1", "1", "1".
-
-    - `porosity` of the cake; `saturation`: share of its voids that keeps liquor.
-    - `wash_ratio`: W, wash liquid per void volume. `wash`: "exponential": exp(-efficiency W) of
-      a solute stays; "dispersion": Lapidus-Amundson with the Peclet number `peclet`.
-    - `resistance`: specific, m/kg, []; None: from porosity and d32 by Carman and Kozeny.
+    - `wash_ratio`: W. `wash`: "exponential": exp(-efficiency W) of a solute stays; "dispersion":
+      Lapidus-Amundson with the Peclet number `peclet`.
+    - `resistance`: None: from porosity and d32 by Carman and Kozeny.
     """
 
-    area: CaseInput
-    pressure: CaseInput
-    viscosity: CaseInput
-    medium_resistance: CaseInput
-    porosity: CaseInput
-    saturation: CaseInput
-    resistance: CaseInput | None
-    wash: Literal["exponential", "dispersion"]
-    wash_ratio: CaseInput
-    efficiency: CaseInput | None
-    peclet: CaseInput | None
+    area: CaseInput = AREA("filter area", example="200 cm^2")
+    pressure: CaseInput = PRESSURE("pressure difference", range=POSITIVE)
+    viscosity: CaseInput = UnitQuantity("Pa*s", POSITIVE, example="0.46 mPa*s")(
+        "viscosity of the liquor"
+    )
+    medium_resistance: CaseInput = UnitQuantity("1/m", NOT_NEGATIVE, example="1e10 1/m")(
+        "resistance of the filter medium"
+    )
+    porosity: CaseInput = UnitQuantity(range=POROSITY)("porosity of the cake")
+    saturation: CaseInput = UnitQuantity(range=SHARE)("share of the cake's voids that keeps liquor")
+    resistance: CaseInput | None = UnitQuantity("m/kg", POSITIVE, example="1e11 m/kg")(
+        "specific resistance of the cake", None
+    )
+    wash: Literal["exponential", "dispersion"] = key(choice("exponential", "dispersion"))
+    wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)("wash liquid per void volume")
+    efficiency: CaseInput | None = UnitQuantity(range=NOT_NEGATIVE)("efficiency of the wash", None)
+    peclet: CaseInput | None = UnitQuantity(range=POSITIVE)("Peclet number of the wash", None)
 
     type = "filter"
     variant = ""
     title = "filter"
-    table = FilterTable
     reacts = False
     symbols = (
         ("ε", "porosity"),
@@ -91,7 +72,8 @@ class Filter(Instant):
 
     @classmethod
     def read(cls, read, species):
-        return cls(name=read.name, wash=read.table.wash, **filtration(read, "pressure"))
+        check_wash(read)
+        return super().read(read, species)
 
     @property
     def inlets(self):
@@ -200,28 +182,12 @@ def scaled_erfc(x) -> Array:
     return jnp.where(x < 4, jnp.exp(near * near) * erfc(near), 1 / (fraction * jnp.sqrt(jnp.pi)))
 
 
-def filtration(read, pressure: str) -> dict[str, Any]:
-    """The numbers of a `Filter` from its table, the pressure difference under this key.
-
-    **Raises:** `CaseError` where the kind of wash lacks its key, or another one's is given.
-    """
+def check_wash(read) -> None:
+    """**Raises:** `CaseError` where the kind of wash has no key, or another one's is there."""
     table = read.table
-    for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
-        values = getattr(table, key)
-        if table.wash == wash and values is None:
-            raise read.section.error(key, None, f'wash "{wash}" needs this key')
-        if table.wash != wash and values is not None:
+    for wash, name in (("exponential", "efficiency"), ("dispersion", "peclet")):
+        if table.wash == wash and getattr(table, name) is None:
+            raise read.section.error(name, None, f'wash "{wash}" needs this key')
+        if table.wash != wash and getattr(table, name) is not None:
             message = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
-            raise read.section.error(key, values, message)
-    return {
-        "area": read.number("area", "m2", POSITIVE),
-        "pressure": read.number(pressure, "Pa", POSITIVE),
-        "viscosity": read.number("viscosity", "Pa*s", POSITIVE),
-        "medium_resistance": read.number("medium_resistance", "1/m", NOT_NEGATIVE),
-        "porosity": read.number("porosity", "1", POROSITY),
-        "saturation": read.number("saturation", "1", SHARE),
-        "resistance": read.optional("resistance", "m/kg", POSITIVE),
-        "wash_ratio": read.number("wash_ratio", "1", NOT_NEGATIVE),
-        "efficiency": read.optional("efficiency", "1", NOT_NEGATIVE),
-        "peclet": read.optional("peclet", "1", POSITIVE),
-    }
+            raise read.section.error(name, read.raw[name], message)

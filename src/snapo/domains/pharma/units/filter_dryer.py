@@ -7,58 +7,20 @@ agitation makes the cake one: constant rate, then falling.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
-
-from pydantic import Field
+from typing import Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range, choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish
 from ..given import use
-from ..read.fields import number, profile, quantity, word
-from ..read.numbers import ValueRange
-from .filter import Filter, filtration
+from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, UnitQuantity, key, keys_of, values
+from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..time.profile import Profile
+from .filter import Filter, check_wash
 from .operation import Inlet
-from .tray_dryer import TrayDryer, drying
-
-WASHES = ValueRange(1.0, 20.0, False, "from 1 to 20")
-
-
-class FilterDryerTable(CaseTable):
-    """`type = "filter-dryer"`"""
-
-    type: Literal["filter-dryer"]
-    area: Any = quantity('"0.5 m^2"', meaning="filter area")
-    filter_pressure: Any = quantity('"2 bar"', meaning="pressure difference of filtration")
-    viscosity: Any = quantity('"0.46 mPa*s"', meaning="viscosity of the liquor")
-    medium_resistance: Any = quantity('"1e10 1/m"', meaning="resistance of the filter medium")
-    porosity: Any = number("a share between 0 and 1", meaning="porosity of the cake")
-    saturation: Any = number(
-        "a share between 0 and 1", meaning="share of the cake's voids that keeps liquor"
-    )
-    resistance: Any = quantity('"1e11 m/kg"', None, meaning="specific resistance of the cake")
-    wash: Literal["reslurry", "dispersion", "exponential"] = word(
-        "reslurry", "dispersion", "exponential", default="reslurry"
-    )
-    wash_ratio: Any = number(
-        "a number, 0 or more", meaning="wash liquid per void volume, of a wash"
-    )
-    washes: Any = number("a number from 1 to 20", 1.0, meaning="number of reslurry washes")
-    efficiency: Any = number("a number above 0", None, meaning="efficiency of the wash")
-    peclet: Any = number("a number above 0", None, meaning="Peclet number of the wash")
-    duration: Any = quantity('"8 h"', meaning="drying time")
-    temperature: Any = profile(meaning="temperature of the jacket")
-    pressure: Any = profile(meaning="pressure above the cake while it dries")
-    heating_area: Any = quantity('"1.2 m^2"', meaning="heated area that the cake touches")
-    heat_transfer: Any = quantity('"60 W/m^2/K"', meaning="heat transfer to the stirred cake")
-    mass_transfer: Any = quantity(
-        '"7e-10 kg/m^2/s/Pa"', meaning="mass transfer from the crystals' surface"
-    )
-    critical: Any = quantity('"0.03 kg/kg"', meaning="moisture below which the rate falls")
-    heat_capacity: Any = quantity('"1200 J/kg/K"', meaning="heat capacity of the crystals")
-    liquid: dict = Field(description="the table liquid")
+from .tray_dryer import HEAT_TRANSFER, TrayDryer
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +28,19 @@ class Nutsche(Filter):
     """The filter of a filter-dryer; reslurry washes leave (s / (s + W))^n of a solute, s being the
     share of the voids that keeps liquor and W the wash liquid per void volume of each of n."""
 
-    washes: CaseInput | None = None
+    pressure: CaseInput = PRESSURE(
+        "pressure difference of filtration", alias="filter_pressure", range=POSITIVE
+    )
+    wash: Literal["exponential", "dispersion"] = key(
+        choice("reslurry", "dispersion", "exponential"),
+        type=Literal["reslurry", "dispersion", "exponential"],
+    )
+    wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)(
+        "wash liquid per void volume, of a wash"
+    )
+    washes: CaseInput | None = UnitQuantity(range=Range(1.0, 20.0))(
+        "number of reslurry washes", 1.0
+    )
 
     def remaining(self, inputs):
         if self.efficiency is not None or self.peclet is not None:
@@ -89,16 +63,23 @@ class Nutsche(Filter):
         return LedgerFinish((cake, filtrate, washings), deliver.measures, book)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FilterDryer(TrayDryer):
     """Filters and washes by its `nutsche`, and dries as a tray does, over `duration`."""
 
+    duration: CaseInput = TIME("drying time", example="8 h")
+    temperature: Profile = ABSOLUTE.profile("temperature of the jacket")
+    pressure: Profile = PRESSURE.profile("pressure above the cake while it dries")
+    area: CaseInput = AREA(
+        "heated area that the cake touches", alias="heating_area", example="1.2 m^2"
+    )
+    heat_transfer: CaseInput = HEAT_TRANSFER("heat transfer to the stirred cake")
     nutsche: Nutsche
 
     type = "filter-dryer"
+    more_keys = keys_of(Nutsche)
     variant = ""
     title = "agitated filter-dryer"
-    table = FilterDryerTable
     reacts = False
     symbols = (
         *Filter.symbols,
@@ -109,17 +90,17 @@ class FilterDryer(TrayDryer):
     @classmethod
     def read(cls, read, species):
         table = read.table
-        cake = filtration(read, "filter_pressure")
-        if table.wash != "reslurry" and "washes" in table.model_fields_set:
-            message = f'wash "{table.wash}" has no such key; it belongs to "reslurry"'
-            raise read.section.error("washes", table.washes, message)
-        nutsche = Nutsche(
-            name=read.name,
-            wash="dispersion" if table.wash == "dispersion" else "exponential",
-            washes=read.number("washes", "1", WASHES) if table.wash == "reslurry" else None,
-            **cake,
-        )
-        return cls(name=read.name, nutsche=nutsche, **drying(read, "heating_area"))
+        check_wash(read)
+        numbers = values(Nutsche, read)
+        if table.wash != "reslurry":
+            if "washes" in table.model_fields_set:
+                message = f'wash "{table.wash}" has no such key; it belongs to "reslurry"'
+                raise read.section.error("washes", read.raw["washes"], message)
+            numbers["washes"] = None
+        else:
+            numbers["wash"] = "exponential"
+        nutsche = Nutsche(name=read.name, **numbers)
+        return cls(name=read.name, nutsche=nutsche, **values(cls, read))
 
     @property
     def inlets(self):

@@ -2,28 +2,27 @@
 
 The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
 Henry's law. Either its concentration is a state of its own, or it follows at every moment from
-what enters being what reacts (a reaction slow against kL a makes that wrong at the start alone).
+what enters being what reacts (a reaction slow against kL a makes that wrong only at the start).
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.fields import TextKey, profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, TEMPERATURE
+from ..read.declared import ABSOLUTE, ENERGY, PRESSURE, RATE, TIME, UnitQuantity, key, species_key
+from ..read.numbers import POSITIVE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
 from .operation import Inlet, Timed
@@ -32,46 +31,31 @@ from .reactor import extended
 NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
 
 
-class HydrogenationTable(CaseTable):
-    """`type = "hydrogenation"`"""
-
-    type: Literal["hydrogenation"]
-    duration: Any = quantity('"3 h"', meaning="reaction time")
-    temperature: Any = profile(meaning="temperature of the reactor")
-    gas: TextKey = Field(description="the species that is the gas")
-    pressure: Any = profile(meaning="partial pressure of the gas")
-    transfer: Any = quantity('"0.05 1/s"', meaning="kL a of the gas")
-    henry: Any = quantity('"3.4e7 Pa*L/mol"', meaning="Henry's constant at the reference")
-    enthalpy: Any = quantity('"5 kJ/mol"', "0 J/mol", meaning="enthalpy of dissolution of the gas")
-    reference: Any = quantity('"298.15 K"', "298.15 K", meaning="temperature of Henry's constant")
-    dissolved: Literal["dynamic", "pseudo-steady"] = word(
-        "dynamic", "pseudo-steady", default="dynamic"
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Hydrogenation(Timed):
     """Batch of liquid under a gas.
 
-    - `temperature`: profile in K; `gas`: number of the species; `pressure`: profile in Pa.
-    - `transfer`: kL a, 1/s; `henry`: He = p / c* at `reference` K, Pa m3/kmol; `enthalpy`: of
-      dissolution, J/mol, so that c* falls with temperature where it is below 0; each index [].
-    - `dissolved`: "dynamic" or "pseudo-steady".
+    `henry`: He = p / c* at `reference`; `enthalpy`: of dissolution, so that c* falls with
+    temperature where it is below 0.
     """
 
-    temperature: Profile
-    gas: int
-    pressure: Profile
-    transfer: CaseInput
-    henry: CaseInput
-    enthalpy: CaseInput
-    reference: float
-    dissolved: Literal["dynamic", "pseudo-steady"]
+    duration: CaseInput = TIME("reaction time", example="3 h")
+    temperature: Profile = ABSOLUTE.profile("temperature of the reactor")
+    gas: int = species_key("the species that is the gas")
+    pressure: Profile = PRESSURE.profile("partial pressure of the gas")
+    transfer: CaseInput = RATE("kL a of the gas", range=POSITIVE, example="0.05 1/s")
+    henry: CaseInput = UnitQuantity("Pa*m3/kmol", POSITIVE, example="3.4e7 Pa*L/mol")(
+        "Henry's constant at the reference"
+    )
+    enthalpy: CaseInput = ENERGY(
+        "enthalpy of dissolution of the gas", "0 J/mol", example="5 kJ/mol"
+    )
+    reference: float = ABSOLUTE.number("temperature of Henry's constant", "298.15 K")
+    dissolved: Literal["dynamic", "pseudo-steady"] = key(choice("dynamic", "pseudo-steady"))
 
     type = "hydrogenation"
     variant = ""
     title = "hydrogenation"
-    table = HydrogenationTable
     reacts = True
     symbols = (
         ("c", "concentration"),
@@ -84,21 +68,6 @@ class Hydrogenation(Timed):
     assumptions = (
         "The gas is pure or its partial pressure is known; the liquid keeps its volume.",
     )
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(
-            name=read.name,
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            gas=species.index(read.one_of("gas", species, "species")),
-            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
-            transfer=read.number("transfer", "1/s", POSITIVE),
-            henry=read.number("henry", "Pa*m3/kmol", POSITIVE),
-            enthalpy=read.number("enthalpy", "J/mol"),
-            reference=read.plain("reference", "K", TEMPERATURE),
-            dissolved=read.table.dissolved,
-        )
 
     @property
     def inlets(self):

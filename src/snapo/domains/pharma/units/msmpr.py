@@ -17,7 +17,7 @@ follow: the outlet is then no number.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,50 +26,36 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS, Grid, Sizes
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import MOMENTS
 from ..given import fixed, use
-from ..read.fields import TextKey, number, quantity, word
-from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
+from ..read.declared import (
+    ABSOLUTE,
+    CONCENTRATION,
+    CRYSTALS,
+    POWER,
+    SHAPE,
+    VOLUME,
+    UnitQuantity,
+    inner,
+    key,
+    species_key,
+    values,
+)
+from ..read.numbers import POSITIVE, SHARE
 from .crystals.population import SIZE, cell_powers, mean_sizes
 from .crystals.sizes import SizesTable, halved, read_edges
-from .crystals.solubility import Solubility, SolubilityTable, read_solubility, solubility
+from .crystals.solubility import Solubility, solubility
 from .operation import Inlet, Instant
 
 ROUNDS = 60  # of bisection: to the last digit
 EDGE = 1e-12  # how far inside the supersaturation of the feed the search begins and ends
 
 
-class MsmprTable(CaseTable):
-    """`type = "msmpr"`"""
-
-    type: Literal["msmpr"]
-    solute: TextKey = Field(description="the name of a species")
-    volume: Any = quantity('"10 L"', meaning="volume of the suspension")
-    temperature: Any = quantity('"283 K"', meaning="temperature of the crystalliser")
-    solubility: dict = Field(description="the table solubility")
-    growth: Any = quantity('"5 um/s"', meaning="growth at a supersaturation of 1")
-    growth_order: Any = number(default=1.0, meaning="order of growth")
-    nucleation: Any = quantity('"1e7 1/m^3/s"', meaning="nucleation at the reference")
-    reference_growth: Any = quantity('"0.1 um/s"', meaning="growth to which nucleation refers")
-    reference_suspension: Any = quantity(
-        '"20 kg/m^3"', meaning="suspended crystals to which nucleation refers"
-    )
-    growth_power: Any = number(default=1.0, meaning="power of growth in nucleation")
-    suspension_power: Any = number(
-        "a share from 0 to 1", 1.0, "power of the suspended crystals in nucleation"
-    )
-    shape: Any = number(
-        "a number above 0, such as 0.5236", meaning="volume of a crystal per size^3"
-    )
-    density: Any = quantity('"1200 kg/m^3"', meaning="density of crystals")
-    basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
-    sizes: dict | None = Field(None, description="the table sizes")
-
-
+GROWTH = UnitQuantity("m/s", POSITIVE, example="5 um/s")
 BALANCE = {
     "solution": "(1 − M_T,in/ρ) (c_in − c)/(1 − c/ρ), c per volume of solution",
     "suspension": "c_in − c, c per volume of suspension",
@@ -89,33 +75,35 @@ class Steady(NamedTuple):
 class Msmpr(Instant):
     """Continuous crystalliser of `volume` m3, fed evenly over its feed's duration.
 
-    - `solute`: species; `temperature`: K; `shape`: kv, "1"; `density`: kg/m3.
-    - `growth`: m/s, `growth_order`; `nucleation`: 1/m3/s at `reference_growth` m/s and
-      `reference_suspension` kg/m3, with the powers i and j. Every number has index [].
+    - `nucleation`: at `reference_growth` and `reference_suspension`, with the powers i and j.
     - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
     - `basis`: of concentrations, as of a batch crystalliser.
     """
 
-    solute: str
-    volume: CaseInput
-    temperature: CaseInput
-    solubility: Solubility
-    growth: CaseInput
-    growth_order: CaseInput
-    nucleation: CaseInput
-    reference_growth: CaseInput
-    reference_suspension: CaseInput
-    growth_power: CaseInput
-    suspension_power: CaseInput
-    shape: CaseInput
-    density: CaseInput
-    edges: np.ndarray | None
-    basis: Literal["solution", "suspension"] = "solution"
+    solute: str = species_key("the name of a species")
+    volume: CaseInput = VOLUME("volume of the suspension")
+    temperature: CaseInput = ABSOLUTE("temperature of the crystalliser", example="283 K")
+    solubility: Solubility = inner(Solubility)
+    growth: CaseInput = GROWTH("growth at a supersaturation of 1")
+    growth_order: CaseInput = POWER("order of growth", 1.0, range=POSITIVE)
+    nucleation: CaseInput = UnitQuantity("1/m3/s", POSITIVE, example="1e7 1/m^3/s")(
+        "nucleation at the reference"
+    )
+    reference_growth: CaseInput = GROWTH("growth to which nucleation refers", example="0.1 um/s")
+    reference_suspension: CaseInput = CONCENTRATION("suspended crystals to which nucleation refers")
+    growth_power: CaseInput = POWER("power of growth in nucleation", 1.0)
+    suspension_power: CaseInput = POWER(
+        "power of the suspended crystals in nucleation", 1.0, range=SHARE
+    )
+    shape: CaseInput = SHAPE("volume of a crystal per size^3")
+    density: CaseInput = CRYSTALS("density of crystals")
+    edges: np.ndarray | None = None
+    basis: Literal["solution", "suspension"] = key(choice("solution", "suspension"))
 
     type = "msmpr"
+    more_keys: ClassVar = {"sizes": (dict | None, Field(None, description="the table sizes"))}
     variant = ""
     title = "continuous crystalliser"
-    table = MsmprTable
     reacts = False
     symbols = (
         ("τ", "residence time"),
@@ -127,25 +115,9 @@ class Msmpr(Instant):
 
     @classmethod
     def read(cls, read, species):
-        grid = None if read.table.sizes is None else read.inner("sizes", SizesTable)
-        return cls(
-            name=read.name,
-            solute=read.one_of("solute", species, "species"),
-            volume=read.number("volume", "m3", POSITIVE),
-            temperature=read.number("temperature", "K", POSITIVE),
-            solubility=read_solubility(read.inner("solubility", SolubilityTable)),
-            growth=read.number("growth", "m/s", POSITIVE),
-            growth_order=read.number("growth_order", "1", POSITIVE),
-            nucleation=read.number("nucleation", "1/m3/s", POSITIVE),
-            reference_growth=read.number("reference_growth", "m/s", POSITIVE),
-            reference_suspension=read.number("reference_suspension", "kg/m3", POSITIVE),
-            growth_power=read.number("growth_power", "1", NOT_NEGATIVE),
-            suspension_power=read.number("suspension_power", "1", SHARE),
-            shape=read.number("shape", "1", POSITIVE),
-            density=read.number("density", "kg/m3", DENSITY),
-            edges=None if grid is None else read_edges(grid),
-            basis=read.table.basis,
-        )
+        sized = read.table.sizes is not None
+        edges = read_edges(read.inner("sizes", SizesTable)) if sized else None
+        return cls(name=read.name, edges=edges, **values(cls, read, species))
 
     @property
     def inlets(self):

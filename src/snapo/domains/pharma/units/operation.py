@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.grid import Grid, Sizes
 from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.network import FlowNetwork
 from ..flowsheet.stream import Stream
+from ..read.declared import TableOf, values
 from ..read.reader import Reader
 from ..time.defect import too_long
 from ..time.dynamics import Dynamics, Track
@@ -30,13 +30,11 @@ from ..time.integrate import ended, integrate
 from ..time.numerics import Numerics
 from ..time.profile import Profile
 
-TableType = type[CaseTable]
-
 
 class Inlet(NamedTuple):
     """A port that must be fed, by exactly one connection.
 
-    - `crystals`: "refused" where the unit takes liquids alone; "needed"; "counted" where they are
+    - `crystals`: "refused" where the unit takes only liquids; "needed"; "counted" where they are
       needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
     - `dosed`: the shape over time in which the unit takes its inlet in; None for all at the start
       or evenly.
@@ -70,7 +68,8 @@ class Unit(ABC):
 
     - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
       classes of one type, else "". `title`: its name in the report.
-    - `table`: `[units.NAME]`. `reacts`: whether it reads the case's reactions.
+    - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
+      the case's reactions.
     - `symbols`: of the equations, each with its meaning; `assumptions`: sentences for the report.
     """
 
@@ -79,15 +78,23 @@ class Unit(ABC):
     type: ClassVar[str]
     variant: ClassVar[str]
     title: ClassVar[str]
-    table: ClassVar[TableType]
+    table = TableOf()
+    more_keys: ClassVar[dict[str, Any]] = {}
     reacts: ClassVar[bool]
     symbols: ClassVar[tuple[tuple[str, str], ...]]
     assumptions: ClassVar[tuple[str, ...]]
 
+    def __init_subclass__(cls):
+        super().__init_subclass__()
+        if "type" in vars(cls):
+            kind = getattr(cls, "variant", "")
+            cls.heading = f'`type = "{cls.type}"`' + (f', `kind = "{kind}"`' if kind else "")
+            cls.more_keys = {"type": (Literal[cls.type], ...)} | vars(cls).get("more_keys", {})
+
     @classmethod
-    @abstractmethod
     def read(cls, read: Reader, species: tuple[str, ...]) -> Self:
         """The unit from its table; mistakes are `CaseError`s."""
+        return cls(name=read.name, **values(cls, read, species))
 
     @property
     @abstractmethod
@@ -173,7 +180,7 @@ class Timed(Unit):
         return False
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
-        """1/s: a bound on the rates at which its states answer, from the numbers of the case alone,
+        """1/s: a bound on the rates at which its states answer, from the numbers of the case only,
         where `feeds` are all that enters; infinite where there is none."""
         return inf
 

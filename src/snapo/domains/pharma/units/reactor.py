@@ -3,50 +3,31 @@
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are what is
 integrated, and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction.
 Stirred and plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred
-tank has one, and what left the last. With a jacket the heat at a point is a state beside.
+tank has one, and what left the last. With a jacket the heat at a point is a further state.
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
 from ..flowsheet.stream import Stream, clear
 from ..given import use
-from ..read.fields import profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.declared import ABSOLUTE, FLOW, TIME, VOLUME, inner, key
+from ..read.fields import whole
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile, flow_of, mean_value
 from .operation import Inlet, Timed
-from .reactors.jacket import Jacket, JacketTable, read_jacket
+from .reactors.jacket import Jacket
 from .reactors.length import ELEMENTS, POINTS, Along
-
-
-class ReactorTable(CaseTable):
-    """`type = "reactor"`"""
-
-    type: Literal["reactor"]
-    kind: Literal["batch", "semi-batch", "stirred", "plug-flow"] = word(
-        "batch", "semi-batch", "stirred", "plug-flow", default="batch"
-    )
-    duration: Any = quantity('"3600 s"', meaning="reaction time")
-    temperature: Any = profile(meaning="temperature of the reactor")
-    volume: Any = quantity('"10 L"', None, meaning="volume of the reactor")
-    dosing: Any = profile(None, meaning="flow that is dosed")
-    jacket: dict | None = Field(None, description="the table jacket")
-    cells: Annotated[int, Field(ge=1, le=1000)] | None = Field(
-        None, description="a whole number, 1 or more"
-    )
-    filled: Literal["feed", "solvent"] = word("feed", "solvent", default="feed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +38,26 @@ class Reactor(Timed):
       the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (residence time V / flow;
       `cells` stirred tanks in series, None for a tube without mixing along it, of so many
       `elements`). A continuous reactor ends with its feed at the latest.
-    - `filled`: the content of a continuous reactor at the start: its feed, or the solvent alone.
+    - `filled`: the content of a continuous reactor at the start: its feed, or only the solvent.
     - Continuous kinds deliver what left the outlet, mixed, over the duration.
-    - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
+    - `temperature`: where there is a `jacket`, its first value is where it starts.
     """
 
-    kind: Literal["batch", "semi-batch", "stirred", "plug-flow"]
-    temperature: Profile
-    volume: CaseInput | None
-    dosing: Profile | None
-    jacket: Jacket | None
-    cells: int | None
-    filled: Literal["feed", "solvent"] = "feed"
+    duration: CaseInput = TIME("reaction time")
+    kind: Literal["batch", "semi-batch", "stirred", "plug-flow"] = key(
+        choice("batch", "semi-batch", "stirred", "plug-flow")
+    )
+    temperature: Profile = ABSOLUTE.profile("temperature of the reactor")
+    volume: CaseInput | None = VOLUME("volume of the reactor", None)
+    dosing: Profile | None = FLOW.profile("flow that is dosed", None)
+    jacket: Jacket | None = inner(Jacket, None)
+    cells: int | None = key(whole(1, 1000, default=None))
+    filled: Literal["feed", "solvent"] = key(choice("feed", "solvent"))
     elements: int = ELEMENTS
 
     type = "reactor"
     variant = ""
     title = "reactor"
-    table = ReactorTable
     reacts = True
     symbols = (
         ("c", "concentration"),
@@ -98,17 +81,7 @@ class Reactor(Timed):
         if table.kind not in ("stirred", "plug-flow") and "filled" in table.model_fields_set:
             message = f'kind "{table.kind}" has no such key; it belongs to "stirred" or "plug-flow"'
             raise read.section.error("filled", table.filled, message)
-        return cls(
-            name=read.name,
-            kind=table.kind,
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            volume=read.optional("volume", "m3", POSITIVE),
-            dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
-            jacket=None if table.jacket is None else read_jacket(read.inner("jacket", JacketTable)),
-            cells=table.cells,
-            filled=table.filled,
-        )
+        return super().read(read, species)
 
     @property
     def inlets(self):

@@ -58,7 +58,7 @@ def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
         missing = sorted(getattr(operation, "__abstractmethods__", ()))
         missing += [name for name in MEMBERS if not hasattr(operation, name)]
         if missing or inspect.isabstract(operation):
-            raise TypeError(f"The unit operation {operation.__name__} lacks {', '.join(missing)}.")
+            raise TypeError(f"The unit operation {operation.__name__} has no {', '.join(missing)}.")
         variants = table.setdefault(operation.type, {})
         if operation.variant in variants or (variants and "" in (operation.variant, *variants)):
             raise TypeError(
@@ -87,8 +87,8 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
         hint = suggest(str(kind), TYPES, "type")
         raise section.error("type", kind, f"allowed is one of {text}; {hint}")
     selected = _variant(section, raw, TYPES[kind])
-    table = parse(selected.table, raw, str(file), section.name)
-    return selected.read(Reader(section, name, table), species)
+    table = parse(selected.table, raw, str(file), section.name, notes)
+    return selected.read(Reader(section, name, table, raw), species)
 
 
 def _variant(section: TableContext, raw: dict, variants: Variants) -> type[Unit]:

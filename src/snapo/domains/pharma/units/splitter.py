@@ -1,13 +1,12 @@
 """Splitter: a stream taken apart."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
@@ -22,16 +21,6 @@ EXTENSIVE = (
 )  # fmt: skip
 
 
-class SplitterTable(CaseTable):
-    """`type = "splitter"`"""
-
-    type: Literal["splitter"]
-    outlets: Annotated[list[TextKey], Field(min_length=2)] = Field(
-        description='a list of two names or more, such as ["left", "right"]'
-    )
-    share: Any = Field(description="shares of all outlets but the last, from 0 to 1")
-
-
 @dataclass(frozen=True, eq=False)
 class Splitter(Instant):
     """Divides a stream into one for each of `ports`, in the shares given.
@@ -43,9 +32,15 @@ class Splitter(Instant):
     share: CaseInput
 
     type = "splitter"
+    more_keys: ClassVar = {
+        "outlets": (
+            list[TextKey],
+            Field(min_length=2, description='two names or more, such as ["left", "right"]'),
+        ),
+        "share": (Any, Field(description="shares of all outlets but the last, from 0 to 1")),
+    }
     variant = ""
     title = "splitter"
-    table = SplitterTable
     reacts = False
     symbols = ()
     assumptions = ()

@@ -1,26 +1,17 @@
 """Tank: streams put together."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array
 from pydantic import Field
-
-from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import together
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import Stream
 from ..read.fields import Texts
 from .operation import Inlet, Instant
-
-
-class TankTable(CaseTable):
-    """`type = "tank"`"""
-
-    type: Literal["tank"]
-    inlets: Texts = Field(description='a list of names, such as ["first", "second"]')
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +21,11 @@ class Tank(Instant):
     ports: tuple[str, ...]
 
     type = "tank"
+    more_keys: ClassVar = {
+        "inlets": (Texts, Field(description='a list of names, such as ["first", "second"]'))
+    }
     variant = ""
     title = "tank"
-    table = TankTable
     reacts = False
     symbols = ()
     assumptions = ()

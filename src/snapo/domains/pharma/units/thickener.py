@@ -1,46 +1,32 @@
 """Thickener: crystals and liquor of a flow taken apart, as by a clarifier or a hydrocyclone."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.fields import number
+from ..read.declared import UnitQuantity
 from ..read.numbers import INSIDE
 from .operation import Inlet, Instant
 
 
-class ThickenerTable(CaseTable):
-    """`type = "thickener"`"""
-
-    type: Literal["thickener"]
-    underflow: Any = number(
-        "a share between 0 and 1", meaning="share of the liquor that stays with the crystals"
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Thickener(Instant):
-    """All crystals leave with the share `underflow`, index [], of the liquor; the rest is clear."""
+    """All crystals leave with the share `underflow` of the liquor; the rest is clear."""
 
-    underflow: CaseInput
+    underflow: CaseInput = UnitQuantity(range=INSIDE)(
+        "share of the liquor that stays with the crystals"
+    )
 
     type = "thickener"
     variant = ""
     title = "thickener"
-    table = ThickenerTable
     reacts = False
     symbols = ()
     assumptions = ("The overflow of a thickener is clear, whatever the sizes of the crystals.",)
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(read.name, read.number("underflow", "1", INSIDE))
 
     @property
     def inlets(self):

@@ -12,7 +12,7 @@ cake, from the shelf and into the vapour, so that energy closes to rounding.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,16 +20,16 @@ from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.stream import clear
 from ..given import use
-from ..read.fields import TextKey, profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, ZERO_CELSIUS, case_input
+from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
+from ..read.fields import TextKey
+from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, positions
 from ..read.quantities import UnitError, conversion
-from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
 from .crystals.population import mean_sizes
@@ -39,94 +39,84 @@ SHARPNESS = 8  # of the passage from constant to falling rate
 ROUNDING = 1e-4  # of where evaporation begins, as a share of the pressure above the cake
 
 
-class LiquidTable(CaseTable):
-    """`[units.NAME.liquid]`"""
-
-    antoine: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
-        description="three numbers, such as [9.23027, 1256.68, -40.529]"
-    )
-    unit: TextKey = Field("Pa", description='a unit such as "Pa"')
-    scale: Literal["K", "degC"] = word("K", "degC", default="K")
-    latent_heat: Any = quantity('"448 kJ/kg"', meaning="latent heat of the liquid")
-    heat_capacity: Any = quantity('"1720 J/kg/K"', meaning="heat capacity of the liquid")
+HEAT_TRANSFER = UnitQuantity("W/m2/K", POSITIVE, example="20 W/m^2/K")
+HEAT_CAPACITY = UnitQuantity("J/kg/K", POSITIVE, example="1200 J/kg/K")
 
 
 @dataclass(frozen=True, eq=False)
-class Liquid:
+class Liquid(TableRecord):
     """The liquid in a cake. ln p = ln(10) (A - B / (C + T)) in Pa with T in K (Antoine).
 
-    `antoine`: (A, B, C), index [3]; `latent_heat`: J/kg; `heat_capacity`: J/kg/K; each index [].
+    `antoine`: (A, B, C), index [3].
     """
 
     antoine: CaseInput
-    latent_heat: CaseInput
-    heat_capacity: CaseInput
+    latent_heat: CaseInput = UnitQuantity("J/kg", POSITIVE, example="448 kJ/kg")(
+        "latent heat of the liquid"
+    )
+    heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the liquid")
 
-
-def read_liquid(read: Reader) -> Liquid:
-    """Antoine's numbers for Pa and K, from those of the case's units."""
-    table = read.table
-    try:
-        scale = conversion(table.unit, "Pa").scale
-    except UnitError as error:
-        raise read.section.error("unit", table.unit, str(error)) from None
-    a, b, c = table.antoine
-    if b <= 0:
-        message = "allowed is B above 0: vapour pressure rises with temperature"
-        raise read.section.error("antoine", table.antoine, message)
-    values = np.array([a + np.log10(scale), b, c - (ZERO_CELSIUS if table.scale == "degC" else 0)])
-    name = f"{read.name}.antoine"
-    return Liquid(
-        antoine=case_input(
-            name, values, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation"
+    heading = "`[units.NAME.liquid]`"
+    more_keys: ClassVar = {
+        "antoine": (
+            list[float],
+            Field(
+                min_length=3,
+                max_length=3,
+                description="three numbers, such as [9.23027, 1256.68, -40.529]",
+            ),
         ),
-        latent_heat=read.number("latent_heat", "J/kg", POSITIVE),
-        heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
-    )
+        "unit": (TextKey, Field("Pa", description='a unit such as "Pa"')),
+        "scale": (Literal["K", "degC"], choice("K", "degC")),
+    }
 
-
-class TrayDryerTable(CaseTable):
-    """`type = "dryer"`, `kind = "tray"`"""
-
-    type: Literal["dryer"]
-    kind: Literal["tray"] = word("falling-rate", "tray")
-    duration: Any = quantity('"3 h"', meaning="drying time")
-    temperature: Any = profile(meaning="temperature of the shelf")
-    pressure: Any = profile(meaning="pressure above the cake")
-    area: Any = quantity('"0.5 m^2"', meaning="area of the shelf")
-    heat_transfer: Any = quantity('"20 W/m^2/K"', meaning="heat transfer from shelf to cake")
-    mass_transfer: Any = quantity(
-        '"7e-10 kg/m^2/s/Pa"', meaning="mass transfer from the crystals' surface"
-    )
-    critical: Any = quantity('"0.03 kg/kg"', meaning="moisture below which the rate falls")
-    heat_capacity: Any = quantity('"1200 J/kg/K"', meaning="heat capacity of the crystals")
-    liquid: dict = Field(description="the table liquid")
+    @classmethod
+    def read(cls, read):
+        """Antoine's numbers for Pa and K, from those of the case's units."""
+        table = read.table
+        try:
+            scale = conversion(table.unit, "Pa").scale
+        except UnitError as error:
+            raise read.section.error("unit", table.unit, str(error)) from None
+        a, b, c = table.antoine
+        if b <= 0:
+            message = "allowed is B above 0: vapour pressure rises with temperature"
+            raise read.section.error("antoine", table.antoine, message)
+        zero = ZERO_CELSIUS if table.scale == "degC" else 0
+        numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"
+        where = positions(read.section, "antoine", table.antoine, "1")
+        antoine = case_input(
+            name, numbers, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation",
+            positions=where if scale == 1 and zero == 0 else (),
+        )  # fmt: skip
+        return cls(antoine=antoine, **values(cls, read))
 
 
 @dataclass(frozen=True, eq=False)
 class TrayDryer(Timed):
     """Dryer on a heated shelf under vacuum, its cake ideally mixed.
 
-    - `temperature`: of the shelf, K; `pressure`: above the cake, Pa; profiles.
-    - `area`: of the shelf, m2; `heat_transfer`: from shelf to cake, W/m2/K; `mass_transfer`: from
-      the crystals' surface, kg/m2/s/Pa; each index [].
-    - `critical`: moisture in kg/kg of crystals below which the rate falls; `heat_capacity`: of
-      crystals, J/kg/K; each index [].
+    `critical`: of the crystals' moisture; below it the surface is no longer wet.
     """
 
-    temperature: Profile
-    pressure: Profile
-    area: CaseInput
-    heat_transfer: CaseInput
-    mass_transfer: CaseInput
-    critical: CaseInput
-    heat_capacity: CaseInput
-    liquid: Liquid
+    duration: CaseInput = TIME("drying time", example="3 h")
+    temperature: Profile = ABSOLUTE.profile("temperature of the shelf")
+    pressure: Profile = PRESSURE.profile("pressure above the cake")
+    area: CaseInput = AREA("area of the shelf")
+    heat_transfer: CaseInput = HEAT_TRANSFER("heat transfer from shelf to cake")
+    mass_transfer: CaseInput = UnitQuantity("kg/m2/s/Pa", POSITIVE, example="7e-10 kg/m^2/s/Pa")(
+        "mass transfer from the crystals' surface"
+    )
+    critical: CaseInput = UnitQuantity(range=POSITIVE, example="0.03 kg/kg")(
+        "moisture below which the rate falls"
+    )
+    heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the crystals")
+    liquid: Liquid = inner(Liquid)
 
     type = "dryer"
+    more_keys: ClassVar = {"kind": (Literal["tray"], Field(description='"falling-rate" or "tray"'))}
     variant = "tray"
     title = "tray dryer"
-    table = TrayDryerTable
     reacts = False
     symbols = (
         ("X", "solvent per crystals"),
@@ -138,10 +128,6 @@ class TrayDryer(Timed):
         ("λ", "latent heat"),
     )
     assumptions = ()
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(name=read.name, **drying(read, "area"))
 
     @property
     def inlets(self):
@@ -252,18 +238,3 @@ def evaporating(excess, pressure) -> Array:
     """The positive part of f p_v - p, rounded over a small share of p; exact in vacuum."""
     # The constant keeps the square root's derivative finite where both are zero.
     return (excess + jnp.sqrt(excess**2 + (2 * ROUNDING * pressure) ** 2 + 1e-30)) / 2
-
-
-def drying(read, area: str) -> dict[str, Any]:
-    """The numbers of a `TrayDryer` from its table, the heated area under this key."""
-    return {
-        "duration": read.number("duration", "s", POSITIVE),
-        "temperature": read.profile("temperature", "K"),
-        "pressure": read.profile("pressure", "Pa", NOT_NEGATIVE),
-        "area": read.number(area, "m2", POSITIVE),
-        "heat_transfer": read.number("heat_transfer", "W/m2/K", POSITIVE),
-        "mass_transfer": read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
-        "critical": read.number("critical", "1", POSITIVE),
-        "heat_capacity": read.number("heat_capacity", "J/kg/K", POSITIVE),
-        "liquid": read_liquid(read.inner("liquid", LiquidTable)),
-    }

@@ -5,68 +5,48 @@ volume is b(w | v) = (2 + z) (w / v)^z / v with z = (2 - p) / (p - 1): p = 2 is 
 breakage, and the fragments of one crystal have its weight. Where S is proportional to v and
 p = 2, Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
 
-Cells stand for crystals of their mean volume, and a fragment is shared between the two cells on
+Cells represent crystals of their mean volume, and a fragment is shared between the two cells on
 both sides of it so that number and volume are both kept (Kumar and Ramkrishna, Chemical Engineering
 Science 51, 1311, 1996). So mass closes to rounding on any grid; what is finer than the first cell
-joins it by its volume, and number is lost there alone.
+joins it by its volume, and number is lost only there.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range
 
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..given import fixed, use
-from ..read.fields import number, profile, quantity
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, ValueRange
+from ..read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity
+from ..read.numbers import POSITIVE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
 from .crystals.population import NUMBER, SIZE, UNITS, cell_powers, mean_sizes
 from .crystals.quantiles import QUANTILES, size_measures, size_states
 from .operation import Inlet, Timed
 
-AT_LEAST_TWO = ValueRange(2.0, 100.0, False, "2 or more, and at most 100")
-
-
-class WetMillTable(CaseTable):
-    """`type = "wet-mill"`"""
-
-    type: Literal["wet-mill"]
-    duration: Any = quantity('"30 min"', meaning="milling time")
-    speed: Any = profile(meaning="tip speed of the rotor")
-    rate: Any = quantity('"1e-3 1/s"', meaning="rate of breakage at the reference size and speed")
-    reference_size: Any = quantity('"100 um"', meaning="size to which the rate refers")
-    reference_speed: Any = quantity('"20 m/s"', meaning="speed to which the rate refers")
-    size_power: Any = number("a number, 0 or more", 3.0, "power of the size in the rate")
-    speed_power: Any = number("a number, 0 or more", 2.0, "power of the speed in the rate")
-    fragments: Any = number("a number, 2 or more", 2.0, "mean number of fragments")
-
 
 @dataclass(frozen=True, eq=False)
 class WetMill(Timed):
-    """Breakage at S = rate (L / reference_size)^size_power (speed / reference_speed)^speed_power.
+    """Breakage at S = `rate` (L / `reference_size`)^`size_power` (`speed` / `reference_speed`) to
+    the power of `speed_power`."""
 
-    `speed`: profile in m/s; `rate`: 1/s; `reference_size`: m; `reference_speed`: m/s; the powers
-    and the mean number of `fragments`: "1"; each but the profile index [].
-    """
-
-    speed: Profile
-    rate: CaseInput
-    reference_size: CaseInput
-    reference_speed: CaseInput
-    size_power: CaseInput
-    speed_power: CaseInput
-    fragments: CaseInput
+    duration: CaseInput = TIME("milling time", example="30 min")
+    speed: Profile = SPEED.profile("tip speed of the rotor")
+    rate: CaseInput = RATE("rate of breakage at the reference size and speed", example="1e-3 1/s")
+    reference_size: CaseInput = LENGTH("size to which the rate refers", example="100 um")
+    reference_speed: CaseInput = SPEED("speed to which the rate refers", range=POSITIVE)
+    size_power: CaseInput = POWER("power of the size in the rate", 3.0)
+    speed_power: CaseInput = POWER("power of the speed in the rate", 2.0)
+    fragments: CaseInput = UnitQuantity(range=Range(2.0, 100.0))("mean number of fragments", 2.0)
 
     type = "wet-mill"
     variant = ""
     title = "wet mill"
-    table = WetMillTable
     reacts = False
     symbols = (
         ("L, v", "size and volume of a crystal"),
@@ -76,20 +56,6 @@ class WetMill(Timed):
         ("b", "fragments of a crystal"),
     )
     assumptions = ("In a mill crystals neither grow nor dissolve, and the slurry keeps its heat.",)
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(
-            name=read.name,
-            duration=read.number("duration", "s", POSITIVE),
-            speed=read.profile("speed", "m/s", NOT_NEGATIVE),
-            rate=read.number("rate", "1/s", NOT_NEGATIVE),
-            reference_size=read.number("reference_size", "m", POSITIVE),
-            reference_speed=read.number("reference_speed", "m/s", POSITIVE),
-            size_power=read.number("size_power", "1", NOT_NEGATIVE),
-            speed_power=read.number("speed_power", "1", NOT_NEGATIVE),
-            fragments=read.number("fragments", "1", AT_LEAST_TWO),
-        )
 
     @property
     def inlets(self):

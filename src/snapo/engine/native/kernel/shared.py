@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from snapo.lanes.body import operations
-from snapo.lanes.emit.shared import Shared
-from snapo.lanes.emit.storage import ArrayPlace, Small
+from snapo.lanes import body
+from snapo.lanes.emit.storage import ArrayPlace, Shared, Small
 from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.gradients.adding import add
 from snapo.lanes.program.cut import Leaf, Piece
-from snapo.lanes.program.joint import forward, joint
+from snapo.lanes.program.flatten import forward, joint
 from snapo.lanes.program.passes import optimize
 from snapo.lanes.program.program import Op, Program, ProgramValue
 
@@ -18,7 +17,7 @@ from .context import Build, Function, field
 def bind(
     values: EmittedValues, program: Program, piece: Piece, tables: Shared, fixed: bool
 ) -> None:
-    """Tells where everything lies that a piece reads; tables do not change where `fixed`."""
+    """Binds the positions of all that a piece reads; tables do not change where `fixed`."""
     for value, leaf in zip(program.inputs, piece.reads):
         values.bind(value, tables.address(leaf, fixed))
 
@@ -50,11 +49,11 @@ def _computed(
         homes.setdefault(value, tables.address(leaf))
     values = EmittedValues(function.code, build.workspace(), homes)
     bind(values, program, piece, tables, fixed=False)
-    operations.write(values, program.ops, program.outputs)
+    body.write(values, program.ops, program.outputs)
     for value, leaf in zip(program.outputs, leaves):
-        position = tables.address(leaf)
-        if homes[value].offset != position.offset or value.constant is not None:
-            values.copy(value, position)
+        array = tables.address(leaf)
+        if homes[value].offset != array.offset or value.constant is not None:
+            values.copy(value, array)
     build.used(values.workspace)
 
 
@@ -76,7 +75,7 @@ def finish(build: Build) -> None:
 def _transposed(
     build: Build, function: Function, piece: Piece, leaves: list[Leaf], tables: Shared, sums: Shared
 ) -> None:
-    """The sums of a piece's outputs taken back to the piece's inputs."""
+    """The sums of a piece's outputs, transposed to the piece's inputs."""
     moving = [i for i, leaf in enumerate(leaves) if leaf.active]
     if not moving:
         return
@@ -87,7 +86,7 @@ def _transposed(
     bind(values, program, piece, tables, fixed=True)
     for value, i in zip(program.inputs[len(piece.reads) :], moving):
         values.bind(value, _narrowed(values, sums.address(leaves[i]), value))
-    operations.write(values, program.ops, program.outputs)
+    body.write(values, program.ops, program.outputs)
     for value, slot in zip(program.outputs, both.read_slots):
         add(values, value, sums.address(piece.reads[slot]))
     build.used(values.workspace)
@@ -102,5 +101,5 @@ def _narrowed(
     wide = ProgramValue(value.shape, np.dtype(np.float64))
     values.bind(wide, position)
     narrow = Op("convert_element_type", [wide], [value], {"new_dtype": value.dtype})
-    operations.write(values, [narrow], [value])
+    body.write(values, [narrow], [value])
     return values.get(value)

@@ -10,8 +10,7 @@ from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.program.program import Program, ProgramValue
 
 from ..rollout import Phase
-from .context import Build, Function, field
-from .layouts import TAPES
+from .context import TAPES, Build, Function, field
 from .shared import bind
 
 ARGUMENTS = ", i64 %block, i64 %begin, i64 %end, i64 %stride"
@@ -64,7 +63,7 @@ class KernelSweep:
 
 @contextmanager
 def sweep(build: Build, phase: Phase, direction: str) -> Iterator[KernelSweep]:
-    """The function of one sweep; its body is a loop over time, which other phases have none of."""
+    """The function of one sweep; only that of a step has a loop over time."""
     function = build.function(f"{phase.name}_{direction}", ARGUMENTS)
     code = function.code
     if phase.name == "step":

@@ -9,7 +9,7 @@ from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 

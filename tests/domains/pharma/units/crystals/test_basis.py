@@ -42,7 +42,9 @@ def crystallised(**fields):
             plain.solubility, coefficients=series(f"{name}.solubility", [SOLUBLE], "kg/m3")
         ),
         kinetics=kinetics,
-        seed=Seed(number(f"{name}.seed_loading", SEED), number(f"{name}.seed_size", 1e-4), None),
+        seed=Seed(
+            loading=number(f"{name}.seed_loading", SEED), size=number(f"{name}.seed_size", 1e-4)
+        ),
         **fields,
     )
     measures = ("crystalliser.concentration", "crystalliser.crystals", "filter.impurity.D")

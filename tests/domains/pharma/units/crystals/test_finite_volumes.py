@@ -32,10 +32,9 @@ SPREAD, MEAN = 0.3, 60e-6
 
 def seeded(size=MEAN, loading=1.0, name="crystalliser"):
     return Seed(
-        number(f"{name}.seed_loading", loading, "kg/m3"),
-        number(f"{name}.seed_size", size, "m"),
-        None,
-        number(f"{name}.seed_spread", SPREAD),
+        loading=number(f"{name}.seed_loading", loading, "kg/m3"),
+        size=number(f"{name}.seed_size", size, "m"),
+        spread=number(f"{name}.seed_spread", SPREAD),
     )
 
 

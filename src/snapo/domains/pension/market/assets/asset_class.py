@@ -8,8 +8,7 @@ handled together: the class methods take the positions `positions` [k] of a case
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,14 +17,14 @@ from jaxtyping import Array, Float
 from snapo.case.csv import Row
 
 from ...read.cells import position
+from ...records.assets import AssetRow
 from ...records.case import PensionCase
 from ...records.regulation import RISKS
 from ..bonds.payments import Payments, Prices, curve_prices, ratio
 from ..currencies import CurrencyTerms
 from ..factors import MarketFactors, Moments
 
-AttributionPart = Literal["cash", "rates", "credit", "assets"]
-# Columns that not every kind has; `AssetClass.columns` says which of them a kind has.
+# Columns that not every kind has; `AssetClass.columns` lists those of a kind.
 SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")
 
 
@@ -82,40 +81,14 @@ class AssetMixture(NamedTuple):
     log: Array
 
 
-@dataclass(frozen=True)
-class AssetClass(ABC):
-    """One row of the asset table. Exactly one class of a case is cash.
+class AssetClass(AssetRow, ABC):
+    """The behaviour of a kind of classes, which sets the attributes of `AssetRow` and
 
-    - `currency`: position in `PensionCase.currencies`, -1 for the fund's own.
-    - `group`: name of a group, or "". `eligible`: share that counts as collateral, 0 to 1.
-
-    A kind sets:
-
-    - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
-    - `part`: the part of an attribution that its return over cash belongs to.
-    - `collateral`: the share that is eligible where the table is silent.
-    - `risk`: the risk beside rates and spreads that a regulator sees in it where the table is
-      silent, one of `records.regulation.RISKS`; "none" only where there is none.
-    - `linked`: whether its payments follow prices.
-    - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
     """
 
-    kind: ClassVar[str]
-    description: ClassVar[str]
     columns: ClassVar[tuple[str, ...]]
     without: ClassVar[str]
-    part: ClassVar[AttributionPart]
-    risk: ClassVar[str]
-    collateral: ClassVar[float] = 0.0
-    linked: ClassVar[bool] = False
-    own_shock: ClassVar[bool] = False
-    is_cash: ClassVar[bool] = False
-
-    name: str
-    currency: int = -1
-    group: str = ""
-    eligible: float = 0.0
 
     @classmethod
     @abstractmethod
@@ -204,10 +177,11 @@ def register(kind: AnyKind) -> AnyKind:
 
 def by_kind(case: PensionCase) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
     """The kinds that a case holds, in the order of their first class, with the positions."""
-    table: dict[type[AssetClass], list[int]] = {}
+    by_type: dict[type[AssetClass], list[int]] = {}
     for i, class_ in enumerate(case.assets.classes):
-        table.setdefault(type(class_), []).append(i)
-    return [(kind, tuple(positions)) for kind, positions in table.items()]
+        assert isinstance(class_, AssetClass)
+        by_type.setdefault(type(class_), []).append(i)
+    return [(kind, tuple(positions)) for kind, positions in by_type.items()]
 
 
 def in_order(case: PensionCase, parts: Sequence[Array]) -> Array:

@@ -9,10 +9,11 @@ from jaxtyping import Array
 from snapo.case.csv import Row
 
 from ...read.cells import whole_steps
+from ...records.assets import AttributionPart
 from ...records.case import PensionCase
 from ..bonds import constant_maturity
 from ..bonds.payments import Payments, zero_coupon
-from .asset_class import AssetClass, AssetNames, AttributionPart, register
+from .asset_class import AssetClass, AssetNames, register
 
 
 class BondTerms(NamedTuple):

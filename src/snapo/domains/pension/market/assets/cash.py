@@ -5,7 +5,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from .asset_class import AssetClass, AttributionPart, register
+from ...records.assets import AttributionPart
+from .asset_class import AssetClass, register
 
 
 @register

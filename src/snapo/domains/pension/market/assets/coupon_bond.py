@@ -11,10 +11,11 @@ import jax.numpy as jnp
 
 from snapo.case.csv import Row
 
+from ...records.assets import AttributionPart
 from ...records.case import PensionCase
 from ..bonds import strips
 from ..bonds.payments import AT_PAR, Payments, payments
-from .asset_class import AssetNames, AttributionPart, register
+from .asset_class import AssetNames, register
 from .bond import Maturing
 
 PAR = "par"

@@ -12,11 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ...records.assets import AttributionPart
 from ...records.inputs import use
 from ..bonds import constant_maturity
 from ..shocks import slots
 from ..spreads import spread_terms
-from .asset_class import AttributionPart, register
+from .asset_class import register
 from .bond import Maturing
 
 

@@ -1,8 +1,8 @@
 """Index-linked bonds: zero-coupon bonds of constant maturity that pay the price index.
 
-A bond of u years is worth I(t) P_real(t, t + u) in money, where P_real discounts by the real rate
-(R. Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates); its return over a step follows (see
-`constant_maturity`). Indexation is without a lag, the principal without a floor.
+The value of a bond of u years is I(t) P_real(t, t + u) in money, where P_real discounts by the
+real rate (R. Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates); its return over a step
+follows (see `constant_maturity`). Indexation is without a lag, the principal without a floor.
 """
 
 from dataclasses import dataclass

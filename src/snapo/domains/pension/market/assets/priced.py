@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...records.assets import AttributionPart
 from ...records.case import PensionCase
 from ...records.inputs import use
 from ..currencies import of_currency
 from ..shocks import slots
-from .asset_class import AssetClass, AttributionPart, Scene
+from .asset_class import AssetClass, Scene
 
 
 class PricedSteps(NamedTuple):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ...records.case import PensionCase
 from ..curve import log_bond
 
-AT_PAR = np.nan  # the coupon of a bond that is worth its principal when it is bought
+AT_PAR = np.nan  # the coupon of a bond whose value is its principal when it is bought
 
 
 class Payments(NamedTuple):
@@ -50,7 +50,7 @@ def payments(maturity: ArrayLike, coupon: ArrayLike, step: float) -> Payments:
 
 
 def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
-    """The principal alone."""
+    """Only the principal."""
     return payments(maturity, np.zeros(np.shape(maturity)), step)
 
 

@@ -6,26 +6,15 @@ subclass in a file of its own in this folder that names its factors; the names a
 which a case correlates them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self, TypeVar
-
-import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable
 
-from ...read.cells import TableReader, TimeGrid, listed, per_factor, side_by_side, stepwise
-from ...records.said import number, quiet_volatility
-
-MEAN_REVERSION = number(
-    "mean reversion of a factor of the short rate; the curve is fitted again", "model", "1/year"
-)
-VOLATILITY = quiet_volatility("volatility of a factor of the short rate; the curve is fitted again")
-PRICE_OF_RISK = number(
-    "held while the curve moves; higher is a lower premium of long bonds",
-    "premium",
-    "1/sqrt(year)",
-)
+from ...quantities import on_steps, side_by_side
+from ...read.cells import TableReader, TimeGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,28 +49,24 @@ class ShortRate:
     @classmethod
     def read(cls, section: TableReader, table: CaseTable, grid: TimeGrid) -> Self:
         """The numbers of `[rates]`: lists have one per factor; volatilities may change in time."""
-        labels = cls.labels()
-        names = ("volatility", "mean_reversion", "price_of_risk")
-        volatility, reversion, price = (per_factor(section, table, n, cls.count()) for n in names)
-        moving = [stepwise(section, "volatility", item, grid) for item in volatility]
-        return cls(
-            mean_reversion=listed("rate_mean_reversion", reversion, labels, MEAN_REVERSION),
-            volatility=side_by_side("rate_volatility", moving, labels, VOLATILITY),
-            price_of_risk=section.input(
-                table, "price_of_risk", listed("rate_price_of_risk", price, labels, PRICE_OF_RISK)
-            ),
-        )
 
-    @classmethod
-    def at_rest(cls, steps: int) -> Self:
-        """Factors that stand still, for ready-made scenarios, which need no model."""
-        labels, count = cls.labels(), cls.count()
-        index = np.broadcast_to(np.arange(count), (steps, count))
-        return cls(
-            listed("rate_mean_reversion", [0.1] * count, labels, MEAN_REVERSION),
-            VOLATILITY.input("rate_volatility", [0.0] * count, labels, index),
-            listed("rate_price_of_risk", [0.0] * count, labels, PRICE_OF_RISK),
-        )
+        def of_factors(key: str) -> CaseInput:
+            parts = [on_steps(x, grid) if key == "volatility" else x for x in part_of(key)]
+            return side_by_side(f"rate_{key}", parts, cls.labels())
+
+        def part_of(key: str) -> Sequence[CaseInput]:
+            parts, count = getattr(table, key), cls.count()
+            if [part.written for part in parts] == [0.0]:  # one 0 for all factors
+                return parts * count
+            if len(parts) != count:
+                stated = [part.written for part in parts]
+                message = f'kind "{cls.kind}" needs {count} of them, one per factor'
+                raise section.error(key, stated[0] if len(stated) == 1 else stated, message)
+            return parts
+
+        volatility, reversion = of_factors("volatility"), of_factors("mean_reversion")
+        price = section.input(table, "price_of_risk", of_factors("price_of_risk"))
+        return cls(reversion, volatility, price)
 
 
 MODELS: dict[str, type[ShortRate]] = {}

@@ -1,1 +1,1 @@
-"""The figures that an actuary knows already: the model's own beside them."""
+"""The figures that an actuary knows already: next to the model's own."""

@@ -18,7 +18,7 @@ from ...records.case import PensionCase
 from ...records.market import MarketCurve
 from .reconcile import BASIS_POINT, LiabilityFigures
 
-TENORS = (1, 10, 30)  # years at which rates are told
+TENORS = (1, 10, 30)  # years at which rates are reported
 
 
 class Human(NamedTuple):

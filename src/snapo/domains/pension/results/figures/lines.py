@@ -51,7 +51,7 @@ SIZES = ((1e9, " billion"), (1e6, " million"), (1e3, " thousand"))
 
 
 class Examined(NamedTuple):
-    """A case before any simulation: its figures, the reconciliation, and remarks for its owner."""
+    """A case before any simulation: its figures, the reconciliation, and remarks for its user."""
 
     figures: LiabilityFigures
     lines: list[ReconciledFigure]
@@ -196,7 +196,7 @@ def _funding(case: PensionCase) -> list[str]:
     plan = result.recovery
     if plan.deficit:
         message = (
-            f"recovery plan: {readable(plan.probability, currency)} a year for {plan.years:g} years"
+            f"recovery plan: {readable(plan.payment, currency)} a year for {plan.years:g} years"
         )
         summary.append(f"{message} (deficit {readable(plan.deficit, currency)})")
     return summary
@@ -220,7 +220,7 @@ def _by_tenor(values: dict[int, float]) -> str:
 
 
 def readable(amount: float, currency: str) -> str:
-    """Money with four digits and its size in words: "EUR 308.3 million"."""
+    """Money with four digits and its size as text: "EUR 308.3 million"."""
     size, word = next((item for item in SIZES if abs(amount) >= item[0]), (1.0, ""))
     return f"{currency} {amount / size:,.1f}{word}"
 

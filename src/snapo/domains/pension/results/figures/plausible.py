@@ -1,6 +1,6 @@
 """Remarks on a case that can be read but looks like a slip: figures far from those of funds.
 
-The ranges are wide: a fund outside one of them is possible, and its owner knows why.
+The ranges are wide: a fund outside one of them is possible, and its user knows why.
 """
 
 from collections.abc import Iterator

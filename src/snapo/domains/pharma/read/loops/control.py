@@ -1,4 +1,4 @@
-"""Reads `[control]`: the policy's decisions and sensors, and the rules beside it."""
+"""Reads `[control]`: the policy's decisions and sensors, and the rules next to it."""
 
 from collections.abc import Sequence
 

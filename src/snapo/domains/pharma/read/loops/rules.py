@@ -1,7 +1,7 @@
-"""Reads `[[control.rules]]`: controllers that stand beside the trained policy."""
+"""Reads `[[control.rules]]`: controllers that are compared with the trained policy."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -9,7 +9,7 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ...control.records import PI, Cascade, ControlRule, Manipulated, Measurement
 from ..entries import EntryNumbers
-from ..fields import TextKey, quantity, word
+from ..fields import TextKey, quantity, tables, word
 from ..numbers import POSITIVE, listed, suggest
 from ..numbers import quantity as number
 
@@ -21,9 +21,7 @@ class RuleTable(CaseTable):
 
     name: TextKey = Field(description="a name")
     tuning: Literal["simc", "ziegler-nichols"] = word("simc", "ziegler-nichols", default="simc")
-    loops: Annotated[list[dict], Field(min_length=1)] = Field(
-        description="tables [[control.rules.loops]]"
-    )
+    loops: list[dict] = tables("[[control.rules.loops]]")
 
 
 class LoopTable(CaseTable):
@@ -59,7 +57,7 @@ def read_rules(
         section = TableContext(file, f"control.rules[{i}]", notes)
         table = parse(RuleTable, item, str(file), section.name)
         if table.name in [rule.name for rule in rules]:
-            raise section.error("name", table.name, "this name stands there twice")
+            raise section.error("name", table.name, "this name is there twice")
         read = _Loops(section, numbers, manipulated, sensors, units, timed)
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):

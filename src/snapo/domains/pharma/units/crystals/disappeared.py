@@ -15,7 +15,7 @@ REMEDY = 'by moments none disappears; take method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
-    """Of a `track` by moments and the `rates` along it: what is gone, in words; "" where little is.
+    """Of a `track` by moments and the `rates` along it: what is gone, as text; "" where little is.
 
     Of the crystals at the start those are the smallest below which two in a hundred lie, if
     their sizes are lognormal with the track's first moments.

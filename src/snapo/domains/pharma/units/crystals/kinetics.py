@@ -5,61 +5,39 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ...given import absent, use
-from ...read.fields import NUMBER, quantity
+from ...read.declared import TableRecord, UnitQuantity
 from ...read.numbers import NOT_NEGATIVE, POSITIVE
-from ...read.reader import Reader
+
+RATE, ORDER = UnitQuantity("m/s", NOT_NEGATIVE), UnitQuantity(range=NOT_NEGATIVE, example="1.32")
+NUCLEI = UnitQuantity("1/m3/s", NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, eq=False)
-class Kinetics:
+class Kinetics(TableRecord):
     """Growth, nucleation and dissolution with S = (c - c*) / c* and its positive part S+.
 
     S+ = (S + sqrt(S^2 + 4 d^2)) / 2 with d = `rounding` (5e-6 gives S^2 + 1e-10); S- = S+ - S.
     G = growth S+^growth_order - dissolution S-^dissolution_order, m/s.
     B = primary S+^primary_order + secondary S+^secondary_order (kv mu3)^crystal_order, 1/m3/s,
-    mu3 in m3/m3 being that of all crystals. Every field is a number, index [].
+    mu3 in m3/m3 being that of all crystals.
     """
 
-    growth: CaseInput
-    growth_order: CaseInput
-    dissolution: CaseInput
-    dissolution_order: CaseInput
-    primary: CaseInput
-    primary_order: CaseInput
-    secondary: CaseInput
-    secondary_order: CaseInput
-    crystal_order: CaseInput
-    rounding: float
+    growth: CaseInput = RATE("growth", example="5 um/s")
+    growth_order: CaseInput = ORDER("growth order")
+    dissolution: CaseInput = RATE("dissolution", "0 m/s", example="1 um/s")
+    dissolution_order: CaseInput = ORDER("dissolution order", 1.0)
+    primary: CaseInput = NUCLEI("primary", "0 1/m^3/s", example="3e8 1/m^3/s")
+    primary_order: CaseInput = ORDER("primary order", 1.0)
+    secondary: CaseInput = NUCLEI("secondary", "0 1/m^3/s", example="4.46e10 1/m^3/s")
+    secondary_order: CaseInput = ORDER("secondary order", 1.0)
+    crystal_order: CaseInput = ORDER("crystal order", 1.0)
+    rounding: float = ORDER.number("rounding", 5e-6, range=POSITIVE)
 
-
-class KineticsTable(CaseTable):
-    """`[units.NAME.kinetics]`"""
-
-    growth: Any = quantity('"5 um/s"')
-    growth_order: Any = Field(description=NUMBER)
-    dissolution: Any = quantity('"1 um/s"', "0 m/s")
-    dissolution_order: Any = Field(1.0, description=NUMBER)
-    primary: Any = quantity('"3e8 1/m^3/s"', "0 1/m^3/s")
-    primary_order: Any = Field(1.0, description=NUMBER)
-    secondary: Any = quantity('"4.46e10 1/m^3/s"', "0 1/m^3/s")
-    secondary_order: Any = Field(1.0, description=NUMBER)
-    crystal_order: Any = Field(1.0, description=NUMBER)
-    rounding: Any = Field(5e-6, description="a number above 0")
-
-
-def read_kinetics(read: Reader) -> Kinetics:
-    rates = {"growth": "m/s", "dissolution": "m/s", "primary": "1/m3/s", "secondary": "1/m3/s"}
-    orders = ("growth_order", "dissolution_order", "primary_order", "secondary_order",
-              "crystal_order")  # fmt: skip
-    numbers = {key: read.number(key, unit, NOT_NEGATIVE) for key, unit in rates.items()}
-    numbers |= {key: read.number(key, "1", NOT_NEGATIVE) for key in orders}
-    return Kinetics(**numbers, rounding=read.plain("rounding", "1", POSITIVE))
+    heading = "`[units.NAME.kinetics]`"
 
 
 class Rates(NamedTuple):

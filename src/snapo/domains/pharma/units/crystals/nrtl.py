@@ -11,7 +11,7 @@ bisection of ln x, and its derivatives by two steps more with the slope held, as
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +21,20 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import quantity_of
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
-from ...read.fields import TextKey, Texts, quantity
+from ...read.declared import (
+    ABSOLUTE,
+    CONCENTRATION,
+    ENERGY,
+    MOLAR_MASS,
+    TableRecord,
+    UnitQuantity,
+    values,
+)
+from ...read.fields import Texts
 from ...read.numbers import POSITIVE, SHARE, case_input, listed
 from ...read.reader import Reader
 
@@ -74,52 +83,99 @@ def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     return jnp.exp(u)
 
 
-class NrtlTable(CaseTable):
-    """`[units.NAME.solubility.nrtl]`"""
-
-    solute: TextKey | None = Field(
-        None, description='a name that chemicals knows, as "paracetamol"'
-    )
-    molar_mass: Any = quantity('"151.16 g/mol"', None, meaning="molar mass of the solute")
-    melting: Any = quantity('"443.6 K"', None, meaning="melting point of the crystals")
-    fusion: Any = quantity('"27.1 kJ/mol"', None, meaning="enthalpy of fusion")
-    heat_capacity_change: Any = quantity(
-        '"0 J/mol/K"', "0 J/mol/K", meaning="heat capacity of the melt less that of the crystals"
-    )
-    solvents: Texts = Field(description='names of the solvents, such as ["ethanol", "water"]')
-    solvent_masses: Any = Field(None, description='their molar masses, such as ["46.07 g/mol"]')
-    composition: Any = Field(None, description="their shares by mole, such as [0.8, 0.2]")
-    density: Any = quantity('"789 kg/m^3"', meaning="solvent per volume of solution")
-    a: list[list[float]] | None = Field(
-        None, description="numbers a_ij of tau, rows i, the solute first"
-    )
-    b: list[list[float]] = Field(description="numbers b_ij of tau in K, rows i, the solute first")
-    alpha: list[list[float]] = Field(description="non-randomness, rows i, the solute first")
+def _matrix(text: str, default: Any = ...) -> Any:
+    return Field(default, description=f"{text}, rows i, the solute first")
 
 
-@dataclass(frozen=True, eq=False)
-class Mixture:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mixture(TableRecord):
     """A solute, number 0, in n - 1 solvents.
 
-    - `melting`: K; `fusion`: J/mol; `capacity`: J/mol/K; `density`: kg of solvent per m3 of
-      solution; each index []. `a` and `alpha`: "1", `b`: K; index [n (n - 1)], off the diagonals
-      row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar mass of the solute over theirs.
+    - `density`: of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index [n (n - 1)],
+      off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar mass of the
+      solute over theirs.
     """
 
-    melting: CaseInput
-    fusion: CaseInput
-    capacity: CaseInput
-    density: CaseInput
+    melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
+    fusion: CaseInput = ENERGY("enthalpy of fusion", None, range=POSITIVE, example="27.1 kJ/mol")
+    capacity: CaseInput = UnitQuantity("J/mol/K", example="0 J/mol/K")(
+        "heat capacity of the melt less that of the crystals",
+        "0 J/mol/K",
+        alias="heat_capacity_change",
+    )
+    density: CaseInput = CONCENTRATION("solvent per volume of solution", example="789 kg/m^3")
     a: CaseInput
     b: CaseInput
     alpha: CaseInput
     liquid: np.ndarray
     ratio: float
 
+    heading = "`[units.NAME.solubility.nrtl]`"
+    more_keys: ClassVar = {
+        "solute": (
+            str | None,
+            Field(None, min_length=1, description='a name that chemicals knows, as "paracetamol"'),
+        ),
+        "molar_mass": (CaseInput | None, MOLAR_MASS.field("molar mass of the solute", None)),
+        "solvents": (
+            Texts,
+            Field(description='names of the solvents, such as ["ethanol", "water"]'),
+        ),
+        "solvent_masses": (
+            Any,
+            Field(None, description='their molar masses, such as ["46.07 g/mol"]'),
+        ),
+        "composition": (Any, Field(None, description="their shares by mole, such as [0.8, 0.2]")),
+        "a": (list[list[float]] | None, _matrix("numbers a_ij of tau", None)),
+        "b": (list[list[float]], _matrix("numbers b_ij of tau in K")),
+        "alpha": (list[list[float]], _matrix("non-randomness")),
+    }
 
-def read_mixture(read: Reader) -> Mixture:
-    """Constants that are not given are those of `chemicals` by name."""
-    table, count = read.table, len(read.table.solvents) + 1
+    @classmethod
+    def read(cls, read):
+        """Constants that the case does not have are those of `chemicals` by name."""
+        table, count = read.table, len(read.table.solvents) + 1
+        liquid, masses = _read_liquid(read, count)
+
+        def parameter(key: str, unit: str, which: str) -> CaseInput:
+            if getattr(table, key) is not None:
+                return getattr(table, key)
+            if table.solute is None:
+                message = "without the name of a solute this key is needed"
+                raise read.section.error(key, None, message)
+            value = np.array([constant(read, "solute", table.solute, which)])
+            quantity = quantity_of(cls.table.model_fields[key])
+            text = quantity.meaning if quantity else ""
+            return case_input(f"{read.name}.{key}", value, ("",), unit, np.array(0), text)
+
+        solute = parameter("molar_mass", "kg/kmol", "MW")
+        names = ["solute", *table.solvents]
+        apart = _apart(count)
+        labels = [f"{names[i]}-{names[j]}" for i, j in zip(*apart)]
+
+        def matrix(key: str, unit: str) -> CaseInput:
+            raw = getattr(table, key)
+            rows = np.zeros((count, count)) if raw is None else raw
+            if len(rows) != count or any(len(row) != count for row in rows):
+                raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
+            numbers = np.array(rows, float)[apart]
+            where = tuple((*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart))
+            return case_input(
+                f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL",
+                positions=() if raw is None else where,
+            )  # fmt: skip
+
+        melting = parameter("melting", "K", "Tm"), parameter("fusion", "J/mol", "Hfus")
+        numbers = values(cls, read) | dict(zip(("melting", "fusion"), melting))
+        return cls(
+            a=matrix("a", "1"), b=matrix("b", "K"), alpha=matrix("alpha", "1"), liquid=liquid,
+            ratio=float(solute.used()) / float(liquid @ masses), **numbers,
+        )  # fmt: skip
+
+
+def _read_liquid(read: Reader, count: int) -> tuple[np.ndarray, list[float]]:
+    """Shares by mole and molar masses of the solvents."""
+    table = read.table
     shares = [1.0] if table.composition is None and count == 2 else table.composition
     if shares is None:
         raise read.section.error("composition", None, "several solvents need this key")
@@ -133,38 +189,7 @@ def read_mixture(read: Reader) -> Mixture:
         masses = listed(read.section, "solvent_masses", table.solvent_masses, "kg/kmol", POSITIVE)
     if len(masses) != count - 1:
         raise read.section.error("solvent_masses", table.solvent_masses, "one of each solvent")
-
-    def parameter(key: str, unit: str, which: str) -> CaseInput:
-        if getattr(table, key) is not None:
-            return read.number(key, unit, POSITIVE)
-        if table.solute is None:
-            raise read.section.error(key, None, "without the name of a solute this key is needed")
-        value = np.array([constant(read, "solute", table.solute, which)])
-        return case_input(f"{read.name}.{key}", value, ("",), unit, np.array(0), read.meaning(key))
-
-    solute = parameter("molar_mass", "kg/kmol", "MW")
-    names = ["solute", *table.solvents]
-    labels = [f"{names[i]}-{names[j]}" for i, j in zip(*_apart(count))]
-
-    def matrix(key: str, unit: str) -> CaseInput:
-        raw = getattr(table, key)
-        rows = np.zeros((count, count)) if raw is None else raw
-        if len(rows) != count or any(len(row) != count for row in rows):
-            raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
-        values = np.array(rows, float)[_apart(count)]
-        return case_input(f"{read.name}.{key}", values, labels, unit, meaning=f"{key} of NRTL")
-
-    return Mixture(
-        melting=parameter("melting", "K", "Tm"),
-        fusion=parameter("fusion", "J/mol", "Hfus"),
-        capacity=read.number("heat_capacity_change", "J/mol/K"),
-        density=read.number("density", "kg/m3", POSITIVE),
-        a=matrix("a", "1"),
-        b=matrix("b", "K"),
-        alpha=matrix("alpha", "1"),
-        liquid=liquid,
-        ratio=float(solute.used()) / float(liquid @ masses),
-    )
+    return liquid, masses
 
 
 def constant(read: Reader, key: str, name: str, which: str) -> float:

@@ -1,7 +1,7 @@
 """Seed: crystals that a crystalliser starts from."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,13 +10,11 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use
-from ...read.fields import quantity
-from ...read.numbers import POSITIVE, case_input
-from ...read.numbers import quantity as read_quantity
+from ...read.declared import CONCENTRATION, LENGTH, TableRecord, UnitQuantity
+from ...read.numbers import POSITIVE, case_input, position, quantity
 from ...read.reader import Reader
 from .population import NUMBER, SIZE, cell_powers
 
@@ -24,18 +22,43 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 
 
 @dataclass(frozen=True, eq=False)
-class Seed:
-    """Crystals at the start: `loading` kg/m3, [], of `size` m, []; or `moments`, index [6].
+class Seed(TableRecord):
+    """Crystals at the start: `loading` of a `size`; or `moments`, index [6].
 
-    Of the two, one is given and the other None; moments are m^k/m3, k = 0..5.
-    `size` is the mean by number and `spread`, [], the standard deviation as a share of it, of a
+    Of the two, one is there and the other None; moments are m^k/m3, k = 0..5.
+    `size` is the mean by number and `spread` the standard deviation as a share of it, of a
     lognormal distribution; None where all are of one size.
     """
 
-    loading: CaseInput | None
-    size: CaseInput | None
-    moments: CaseInput | None
-    spread: CaseInput | None = None
+    loading: CaseInput | None = CONCENTRATION("loading", None, example="0.02 kg/m^3")
+    size: CaseInput | None = LENGTH("size", None)
+    moments: CaseInput | None = None
+    spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")("spread", None)
+
+    heading = "`[units.NAME.seed]`"
+    more_keys: ClassVar = {
+        "moments": (
+            list[Any] | None,
+            Field(None, description="six quantities, m^k/m^3 for k = 0 to 5"),
+        )
+    }
+
+    @classmethod
+    def read(cls, read):
+        """A loading and a size, or six moments."""
+        table = read.table
+        if (table.moments is None) == (table.loading is None):
+            message = "a seed has a loading and a size, or else its six moments"
+            raise read.section.error("moments", table.moments, message)
+        if table.moments is None:
+            if table.size is None:
+                raise read.section.error("size", None, "a loading needs this key")
+            return super().read(read)
+        for key in ("size", "spread"):
+            if getattr(table, key) is not None:
+                message = "a seed with moments has no such key"
+                raise read.section.error(key, read.raw[key], message)
+        return cls(moments=_read_moments(read))
 
 
 def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Array, " 6"]:
@@ -70,36 +93,14 @@ def seed_numbers(seed: Seed, inputs, shape, density, edges: np.ndarray) -> Float
     return numbers * (use(inputs, seed.loading) / mass)
 
 
-class SeedTable(CaseTable):
-    """`[units.NAME.seed]`"""
-
-    loading: Any = quantity('"0.02 kg/m^3"', None)
-    size: Any = quantity('"20 um"', None)
-    spread: Any = Field(None, description="a number above 0, such as 0.3")
-    moments: list[Any] | None = Field(None, description="six quantities, m^k/m^3 for k = 0 to 5")
-
-
-def read_seed(read: Reader) -> Seed:
-    """A loading and a size, or six moments."""
-    table = read.table
-    if (table.moments is None) == (table.loading is None):
-        message = "a seed has a loading and a size, or else its six moments"
-        raise read.section.error("moments", table.moments, message)
-    if table.moments is None:
-        if table.size is None:
-            raise read.section.error("size", None, "a loading needs this key")
-        loading = read.number("loading", "kg/m3", POSITIVE)
-        size, spread = read.number("size", "m", POSITIVE), read.optional("spread", "1", POSITIVE)
-        return Seed(loading, size, None, spread)
-    for key in ("size", "spread"):
-        if getattr(table, key) is not None:
-            message = "a seed with moments has no such key"
-            raise read.section.error(key, getattr(table, key), message)
+def _read_moments(read: Reader) -> CaseInput:
+    """[6] moments that some distribution of sizes has."""
+    table, units = read.table, ["1/m3", *(f"m^{k}/m3" for k in range(1, 6))]
     if len(table.moments) != 6:
         raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
     values = [
-        read_quantity(read.section, f"moments[{k}]", raw, f"m^{k}/m3" if k else "1/m3", POSITIVE)
-        for k, raw in enumerate(table.moments)
+        quantity(read.section, f"moments[{k}]", raw, unit, POSITIVE)
+        for k, (raw, unit) in enumerate(zip(table.moments, units))
     ]
     if not _possible(np.array(values)):
         message = (
@@ -108,12 +109,11 @@ def read_seed(read: Reader) -> Seed:
         )
         raise read.section.error("moments", table.moments, message)
     labels = tuple(f"mu{k}" for k in range(6))
-    name = f"{read.name}.moments"
-    return Seed(
-        None,
-        None,
-        case_input(name, np.array(values), labels, "m^k/m3", meaning="moment of the seed"),
-    )
+    where = tuple(position(read.section, f"moments[{k}]", unit) for k, unit in enumerate(units))
+    return case_input(
+        f"{read.name}.moments", np.array(values), labels, "m^k/m3", meaning="moment of the seed",
+        positions=where,
+    )  # fmt: skip
 
 
 def _possible(moments: np.ndarray) -> bool:

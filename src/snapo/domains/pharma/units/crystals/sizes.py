@@ -1,40 +1,45 @@
 """The cells over size by which crystals are counted, as a case gives them."""
 
 import math
-from typing import Annotated, Any, Literal
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
+from snapo.case.quantity import choice
 from snapo.case.table import CaseTable
 
-from ...read.fields import quantity, word
-from ...read.numbers import NOT_NEGATIVE, POSITIVE
+from ...read.declared import LENGTH
+from ...read.fields import whole
+from ...read.numbers import NOT_NEGATIVE
 from ...read.reader import Reader
 from .seed import Seed
 
 SEED_OUTSIDE = 0.01  # most of a seed's volume that may lie outside a grid
 
 
+SIZE = replace(LENGTH, form="number")
+
+
 class SizesTable(CaseTable):
     """`[units.NAME.sizes]`"""
 
-    smallest: Any = quantity('"0 um"')
-    largest: Any = quantity('"400 um"')
-    cells: Annotated[int, Field(ge=4, le=1000)] = Field(description="a whole number, 4 or more")
-    spacing: Literal["equal", "geometric"] = word("equal", "geometric", default="equal")
+    smallest: float = SIZE.field("smallest size of a crystal", range=NOT_NEGATIVE, example="0 um")
+    largest: float = SIZE.field("largest size of a crystal", example="400 um")
+    cells: int = whole(4, 1000)
+    spacing: Literal["equal", "geometric"] = choice("equal", "geometric")
 
 
 def read_edges(read: Reader) -> np.ndarray:
     """[N + 1] m, the edges of the cells."""
-    low, high = read.plain("smallest", "m", NOT_NEGATIVE), read.plain("largest", "m", POSITIVE)
+    low, high = read.table.smallest, read.table.largest
     if high <= low:
-        raise read.section.error("largest", read.table.largest, "allowed is above `smallest`")
+        raise read.section.error("largest", read.raw["largest"], "allowed is above `smallest`")
     if read.table.spacing == "equal":
         return np.linspace(low, high, read.table.cells + 1)
     if low == 0:
         message = 'spacing "geometric" needs a smallest size above 0'
-        raise read.section.error("smallest", read.table.smallest, message)
+        raise read.section.error("smallest", read.raw["smallest"], message)
     return np.geomspace(low, high, read.table.cells + 1)
 
 
@@ -50,7 +55,7 @@ def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
     outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
     if outside > SEED_OUTSIDE:
         message = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"
-        raise read.section.error("largest", read.table.largest, message)
+        raise read.section.error("largest", read.raw["largest"], message)
 
 
 def _volume_outside(seed: Seed, low: float, high: float) -> float:

@@ -1,7 +1,7 @@
 """Solubility by temperature and anti-solvent."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -10,26 +10,27 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import choice
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
-from ...read.fields import TextKey, quantity, word
-from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, case_input, several
+from ...read.declared import ABSOLUTE, CONCENTRATION, ENERGY, TableRecord, inner, values
+from ...read.fields import TextKey
+from ...read.numbers import ZERO_CELSIUS, absent, case_input, positions, several
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
-from .nrtl import Mixture, NrtlTable, dissolved, read_mixture
+from .nrtl import Mixture, dissolved
 
 SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 
 
 @dataclass(frozen=True, eq=False)
-class Solubility:
+class Solubility(TableRecord):
     """c*(T, w) in kg/m3.
 
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
-    - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)), of kg/m3, J/mol and K.
+    - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
     - "nrtl": of a `mixture` in equilibrium with the pure crystal.
     - `antisolvent`: (b1, b2), index [2] or [0]: ln c* gains b1 w + b2 w^2, w the anti-solvent's
       mass fraction of the solute-free liquid.
@@ -39,80 +40,72 @@ class Solubility:
     coefficients: CaseInput
     zero: float
     antisolvent: CaseInput
-    value: CaseInput | None = None
-    enthalpy: CaseInput | None = None
-    reference: float = 298.15
-    mixture: Mixture | None = None
+    value: CaseInput | None = CONCENTRATION("solubility at the reference", None)
+    enthalpy: CaseInput | None = ENERGY("enthalpy of dissolution", None, example="25 kJ/mol")
+    reference: float | None = ABSOLUTE.number("temperature of the reference", None)
+    mixture: Mixture | None = inner(Mixture, None, "nrtl")
+
+    heading = "`[units.NAME.solubility]`"
+    more_keys: ClassVar = {
+        "kind": (SolubilityKind, choice("polynomial", "exponential", "van-t-hoff", "nrtl")),
+        "coefficients": (
+            list[float] | None,
+            Field(
+                None,
+                min_length=1,
+                description="a list of numbers, of rising powers of the temperature",
+            ),
+        ),
+        "unit": (TextKey, Field("kg/m^3", description='a unit such as "kg/m^3"')),
+        "scale": (Literal["K", "degC"], choice("K", "degC")),
+        "antisolvent": (
+            list[float] | None,
+            Field(None, min_length=2, max_length=2, description="two numbers"),
+        ),
+    }
+
+    @classmethod
+    def read(cls, read):
+        """Coefficients for kg/m3, from those of the case's unit."""
+        table = read.table
+        read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
+        read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)
+        read.only(("nrtl",), ("nrtl",), needed=True)
+        coefficients = absent(read.name, "1")
+        if table.coefficients is not None:
+            coefficients = _read_coefficients(read)
+        extra = absent(f"{read.name}.antisolvent", "1")
+        if table.antisolvent is not None:
+            extra = several(
+                read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
+            )
+        zero = 0.0 if table.scale == "K" or table.coefficients is None else ZERO_CELSIUS
+        return cls(table.kind, coefficients, zero, extra, **values(cls, read))
 
 
-class SolubilityTable(CaseTable):
-    """`[units.NAME.solubility]`"""
-
-    kind: SolubilityKind = word(
-        "polynomial", "exponential", "van-t-hoff", "nrtl", default="polynomial"
-    )
-    coefficients: Annotated[list[float], Field(min_length=1)] | None = Field(
-        None, description="a list of numbers, of rising powers of the temperature"
-    )
-    value: Any = quantity('"20 kg/m^3"', None, meaning="solubility at the reference")
-    enthalpy: Any = quantity('"25 kJ/mol"', None, meaning="enthalpy of dissolution")
-    reference: Any = quantity('"298.15 K"', None, meaning="temperature of the reference")
-    nrtl: dict | None = Field(None, description="the table nrtl")
-    unit: TextKey = Field("kg/m^3", description='a unit such as "kg/m^3"')
-    scale: Literal["K", "degC"] = word("K", "degC", default="K")
-    antisolvent: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
-        None, description="two numbers"
-    )
-
-
-def read_solubility(read: Reader) -> Solubility:
-    """Coefficients for kg/m3, from those of the case's unit."""
+def _read_coefficients(read: Reader) -> CaseInput:
     table = read.table
-    read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
-    read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)
-    read.only(("nrtl",), ("nrtl",), needed=True)
-    extra = absent(f"{read.name}.antisolvent", "1")
-    if table.antisolvent is not None:
-        extra = several(
-            read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
-        )
-    if table.kind == "van-t-hoff":
-        return Solubility(
-            kind=table.kind,
-            coefficients=absent(read.name, "1"),
-            zero=0.0,
-            antisolvent=extra,
-            value=read.number("value", "kg/m3", POSITIVE),
-            enthalpy=read.number("enthalpy", "J/mol"),
-            reference=read.plain("reference", "K", TEMPERATURE),
-        )
-    if table.kind == "nrtl":
-        mixture = read_mixture(read.inner("nrtl", NrtlTable))
-        return Solubility(table.kind, absent(read.name, "1"), 0.0, extra, mixture=mixture)
     try:
         scale = conversion(table.unit, "kg/m3").scale
     except UnitError as error:
         raise read.section.error("unit", table.unit, str(error)) from None
-    values = np.array(table.coefficients)
+    numbers = np.array(table.coefficients)
     if table.kind == "polynomial":
-        values = values * scale
+        numbers = numbers * scale
     else:  # the unit is a factor of the whole, which the logarithm adds
-        values[0] += np.log(scale)
+        numbers[0] += np.log(scale)
+    # Coefficients in another unit of solubility are not the numbers of the file.
+    where = positions(read.section, "coefficients", numbers, "1") if scale == 1 else ()
     unit = "kg/m3/K^k" if table.kind == "polynomial" else "1/K^k"
-    labels = tuple(f"t^{k}" for k in range(len(values)))
-    return Solubility(
-        kind=table.kind,
-        coefficients=case_input(
-            read.name, values, labels, unit, meaning="coefficient of solubility"
-        ),
-        zero=0.0 if table.scale == "K" else ZERO_CELSIUS,
-        antisolvent=extra,
-    )
+    labels = tuple(f"t^{k}" for k in range(len(numbers)))
+    text = "coefficient of solubility"
+    return case_input(read.name, numbers, labels, unit, meaning=text, positions=where)
 
 
 def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float[Array, "..."]:
     """c*(T) in kg/m3 without anti-solvent."""
-    if record.value is not None and record.enthalpy is not None:
+    if record.kind == "van-t-hoff":
+        assert record.value and record.enthalpy and record.reference
         inverse = 1 / jnp.asarray(temperature) - 1 / record.reference
         energy = use(inputs, record.enthalpy) / GAS_CONSTANT
         return use(inputs, record.value) * jnp.exp(-energy * inverse)
@@ -128,7 +121,8 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
 
 def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
     """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent."""
-    if record.value is not None and record.enthalpy is not None:
+    if record.kind == "van-t-hoff":
+        assert record.value and record.enthalpy and record.reference
         energy = record.enthalpy.used() / GAS_CONSTANT
         return record.value.used() * np.exp(-energy * (1 / temperature - 1 / record.reference))
     if record.mixture is not None:

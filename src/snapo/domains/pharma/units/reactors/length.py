@@ -44,7 +44,7 @@ class Along(NamedTuple):
         return FASTEST[len(self.slopes)] * self.elements
 
     def carried(self, u: Float[Array, "n k"], entering: Float[Array, " k"]) -> Float[Array, "n k"]:
-        """u_t by flow alone, per passage of the tube; `entering` is u upstream."""
+        """u_t by flow only, per passage of the tube; `entering` is u upstream."""
         points = len(self.slopes)
         inside = u.reshape(self.elements, points, -1)
         before = jnp.concatenate([entering[None], inside[:-1, -1]])

@@ -13,94 +13,70 @@ its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, 
 117, 3, 2001). How the two rates depend on speed and moisture is an empirical power law.
 
 A granule goes on as a particle of its own density: the stream's moments are those of granules, with
-the sizes of the crystals inside kept beside them.
+the sizes of the crystals inside kept with them.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range
 
 from ...flowsheet.ledger import LedgerFinish, ledger
 from ...flowsheet.stream import MOMENTS
 from ...given import use
-from ...read.fields import TextKey, number, profile, quantity
-from ...read.numbers import DENSITY, INSIDE, LIQUID, NOT_NEGATIVE, POSITIVE, ValueRange
+from ...read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity, species_key
+from ...read.numbers import DENSITY, INSIDE, LIQUID, POSITIVE
 from ...time.dynamics import Dynamics
 from ...time.profile import Profile
 from ..crystals.population import mean_sizes
 from ..operation import Inlet, Timed
 
 SPHERE = np.pi / 6  # granules are round
-BROAD = ValueRange(0.0, 2.0, False, "from 0 to 2")
-WEIGHED = ValueRange(0.0, 1000.0, False, "from 0 to 1000 per mass of drug")
-
-
-class GranulationTable(CaseTable):
-    """`type = "granulation"`"""
-
-    type: Literal["granulation"]
-    duration: Any = quantity('"10 min"', meaning="time of wet massing")
-    speed: Any = profile(meaning="tip speed of the impeller")
-    excipient: TextKey = Field(description="the species that is the excipient")
-    excipient_ratio: Any = number(
-        "a number, 0 or more", meaning="mass of excipient per mass of drug"
-    )
-    excipient_density: Any = quantity('"1540 kg/m^3"', meaning="density of the excipient")
-    liquid_ratio: Any = number(
-        "a number, 0 or more", meaning="granulation liquid per mass of solids"
-    )
-    liquid_density: Any = quantity('"1000 kg/m^3"', meaning="density of the granulation liquid")
-    nuclei_size: Any = quantity('"150 um"', meaning="mean size of the first granules, by volume")
-    nuclei_spread: Any = number("a number from 0 to 2", 0.0, "spread of ln(size) of the first ones")
-    coalescence: Any = quantity('"0.01 1/s"', meaning="rate of coalescence at the references")
-    saturation_power: Any = number("a number, 0 or more", 0.0, "power of the saturation in it")
-    consolidation: Any = quantity('"0.005 1/s"', meaning="rate at which porosity falls")
-    porosity: Any = number("a share between 0 and 1", meaning="porosity of the first granules")
-    least_porosity: Any = number("a share between 0 and 1", meaning="least porosity of granules")
-    reference_speed: Any = quantity('"8 m/s"', meaning="speed to which both rates refer")
-    speed_power: Any = number("a number, 0 or more", 1.0, "power of the speed in both rates")
-    packing: Any = number("a share between 0 and 1", meaning="share of a bed that granules fill")
+DENSITIES = UnitQuantity("kg/m3", DENSITY, example="1540 kg/m^3")
+RATIO, PART = UnitQuantity(range=POSITIVE), UnitQuantity(range=INSIDE)
 
 
 @dataclass(frozen=True, eq=False)
 class Granulation(Timed):
     """High-shear wet granulation.
 
-    - `speed`: profile in m/s; `excipient`: number of the species; `excipient_ratio`: kg per kg of
-      crystals; `liquid_ratio`: kg per kg of all solids; densities: kg/m3.
-    - `nuclei_size`: m, of the sphere of mean volume; `nuclei_spread`: of ln(size).
-    - `coalescence`: b in 1/s at the saturation 1 and `reference_speed` m/s; `consolidation`: 1/s.
-    - `porosity`, `least_porosity`: of granules; `packing`: the share of a bed that they fill.
+    - Ratios are by mass; `nuclei_size`: of the sphere of mean volume.
+    - `coalescence`: b at the saturation 1 and `reference_speed`.
     """
 
-    speed: Profile
-    excipient: int
-    excipient_ratio: CaseInput
-    excipient_density: CaseInput
-    liquid_ratio: CaseInput
-    liquid_density: CaseInput
-    nuclei_size: CaseInput
-    nuclei_spread: CaseInput
-    coalescence: CaseInput
-    saturation_power: CaseInput
-    consolidation: CaseInput
-    porosity: CaseInput
-    least_porosity: CaseInput
-    reference_speed: CaseInput
-    speed_power: CaseInput
-    packing: CaseInput
+    duration: CaseInput = TIME("time of wet massing", example="10 min")
+    speed: Profile = SPEED.profile("tip speed of the impeller", example="8 m/s")
+    excipient: int = species_key("the species that is the excipient")
+    excipient_ratio: CaseInput = RATIO(
+        "mass of excipient per mass of drug", range=Range(0.0, 1000.0)
+    )
+    excipient_density: CaseInput = DENSITIES("density of the excipient")
+    liquid_ratio: CaseInput = RATIO("granulation liquid per mass of solids")
+    liquid_density: CaseInput = DENSITIES(
+        "density of the granulation liquid", range=LIQUID, example="1000 kg/m^3"
+    )
+    nuclei_size: CaseInput = LENGTH("mean size of the first granules, by volume", example="150 um")
+    nuclei_spread: CaseInput = RATIO(
+        "spread of ln(size) of the first ones", 0.0, range=Range(0.0, 2.0)
+    )
+    coalescence: CaseInput = RATE("rate of coalescence at the references", example="0.01 1/s")
+    saturation_power: CaseInput = POWER("power of the saturation in it", 0.0)
+    consolidation: CaseInput = RATE("rate at which porosity falls", example="0.005 1/s")
+    porosity: CaseInput = PART("porosity of the first granules")
+    least_porosity: CaseInput = PART("least porosity of granules")
+    reference_speed: CaseInput = SPEED(
+        "speed to which both rates refer", range=POSITIVE, example="8 m/s"
+    )
+    speed_power: CaseInput = POWER("power of the speed in both rates", 1.0)
+    packing: CaseInput = PART("share of a bed that granules fill")
 
     type = "granulation"
     variant = ""
     title = "wet granulation"
-    table = GranulationTable
     reacts = False
     symbols = (
         ("N", "number of granules"),
@@ -115,29 +91,6 @@ class Granulation(Timed):
         "Granulation liquid and excipient are there from the start, and nothing dissolves in the "
         "liquid; granules do not break.",
     )
-
-    @classmethod
-    def read(cls, read, species):
-        return cls(
-            name=read.name,
-            duration=read.number("duration", "s", POSITIVE),
-            speed=read.profile("speed", "m/s", NOT_NEGATIVE),
-            excipient=species.index(read.one_of("excipient", species, "species")),
-            excipient_ratio=read.number("excipient_ratio", "1", WEIGHED),
-            excipient_density=read.number("excipient_density", "kg/m3", DENSITY),
-            liquid_ratio=read.number("liquid_ratio", "1", POSITIVE),
-            liquid_density=read.number("liquid_density", "kg/m3", LIQUID),
-            nuclei_size=read.number("nuclei_size", "m", POSITIVE),
-            nuclei_spread=read.number("nuclei_spread", "1", BROAD),
-            coalescence=read.number("coalescence", "1/s", NOT_NEGATIVE),
-            saturation_power=read.number("saturation_power", "1", NOT_NEGATIVE),
-            consolidation=read.number("consolidation", "1/s", NOT_NEGATIVE),
-            porosity=read.number("porosity", "1", INSIDE),
-            least_porosity=read.number("least_porosity", "1", INSIDE),
-            reference_speed=read.number("reference_speed", "m/s", POSITIVE),
-            speed_power=read.number("speed_power", "1", NOT_NEGATIVE),
-            packing=read.number("packing", "1", INSIDE),
-        )
 
     @property
     def inlets(self):

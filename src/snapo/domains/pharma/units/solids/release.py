@@ -23,10 +23,10 @@ BY_MEAN = (
 
 
 class Lasting(NamedTuple):
-    """`complete`: [K] s that crystals of K sizes last; `share`: [K] of the volume that they
-    have."""
+    """`lifetime`: [K] s until crystals of K sizes are dissolved; `share`: [K] their share of the
+    volume."""
 
-    complete: Float[Array, " K"]
+    lifetime: Float[Array, " K"]
     share: Float[Array, " K"]
 
 
@@ -63,30 +63,30 @@ def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
 
 def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[Array, ""]:
     """The mean by volume of a share that is `dissolved`, by the seconds that a crystal lasts."""
-    return jnp.sum(crystals.share * dissolved(crystals.complete))
+    return jnp.sum(crystals.share * dissolved(crystals.lifetime))
 
 
-def gone(time, complete) -> Float[Array, ""]:
-    """The share of shrinking spheres that is dissolved after `time`, of which they take `complete`
+def gone(time, lifetime) -> Float[Array, ""]:
+    """The share of shrinking spheres that is dissolved after `time`, of which they take `lifetime`
     s: 1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
     Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
-    left = 1 - time / complete
+    left = 1 - time / lifetime
     # The cube makes it twice differentiable at full dissolution.
     return 1 - jnp.where(left > 0, left, 0.0) ** 3
 
 
-def released(time, complete, mean) -> Float[Array, ""]:
+def released(time, lifetime, mean) -> Float[Array, ""]:
     """The share dissolved after `time` where particles leave the tablet at random times, 1 -
     exp(-s / mean) of them by s, and each then shrinks as in `gone`.
 
     The integral of exp(-s/mean)/mean gone(t - s) over s from 0 to t, in closed form: with x = u/T,
     a = mean/T and the antiderivative e^(x/a) (a (1-x)^2 + 2 a^2 (1-x) + 2 a^3) of e^(x/a) (1-x)^2.
     """
-    last = jnp.minimum(time, complete)
-    a, x = mean / complete, last / complete
+    last = jnp.minimum(time, lifetime)
+    a, x = mean / lifetime, last / lifetime
 
     def part(x):
         return a * (1 - x) ** 2 + 2 * a**2 * (1 - x) + 2 * a**3
 
     late = jnp.exp((last - time) / mean) * part(x) - jnp.exp(-time / mean) * part(jnp.zeros(()))
-    return gone(time, complete) - 3 * late
+    return gone(time, lifetime) - 3 * late

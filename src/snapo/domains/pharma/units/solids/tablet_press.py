@@ -13,58 +13,40 @@ and breaks a flat tablet across its diameter at F = pi d h sigma/2 (J. T. Fell a
 
 Content: the acceptance value of USP <905> for ten tablets, |M - X| + 2.4 s in per cent of the
 label, M being X between 98.5 and 101.5 and else the nearer of both, with the mean and the standard
-deviation of the batch in place of a sample's.
+deviation of the batch instead of a sample's.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable
+from snapo.case.quantity import Range, choice
 
 from ...flowsheet.ledger import LedgerFinish, ledger
 from ...flowsheet.stream import Stream
 from ...given import use
-from ...read.fields import TextKey, number, quantity, word
-from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, ValueRange
+from ...read.declared import (
+    CONCENTRATION,
+    DIFFUSIVITY,
+    LENGTH,
+    POWER,
+    PRESSURE,
+    TIME,
+    UnitQuantity,
+    species_key,
+)
+from ...read.numbers import DENSITY, INSIDE, POSITIVE, SHARE
 from ..operation import Inlet, Instant
 from .release import BY_MEAN, lasting, over_sizes, released
 
 ACCEPTED = (0.985, 1.015)  # of the label: a mean within them adds nothing to the acceptance value
 TEN = 2.4  # acceptability constant of ten tablets
-FEW = ValueRange(0.0, 0.5, False, "a share from 0 to 0.5")
-
-
-class TabletPressTable(CaseTable):
-    """`type = "tablet-press"`"""
-
-    type: Literal["tablet-press"]
-    drug: TextKey = Field(description="the species that is the drug")
-    weight: Any = quantity('"300 mg"', meaning="weight of a tablet")
-    label: Any = quantity('"100 mg"', meaning="drug in a tablet as labelled")
-    diameter: Any = quantity('"10 mm"', meaning="diameter of a flat tablet")
-    pressure: Any = quantity('"150 MPa"', meaning="pressure of compaction")
-    true_density: Any = quantity('"1450 kg/m^3"', meaning="true density of the solids")
-    packing: Any = number("a share between 0 and 1", meaning="share of a bed that particles fill")
-    compaction: Literal["heckel", "kawakita"] = word("heckel", "kawakita", default="heckel")
-    yield_pressure: Any = quantity('"80 MPa"', None, meaning="Heckel's mean yield pressure")
-    rearrangement: Any = number("a share from 0 to 1", None, "relative density by rearrangement")
-    kawakita_a: Any = number("a share between 0 and 1", None, "Kawakita's a")
-    kawakita_b: Any = quantity('"0.1 1/MPa"', None, meaning="Kawakita's b")
-    strength: Any = quantity('"10 MPa"', meaning="tensile strength without pores")
-    bonding: Any = number("a number, 0 or more", meaning="fall of ln(strength) with porosity")
-    deviation: Any = number("a share from 0 to 0.5", 0.0, "relative deviation of the content")
-    disintegration: Any = quantity('"2 min"', meaning="mean time in which a tablet falls apart")
-    reference_porosity: Any = number("a share", 0.1, "porosity to which that time refers")
-    porosity_power: Any = number("a number, 0 or more", 0.0, "power of the porosity in that time")
-    diffusivity: Any = quantity('"7e-10 m^2/s"', meaning="diffusivity in the film")
-    solubility: Any = quantity('"0.5 kg/m^3"', meaning="solubility in the test's liquid")
-    film: Any = quantity('"30 um"', meaning="thickness of the film")
-    time: Any = quantity('"30 min"', meaning="time of the dissolution test")
+STRESS = UnitQuantity("Pa", POSITIVE, example="80 MPa")
+WEIGHT = UnitQuantity("kg", POSITIVE, example="100 mg")
+PART = UnitQuantity(range=INSIDE)
 
 
 HECKEL, KAWAKITA = ("yield_pressure", "rearrangement"), ("kawakita_a", "kawakita_b")
@@ -74,40 +56,43 @@ HECKEL, KAWAKITA = ("yield_pressure", "rearrangement"), ("kawakita_a", "kawakita
 class TabletPress(Instant):
     """Press, and the tests of its tablets.
 
-    - `drug`: number of the species; `weight`, `label`: kg; `diameter`: m; `pressure`: Pa;
-      `true_density`: kg/m3; `packing`: the share of a bed that granules or crystals fill.
-    - `yield_pressure` in Pa and `rearrangement`, or `kawakita_a` and `kawakita_b` in 1/Pa.
-    - `strength`: Pa; `bonding`: k of exp(-k porosity); `deviation`: relative, of the drug content.
-    - `disintegration`: s at `reference_porosity`, times (reference / porosity)^`porosity_power`.
-    - `diffusivity`: m2/s; `solubility`: kg/m3; `film`: m; `test_time`: s.
+    - `yield_pressure` and `rearrangement`, or `kawakita_a` and `kawakita_b`.
+    - `bonding`: k of exp(-k porosity); `disintegration`: at `reference_porosity`, times
+      (reference / porosity)^`porosity_power`.
     """
 
-    drug: int
-    weight: CaseInput
-    label: CaseInput
-    diameter: CaseInput
-    pressure: CaseInput
-    true_density: CaseInput
-    packing: CaseInput
-    yield_pressure: CaseInput | None
-    rearrangement: CaseInput | None
-    kawakita_a: CaseInput | None
-    kawakita_b: CaseInput | None
-    strength: CaseInput
-    bonding: CaseInput
-    deviation: CaseInput
-    disintegration: CaseInput
-    reference_porosity: CaseInput
-    porosity_power: CaseInput
-    diffusivity: CaseInput
-    solubility: CaseInput
-    film: CaseInput
-    test_time: CaseInput
+    drug: int = species_key("the species that is the drug")
+    weight: CaseInput = WEIGHT("weight of a tablet", example="300 mg")
+    label: CaseInput = WEIGHT("drug in a tablet as labelled")
+    diameter: CaseInput = LENGTH("diameter of a flat tablet", example="10 mm")
+    pressure: CaseInput = PRESSURE("pressure of compaction", example="150 MPa")
+    true_density: CaseInput = UnitQuantity("kg/m3", DENSITY, example="1450 kg/m^3")(
+        "true density of the solids"
+    )
+    packing: CaseInput = PART("share of a bed that particles fill")
+    yield_pressure: CaseInput | None = STRESS("Heckel's mean yield pressure", None)
+    rearrangement: CaseInput | None = PART("relative density by rearrangement", None, range=SHARE)
+    kawakita_a: CaseInput | None = PART("Kawakita's a", None)
+    kawakita_b: CaseInput | None = UnitQuantity("1/Pa", POSITIVE, example="0.1 1/MPa")(
+        "Kawakita's b", None
+    )
+    strength: CaseInput = STRESS("tensile strength without pores", example="10 MPa")
+    bonding: CaseInput = POWER("fall of ln(strength) with porosity")
+    deviation: CaseInput = PART("relative deviation of the content", 0.0, range=Range(0.0, 0.5))
+    disintegration: CaseInput = TIME("mean time in which a tablet falls apart", example="2 min")
+    reference_porosity: CaseInput = PART("porosity to which that time refers", 0.1)
+    porosity_power: CaseInput = POWER("power of the porosity in that time", 0.0)
+    diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")
+    solubility: CaseInput = CONCENTRATION("solubility in the test's liquid", example="0.5 kg/m^3")
+    film: CaseInput = LENGTH("thickness of the film", example="30 um")
+    test_time: CaseInput = TIME("time of the dissolution test", alias="time", example="30 min")
 
     type = "tablet-press"
+    more_keys: ClassVar = {
+        "compaction": (Literal["heckel", "kawakita"], choice("heckel", "kawakita"))
+    }
     variant = ""
     title = "tablet press"
-    table = TabletPressTable
     reacts = False
     symbols = (
         ("D, ε", "relative density and porosity of a tablet"),
@@ -130,34 +115,11 @@ class TabletPress(Instant):
         table = read.table
         local, other = (HECKEL, KAWAKITA) if table.compaction == "heckel" else (KAWAKITA, HECKEL)
         for key in (*local, *other):
-            values = getattr(table, key)
-            if (values is None) == (key in local):
+            if (getattr(table, key) is None) == (key in local):
                 says = "needs this key" if key in local else "has no such key"
-                raise read.section.error(key, values, f'compaction "{table.compaction}" {says}')
-        return cls(
-            name=read.name,
-            drug=species.index(read.one_of("drug", species, "species")),
-            weight=read.number("weight", "kg", POSITIVE),
-            label=read.number("label", "kg", POSITIVE),
-            diameter=read.number("diameter", "m", POSITIVE),
-            pressure=read.number("pressure", "Pa", NOT_NEGATIVE),
-            true_density=read.number("true_density", "kg/m3", DENSITY),
-            packing=read.number("packing", "1", INSIDE),
-            yield_pressure=read.optional("yield_pressure", "Pa", POSITIVE),
-            rearrangement=read.optional("rearrangement", "1", SHARE),
-            kawakita_a=read.optional("kawakita_a", "1", INSIDE),
-            kawakita_b=read.optional("kawakita_b", "1/Pa", POSITIVE),
-            strength=read.number("strength", "Pa", POSITIVE),
-            bonding=read.number("bonding", "1", NOT_NEGATIVE),
-            deviation=read.number("deviation", "1", FEW),
-            disintegration=read.number("disintegration", "s", POSITIVE),
-            reference_porosity=read.number("reference_porosity", "1", INSIDE),
-            porosity_power=read.number("porosity_power", "1", NOT_NEGATIVE),
-            diffusivity=read.number("diffusivity", "m2/s", POSITIVE),
-            solubility=read.number("solubility", "kg/m3", POSITIVE),
-            film=read.number("film", "m", POSITIVE),
-            test_time=read.number("time", "s", POSITIVE),
-        )
+                displayed = read.raw.get(key)
+                raise read.section.error(key, displayed, f'compaction "{table.compaction}" {says}')
+        return super().read(read, species)
 
     @property
     def inlets(self):

@@ -1,0 +1,198 @@
+"""The baseline of the policy: the marginal value of gas of a dynamic program, and its innovations.
+
+One price factor has a table of values; several have a fitted value iteration. The policy is a
+network on top. The baseline is data, not a function of the inputs: a sensitivity moves the contract
+and the market, not the baseline. The innovations of the fitted value along a path are the control
+variate of a store's value.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..bounds.basis import REACH, powers
+from ..bounds.value_iteration import InnovationTable
+from ..references.marginal import MarginalValues
+
+
+class Knots(NamedTuple):
+    """One day of the guide: uniform inventories from `low` to `high`, with [rows, n] coefficients
+    in the fast factor's state `above` and `below` them, to be trusted up to `reach`."""
+
+    low: Array
+    high: Array
+    above: Array
+    below: Array
+    reach: Array
+
+    def values(self, process, terms, now, state, above, below) -> list[Array]:
+        """Marginal values, as present values, above and below these inventories at day's end.
+
+        The slow factors scale them all equally.
+        """
+        level = process.slow_level(terms.price, now.price, state)
+        x = jnp.clip(process.fast(state), -self.reach, self.reach)
+        result = readings(self, above, below, lambda row: jnp.polyval(row[::-1], x))
+        return [level * item for item in result]
+
+
+class ValueTable(eqx.Module):
+    """A guide: `knots` has leaves with a leading axis of days, and a method `values`."""
+
+    knots: Any
+
+    @classmethod
+    def of(cls, result: MarginalValues) -> "ValueTable":
+        table = (result.low, result.high, result.above, result.below, result.reach)
+        return cls(Knots(*table))  # pyright: ignore[reportArgumentType]
+
+
+def readings(knots, above, below, value) -> list[Array]:
+    """`value` of a row of coefficients, above the inventories `above` and below those `below`."""
+    upper = [between(knots, knots.above, inventory, value) for inventory in above]
+    return upper + [between(knots, knots.below, inventory, value) for inventory in below]
+
+
+def between(knots, rows, inventory, value):
+    """`value` of a row of coefficients, linear between the rows on either side of an inventory."""
+    segments = rows.shape[0] - 1
+    # A day may leave no choice of inventory; every row then holds the same value.
+    width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
+    position = (inventory - knots.low) / width * segments
+    left = jnp.clip(jnp.floor(position), 0, segments - 1)
+    # Inventories are exactly on the first and the last row. The line goes on beyond them, so that a
+    # rounding does not decide about the slope there.
+    share = position - left
+    row = left.astype(jnp.int32)
+    low, high = (value(rows[item]) for item in (row, row + 1))
+    return low + share * (high - low)
+
+
+class FittedKnots(NamedTuple):
+    """One day of `bounds.value_iteration.FittedMarginal`: see there."""
+
+    low: Array
+    high: Array
+    above: Array
+    below: Array
+    whiten: Array
+    common: Array
+    shift: Array
+
+    def values(self, process, terms, now, state, above, below) -> list[Array]:
+        """Marginal values, as present values, above and below these inventories at day's end."""
+        observed = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
+        return readings(self, above, below, lambda row: row @ observed)
+
+
+def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
+    """[size] the polynomials times the exponential, then the constant where there is one.
+
+    `reading` has a day's `whiten`, `common` and `shift`; whitened factors are cut at `reach`.
+    """
+    y = reading.whiten @ factors
+    y = jnp.clip(y, -reach, reach) if math.isfinite(reach) else y
+    level = jnp.exp(jnp.sum(reading.common * factors) - reading.shift)
+    levels = [level * polynomial for polynomial in _polynomials(y)]
+    if size > len(levels):
+        levels.append(jnp.ones_like(level))
+    return jnp.stack(levels)
+
+
+def _polynomials(y: Array) -> list[Array]:
+    """Products of normalised Hermite polynomials, in the order of `powers`."""
+    degrees = powers(y.shape[0])
+    tables = []
+    for i in range(y.shape[0]):
+        table = [jnp.ones_like(y[i]), y[i]]
+        for n in range(1, int(degrees.max())):
+            table.append((y[i] * table[n] - math.sqrt(n) * table[n - 1]) / math.sqrt(n + 1))
+        tables.append(table)
+    polynomials = []
+    for row in degrees:
+        factor = [tables[i][int(d)] for i, d in enumerate(row) if d]
+        polynomials.append(
+            math.prod(factor[1:], start=factor[0]) if factor else jnp.ones_like(y[0])
+        )
+    return polynomials
+
+
+class DateValues(NamedTuple):
+    """The value on one date: `bounds.value_iteration.InnovationTable`."""
+
+    low: Array
+    high: Array
+    coefficients: Array
+
+
+class Reading(NamedTuple):
+    """How the functions of one date read the price factors."""
+
+    whiten: Array
+    common: Array
+    shift: Array
+
+
+class SurpriseDay(NamedTuple):
+    """One day: its own value, the expectation of the next date's, and its functions."""
+
+    now: DateValues
+    ahead: DateValues
+    reading: Reading
+
+
+class SurpriseEnd(NamedTuple):
+    """The end date, and the expectation on the valuation date."""
+
+    now: DateValues
+    reading: Reading
+    first: Array
+
+
+class Innovations(eqx.Module):
+    """`days` has leaves with a leading axis of days."""
+
+    days: Any
+    end: Any
+
+    @classmethod
+    def of(cls, result: InnovationTable) -> "Innovations":
+        position = DateValues(result.low, result.high, result.now)  # pyright: ignore
+        reading = Reading(result.whiten, result.common, result.shift)  # pyright: ignore
+        first = DateValues(*(item[:-1] for item in position))
+        ahead = DateValues(result.low[1:], result.high[1:], result.ahead)  # pyright: ignore
+        days = SurpriseDay(first, ahead, Reading(*(entry[:-1] for entry in reading)))
+        last = (
+            DateValues(*(value[-1] for value in position)),
+            Reading(*(each[-1] for each in reading)),
+        )
+        return cls(days, SurpriseEnd(*last, np.asarray(result.first)))  # pyright: ignore
+
+
+def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
+    """The value at the start of a day less its expectation for the next date.
+
+    Summed over the days, with the end date's value and less `first`, it is the sum of the
+    innovations. `before` and `after` are the inventories at the start and the end of the day.
+    """
+    # Data without a derivative: an adjoint need not form any.
+    row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
+    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
+    return _worth(row.now, before, observed) - _worth(row.ahead, after, observed)
+
+
+def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:
+    """The end date's part of the sum."""
+    row, factors, left = jax.lax.stop_gradient((row, factors, left))
+    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
+    return _worth(row.now, left, observed) - row.first
+
+
+def _worth(position: DateValues, inventory: Array, observed: Array) -> Array:
+    inside = jnp.clip(inventory, position.low, position.high)
+    return between(position, position.coefficients, inside, lambda row: row @ observed)

@@ -1,0 +1,146 @@
+"""The quantities of a pension case: unit, range, usual move and group, declared once.
+
+The usual moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
+ratios one percentage point, quantities (money, members, death probabilities) one per cent of
+themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
+"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
+The unit "money" is the currency of the case.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.csv import Row
+from snapo.case.given import CaseInput
+from snapo.case.quantity import (
+    FRACTION,
+    NOT_NEGATIVE,
+    POSITIVE,
+    KeyContext,
+    Quantity,
+    Range,
+    stacked,
+)
+from snapo.case.table import CaseTable
+
+from .read.cells import NEVER, TimeGrid, empty, rising, years
+
+SQUARE_ROOT, YEARLY = "1/sqrt(year)", "1/year"
+YEARLY_RATE = Range(-1.0, 1.0, "()", ", like 0.02 for 2 %")
+MONEY_YEARLY = Range(0.0, noun="money per year")
+FROM_YEAR, BY_AGE = "from_year", "sex,age"
+
+
+@dataclass(frozen=True)
+class FundQuantity(Quantity):
+    """A number of a fund; by "from_year" each row of its CSV holds from its time on, and by
+    "sex,age" from its age on, which its reader resolves.
+
+    - `blank`: the number of an empty cell, where a cell may be empty.
+    - `by_factor`: whether a list has one for each factor of a model; then several are read.
+    """
+
+    blank: float | None = None
+    by_factor: bool = False
+
+    @property
+    def allowed(self) -> str:
+        return f"{super().allowed}{'; a list with one for each factor' * self.by_factor}"
+
+    def of(self, group: str, **changes: Any) -> Self:
+        """The quantity in a group of inputs."""
+        return replace(self, group=group, **changes)
+
+    def __get_pydantic_json_schema__(self, *more: Any) -> dict[str, Any]:
+        one = super().__get_pydantic_json_schema__(*more)
+        return {"anyOf": [one, {"type": "array", "items": one}]} if self.by_factor else one
+
+    def in_column(self, column: str, meaning: str, **changes: Any) -> Self:
+        """The quantity of a column of a CSV."""
+        return replace(self, column=column, meaning=meaning, **changes)
+
+    def cell(self, row: Row) -> float:
+        if self.blank is not None and not row.cells.get(self.column):
+            return self.blank
+        return super().cell(row)
+
+    def read(self, raw: Any, key: KeyContext) -> Any:
+        if self.by == BY_AGE and isinstance(raw, str) and raw:
+            return raw
+        if not self.by_factor:
+            return super().read(raw, key)
+        if not isinstance(raw, list):
+            return (super().read(raw, key),)
+        one = replace(self, by_factor=False)
+        parts: list[CaseInput] = [one.read(item, key) for item in raw]
+        return tuple(
+            part if isinstance(item, str) else replace(part, positions=((*key.path, i),))
+            for i, (item, part) in enumerate(zip(raw, parts))
+        )
+
+    def from_dated_rows(self, name: str, rows: Sequence[Row]) -> CaseInput:
+        """The numbers of rows from_year,value; `starts` are years from now."""
+        begins = rising(rows, self.by, -NEVER)
+        if begins[0] > NEVER:
+            raise rows[0].error(self.by, "the first value must hold from year 0 on")
+        return self.from_rows(name, rows, [f"from {years(b)}" for b in begins], starts=begins)
+
+    def column_of(self, name: str, rows: Sequence[Row], labels: Sequence[str]) -> CaseInput:
+        """The numbers of a column that may be left out: then they are zero, and no input."""
+        if not rows or self.column not in rows[0].cells:
+            return empty(name, (len(rows),))
+        return self.from_rows(name, rows, labels)
+
+
+RATE = FundQuantity(YEARLY, YEARLY_RATE, move=1e-4, display_unit="bp", display_factor=1e4)
+SHARE = FundQuantity(
+    "1", FRACTION, move=0.01, display_unit="percentage point", display_factor=100.0
+)
+VOLATILITY = replace(SHARE, unit=SQUARE_ROOT, range=NOT_NEGATIVE, group="volatility")
+# Of rates and growth: a percentage point would double it.
+QUIET_VOLATILITY = replace(VOLATILITY, move=1e-3, display_unit="bp", display_factor=1e4)
+NUMBER = FundQuantity(move=0.01)
+AMOUNT = FundQuantity("money", NOT_NEGATIVE)
+TIME = FundQuantity("year", POSITIVE, move=1.0, display_unit="year")
+
+
+def plain(allowed: Range, default: Any = ...) -> Any:
+    """A field for a number that is no input: it has no gradient."""
+    lower, upper = (
+        ("gt" if allowed.endpoints[0] == "(" else "ge"),
+        ("lt" if allowed.endpoints[1] == ")" else "le"),
+    )
+    limits: dict[str, Any] = {lower: allowed.low, upper: allowed.high}
+    limits = {key: limit for key, limit in limits.items() if math.isfinite(limit)}
+    return Field(default, description=str(allowed), **limits)
+
+
+def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -> CaseInput:
+    """The numbers of a key with the name of their input, in the currency of the case."""
+    numbers: CaseInput = getattr(table, key)
+    unit = numbers.unit.replace("money", currency)
+    return replace(numbers, name=f"{prefix}_{key}", unit=unit)
+
+
+def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
+    """Numbers on the steps of the horizon, index [T]; one that begins later is no input."""
+    if numbers.starts is None:
+        return replace(numbers, index=np.zeros(grid.steps, np.int64))
+    times = np.arange(grid.steps) * grid.step
+    index = np.searchsorted(numbers.starts, times + NEVER, side="right") - 1
+    used = int(index[-1]) + 1
+    parts = {key: getattr(numbers, key)[:used] for key in ("values", "labels", "positions")}
+    return replace(numbers, **parts, starts=numbers.starts[:used], index=index)
+
+
+def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) -> CaseInput:
+    """Several numbers that change in time as one input, index [T, len(parts)]."""
+    labels = [f"{n} {label}".strip() for n, x in zip(names, parts) for label in x.labels]
+    numbers = replace(stacked(name, parts), labels=tuple(labels))
+    complete = len(set(numbers.positions)) == len(labels)  # several may share a file, or have none
+    return numbers if complete else replace(numbers, positions=())

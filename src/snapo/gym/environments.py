@@ -1,0 +1,345 @@
+"""A problem as an environment of Gymnasium, one path or many, and the reward of an agent in one."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PyTree
+
+from snapo.problem.code.version import followed
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
+from snapo.solver import statistics
+from snapo.solver.adjoint import flat_weights
+
+from .agent import Agent
+from .spaces import batched, element, gymnasium, space_of
+
+OutputsOf = dict[str, Float[Array, ""]]
+
+
+@runtime_checkable
+class Ends(Protocol):
+    """A simulator whose episodes may end before the horizon."""
+
+    def over(self, constants: PyTree, state: PyTree) -> Bool[Array, ""]:
+        """Whether the episode has ended in this state."""
+        ...
+
+
+class NextState(NamedTuple):
+    """After a step: the state, its observation, the reward and all outputs.
+
+    - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
+    - `late`: a limit of time cuts the episode off, and the problem would go on.
+    - `outputs`: of the step, and at an end those of the terminal state as well; a name that only
+      the terminal state has is 0 before.
+    """
+
+    state: PyTree
+    observation: Float[Array, " features"]
+    reward: Float[Array, ""]
+    outputs: OutputsOf
+    ended: Bool[Array, ""]
+    late: Bool[Array, ""]
+
+    @property
+    def over(self) -> Bool[Array, ""]:
+        """Whether the episode is over, for either reason."""
+        return self.ended | self.late
+
+
+class GymDynamics:
+    """The exact simulator of a problem in single precision, step by step.
+
+    The rewards of a path add up to its share of the objective; those of the terminal state come
+    with the step that ends the problem. With `endless` the horizon is a limit of time, after which
+    the problem would go on: a state at which only the horizon ends the path has no terminal
+    rewards.
+
+    **Raises:** `ValueError` where the objective is no mean of sums, which has no reward of a step.
+    """
+
+    def __init__(self, problem: Problem, endless: bool = False):
+        self.simulator, objective = problem.simulator, problem.objective
+        self.endless, self.kinds = endless, dict(self.simulator.totals())
+        summed = all(self.kinds.get(name, "sum") == "sum" for name in objective.outputs)
+        if not objective.linear or not summed:
+            raise ValueError(
+                "Environment: the objective must be a mean of outputs summed over the path; "
+                f"{type(objective).__name__} of {', '.join(objective.outputs)} has no reward of a "
+                "step."
+            )
+        self.weights = {k: float(w[0]) for k, w in flat_weights(objective, 1).items()}
+        self.schedule = jax.tree.map(jnp.asarray, problem.schedule)
+        self.features, self.horizon = problem.features, self.simulator.horizon
+
+    def first(self, noise: Float[Array, " initial_noise"]) -> tuple[PyTree, Array]:
+        """An initial state and its observation."""
+        state = jax.tree.map(jnp.asarray, self.simulator.initial(self.schedule.constants, noise))
+        return state, self._seen(jnp.zeros((), jnp.int32), state)
+
+    def step(self, t: Array, state: PyTree, action: Array, noise: Array) -> NextState:
+        """Step `t` of one path."""
+        constants, now = self.schedule.constants, at(self.schedule.steps, t)
+        after, outputs = self.simulator.step(constants, now, state, action, noise, Exact())
+        # A state may start as a whole number and go on as a float of the same meaning.
+        after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, state)
+        last = self.simulator.terminal(constants, after, Exact())
+        due = t + 1 >= self.horizon
+        ended = jnp.zeros((), bool) if self.endless else due
+        if isinstance(self.simulator, Ends):
+            ended = ended | self.simulator.over(constants, after)
+        reward = self._worth(outputs) + jnp.where(ended, self._worth(last), 0.0)
+        combined = self._told(outputs, last, ended)
+        return NextState(after, self._seen(t + 1, after), reward, combined, ended, due & ~ended)
+
+    def only_last(self) -> tuple[str, ...]:
+        """The outputs that only the terminal state has, none of a step."""
+
+        def both():
+            constants, now = self.schedule.constants, at(self.schedule.steps, 0)
+            simulator = self.simulator
+            state = simulator.initial(constants, jnp.zeros(simulator.initial_noise_size))
+            action, noise = jnp.zeros(simulator.action.size), jnp.zeros(simulator.noise_size)
+            _, outputs = simulator.step(constants, now, state, action, noise, Exact())
+            return outputs, simulator.terminal(constants, state, Exact())
+
+        outputs, last = jax.eval_shape(both)
+        return tuple(name for name in last if name not in outputs)
+
+    def _seen(self, t: Array, state: PyTree) -> Array:
+        """The observation; after the last step nothing is decided, and the last schedule holds."""
+        now = at(self.schedule.steps, jnp.minimum(t, self.horizon - 1))
+        return jnp.asarray(self.simulator.observe(self.schedule.constants, now, state), jnp.float32)
+
+    def _worth(self, outputs: dict[str, Any]) -> Array:
+        zero = jnp.zeros((), jnp.float32)
+        return sum((w * outputs[k] for k, w in self.weights.items() if k in outputs), zero)
+
+    def _told(self, outputs: OutputsOf, last: OutputsOf, ended: Array) -> OutputsOf:
+        """The outputs of a step joined with those of the terminal state, by the kind of total."""
+        combined = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
+        for name, value in last.items():
+            before, kind = combined.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
+            if kind == "sum" or name not in combined:
+                joined = before + value
+            else:
+                joined = jnp.maximum(before, value) if kind == "max" else value
+            combined[name] = jnp.where(ended, joined, before)
+        return combined
+
+
+class Compiled(NamedTuple):
+    """The dynamics with its two compiled functions, of one path."""
+
+    dynamics: GymDynamics
+    first: Any
+    step: Any
+
+
+_known: "WeakKeyDictionary[Problem, dict[Any, Compiled]]" = WeakKeyDictionary()
+
+
+def compiled(problem: Problem, endless: bool) -> Compiled:
+    """Compiled once for all environments of a problem: `play` makes one for every start."""
+    made, key = _known.setdefault(problem, {}), (endless, problem.version)
+    if key not in made:
+        dynamics = GymDynamics(problem, endless)
+        both = (followed(jax.jit(f), problem.version) for f in (dynamics.first, dynamics.step))
+        made[key] = Compiled(dynamics, *both)
+    return made[key]
+
+
+class Environment(gymnasium.Env):
+    """The exact simulator of a problem as an environment for training with any library.
+
+    - An observation is that of snapo's policies; a reward is a step's part of the objective,
+      which must be a mean of sums. `info` holds all outputs of the step by name, numbers; those
+      of the terminal state are in the step that ends the problem.
+    - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
+    - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
+      (`terminated`), and outputs of the terminal state are not paid there. An end of the
+      simulator's own (`over`) terminates in both, also at the last step.
+    - `decisions`: the set that its actions are elements of.
+    """
+
+    metadata: ClassVar = {"render_modes": []}
+
+    def __init__(self, problem: Problem, endless: bool = False):
+        self.dynamics, self._first, self._step = compiled(problem, endless)
+        self.decisions, self.endless, self.render_mode = problem.action, endless, None
+        observed = (self.dynamics.features,)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, observed, np.float32)
+        self.action_space, self._read = space_of(problem.action)
+        self._only_last = self.dynamics.only_last()
+        self._t, self._state = 0, None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """The first observation of a new path, and no more information."""
+        super().reset(seed=seed)
+        noise = self._normals(self.dynamics.simulator.initial_noise_size)
+        self._t = 0
+        self._state, observed = self._first(noise)
+        return np.asarray(observed), {}
+
+    def step(self, action):
+        """One decision: observation, reward, terminated, truncated, outputs."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("Environment: call reset before the first step.")
+        noise = self._normals(self.dynamics.simulator.noise_size)
+        selected = self._read(batched(action))[0].astype(np.float32)
+        moved = self._step(np.int32(self._t), self._state, selected, noise)
+        self._t, self._state = self._t + 1, moved.state
+        ended, late = bool(moved.ended), bool(moved.late)
+        but = () if ended else self._only_last
+        info = {name: float(x) for name, x in moved.outputs.items() if name not in but}
+        return np.asarray(moved.observation), float(moved.reward), ended, late, info
+
+    def _normals(self, size: int) -> np.ndarray:
+        return self.np_random.standard_normal(size, np.float32)
+
+
+class Played(NamedTuple):
+    """The mean reward of an episode with its standard error; rewards and steps [starts] of each."""
+
+    mean: float
+    standard_error: float
+    rewards: np.ndarray
+    steps: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.mean:.4g} ± {self.standard_error:.2g} over {len(self.rewards):,} starts"
+
+
+def play(
+    agent: Agent | Policy | Callable[[np.ndarray], np.ndarray],
+    environment: "str | Callable[[], Any]",
+    starts: int | Sequence[int] = 2000,
+) -> Played:
+    """Plays one episode from every start, all episodes side by side.
+
+    **Arguments:**
+
+    - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. A policy
+      writes its actions for the environment's space (see `Agent`); a memory is reset.
+    - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
+    - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1: the
+      same ones for every agent, so that agents are compared on common starts.
+    """
+    seeds = range(starts) if isinstance(starts, int) else starts
+    if not len(seeds):
+        raise ValueError("play: give at least one start.")
+    worlds = [made(environment) for _ in seeds]
+    act = _for_world(agent, worlds[0])
+    firsts = [item.reset(seed=int(seed))[0] for item, seed in zip(worlds, seeds)]
+    observed = np.stack([np.asarray(first, np.float32) for first in firsts])
+    rewards, steps = np.zeros(len(worlds)), np.zeros(len(worlds), int)
+    going = list(range(len(worlds)))
+    while going:
+        actions = act(observed)  # of all: one compiled shape
+        left = []
+        for i in going:
+            observed[i], reward, ended, late, _ = worlds[i].step(element(actions, i))
+            rewards[i] += reward
+            steps[i] += 1
+            if not (ended or late):
+                left.append(i)
+        going = left
+    for world in worlds:
+        world.close()
+    average = statistics.mean(rewards, np.arange(rewards.size))
+    return Played(float(np.mean(rewards)), average.standard_error, rewards, steps)
+
+
+def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
+    """The agent, or that of a policy, for the actions of the environment; its memory is empty."""
+    if not isinstance(agent, Agent | Policy):
+        return agent
+    act = Agent(agent) if isinstance(agent, Policy) else agent
+    local = isinstance(world.unwrapped, Environment)
+    return act.on(world.unwrapped.decisions if local else world.action_space)
+
+
+def made(environment: "str | Callable[[], Any]"):
+    """The environment of this name, or the one that the function makes."""
+    if isinstance(environment, str):
+        return gymnasium.make(environment, disable_env_checker=True)
+    return environment()
+
+
+class VectorEnvironment(gymnasium.vector.VectorEnv):
+    """`num_envs` paths of the exact simulator side by side (see `Environment`).
+
+    A path that has ended restarts at its next step, whose action is not used and whose reward
+    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its
+    name after an underscore, for which paths it counts.
+    """
+
+    def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
+        self.dynamics, self.endless = GymDynamics(problem, endless), endless
+        self.num_envs = num_envs
+        mode = gymnasium.vector.AutoresetMode.NEXT_STEP
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.render_mode = None
+        observed = (self.dynamics.features,)
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, observed, np.float32)
+        self.single_action_space, self._read = space_of(problem.action)
+        batch = gymnasium.vector.utils.batch_space
+        self.observation_space = batch(self.single_observation_space, num_envs)
+        self.action_space = batch(self.single_action_space, num_envs)
+        self._only_last = self.dynamics.only_last()
+        self._first = followed(jax.jit(jax.vmap(self.dynamics.first)), problem.version)
+        self._step = followed(jax.jit(self._moved), problem.version)
+        self._t = np.zeros(num_envs, np.int32)
+        self._done = np.zeros(num_envs, bool)
+        self._state = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """The first observations [N, features] of new paths; one seed makes all of them."""
+        super().reset(seed=seed)
+        self._t[:], self._done[:] = 0, False
+        self._state, observed = self._first(
+            self._normals(self.dynamics.simulator.initial_noise_size)
+        )
+        return np.asarray(observed), {}
+
+    def step(self, actions):
+        """One decision for every path: [N, features], [N] rewards, terminated, truncated, info."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("VectorEnvironment: call reset before a step.")
+        size = self.dynamics.simulator
+        noise = self._normals(size.initial_noise_size), self._normals(size.noise_size)
+        selected = self._read(actions).astype(np.float32)
+        repeated = self._done.copy()
+        self._state, moved = self._step(self._t, self._state, selected, noise, repeated)
+        self._t = np.where(repeated, 0, self._t + 1).astype(np.int32)
+        ended, late = np.asarray(moved.ended), np.asarray(moved.late)
+        self._done = ended | late
+        info = {name: np.asarray(value) for name, value in moved.outputs.items()}
+        counts = {f"_{name}": ended if name in self._only_last else ~repeated for name in info}
+        rewards = np.asarray(moved.reward, np.float64)
+        return np.asarray(moved.observation), rewards, ended, late, info | counts
+
+    def _moved(self, t, state, actions, noise, repeated):
+        """All paths moved; those to start `repeated` at their initial state, where nothing
+        counts."""
+        fresh, first = jax.vmap(self.dynamics.first)(noise[0])
+        moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
+
+        def either(new, old):
+            return jnp.where(repeated.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+        state = jax.tree.map(either, fresh, moved.state)
+        reward, outputs, *flags = jax.tree.map(
+            lambda old: either(jnp.zeros((), old.dtype), old), tuple(moved[2:])
+        )
+        return state, NextState((), either(first, moved.observation), reward, outputs, *flags)
+
+    def _normals(self, size: int) -> np.ndarray:
+        return self.np_random.standard_normal((self.num_envs, size), np.float32)

@@ -1,1 +1,0 @@
-"""A program's operations in the order in which they are emitted."""

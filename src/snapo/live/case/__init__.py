@@ -1,1 +1,0 @@
-"""The case behind a run: its files, and where its inputs stand in them."""

@@ -1,0 +1,118 @@
+"""The paths of a move: how many, and their rollout for the value, the deltas and the fans."""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
+from snapo.solver.adjoint import float64
+from snapo.solver.evaluate import path_totals
+from snapo.solver.solution import Solution
+from snapo.solver.solve import Evaluation
+from snapo.study.chapters.profile import KINDS
+from snapo.study.study import Setup
+
+FEWEST, MAXIMUM = 1024, 12288  # paths of the value: as many as its error needs
+ENOUGH = 0.0012  # standard error over value; at moved inputs it may be slightly larger
+DELTA_PATHS, FAN_PATHS = 1024, 1024
+MAX_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
+
+
+class PathCounts(NamedTuple):
+    """Paths: of the value, of the derivatives, of the fans; the first is the greatest."""
+
+    value: int = MAXIMUM
+    deltas: int = DELTA_PATHS
+    fans: int = FAN_PATHS
+
+    @classmethod
+    def of(cls, paths: int, deltas: int | None = None) -> "PathCounts":
+        """So many paths for the value, and no more for anything else."""
+        return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
+
+    @classmethod
+    def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
+        """As many paths as the value needs by the run's own error, and no more than it had.
+
+        `numbers`: of the trajectory of one path; a wide one has fewer paths, so that an answer
+        comes in time.
+        """
+        share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
+        needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
+        needed = min(needed, max(FEWEST, 512 * (MAX_NUMBERS // numbers // 512)))
+        paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
+        return cls.of(paths, evaluation.sensitivity_paths)
+
+
+MAX_RECORDED = 2048  # paths of one call of the engine: their trajectories are in memory at once
+
+
+class Simulated(NamedTuple):
+    """The policy on the first paths of the evaluation, in the order of their numbers.
+
+    - `totals`: {output: [paths]} for the value.
+    - `actions`: [T, paths, A] for the deltas; None where they roll their own.
+    - `tables`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
+    """
+
+    totals: dict[str, np.ndarray]
+    actions: np.ndarray | None
+    tables: dict[str, Any]
+
+
+def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
+    """Every path once, where its totals have the same bits whatever is recorded; else apart.
+
+    The complete trajectory is always recorded: another record would be compiled again.
+    """
+    problem, engine = setup.problem, setup.engines.evaluate
+    source, bound = problem.sources.evaluation, engine.bind(problem)
+    paths, deltas, fans = (source.available(count) for count in counts)
+
+    def outcome(first: int, last: int):
+        draws = source.draws(np.arange(first, last), problem.simulator)
+        return bound.values(policy, draws, Exact(), record=KINDS)
+
+    if not engine.steady:
+        totals = path_totals(problem, policy, counts.value, engine=engine)
+        return Simulated(totals, None, outcome(0, fans).record)
+    parts, decided, displayed = [], [], []
+    for first in range(0, paths, MAX_RECORDED):
+        result = outcome(first, min(first + MAX_RECORDED, paths))
+        parts.append(float64(result.totals))
+        if first < deltas:
+            decided.append(result.record["action"][:, : deltas - first])
+        if first < fans:
+            displayed.append(jax.tree.map(lambda x, n=fans - first: x[:, :n], result.record))
+    totals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    selected = jax.tree.map(
+        lambda *item: np.concatenate(item, 1) if item[1:] else item[0], *displayed
+    )
+    return Simulated(totals, np.concatenate(decided, 1), selected)
+
+
+def numbers_of_a_path(problem: Problem) -> int:
+    """How many numbers the trajectory of one path has: states, actions and outputs of all steps."""
+    simulator, available = problem.simulator, problem.schedule  # made here, outside of the trace
+
+    def step(noise, first, action):
+        schedule = jax.tree.map(jnp.asarray, available)
+        state = simulator.initial(schedule.constants, first)
+        now = at(schedule.steps, 0)
+        return simulator.step(schedule.constants, now, state, action, noise, Exact()), action
+
+    sizes = simulator.noise_size, simulator.initial_noise_size, simulator.action.size
+    with jax.enable_x64(True):
+        result = jax.eval_shape(step, *(jnp.zeros(size) for size in sizes))
+    return simulator.horizon * sum(leaf.size for leaf in jax.tree.leaves(result))
+
+
+def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
+    """{output: [paths]} of a policy, by the code that rolls a move."""
+    return simulate(setup, policy, PathCounts(paths, 1, 1)).totals

@@ -1,0 +1,256 @@
+"""Limits on fresh paths: how far each is met, and the shadow price of its level.
+
+At the best policy within its limits the derivative of the objective by the policy is that of the
+limits' measures times their shadow prices. So the prices are the least squares of one on the
+others, on independent blocks of fresh paths: with a standard error that knows nothing of training.
+
+Prices of limits while a policy is trained: an augmented Lagrangian.
+
+After every step each limit is measured on the exact simulator and on that step's paths. Its
+multiplier moves by a share of the excess, never below zero, and the price that the next step sees
+is the multiplier and a part in proportion to the excess, which damps what only the multiplier
+would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
+
+The unit of an excess is the deviation of a path's measure, or the excess itself where that is
+larger: a rule that decides nearly the same on all paths has a measure that hardly deviates. The
+unit of a price is that at which the limit pulls at the policy as hard as the objective does, the
+length of the one's derivative over that of the other. Totals do not determine it: the noise in an
+objective may be far larger than all that decisions change, and a price that is far too large
+drives decisions to a bound of their set, where derivatives vanish.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from snapo.engine import BoundEngine, Engine
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Limit, Objective, Totals
+from snapo.problem.policy import Policy, trainable
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+
+from .adjoint import weighted_adjoint
+from .evaluate import value_of_groups
+from .statistics import of_shares
+
+
+def slope_of(
+    bound_engine: BoundEngine, policy: Policy, draws: Draws, smooth, objective: Objective
+) -> np.ndarray:
+    """In one row, in float64."""
+    result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, wrt=("policy",))[1]
+    leaves = jax.tree.leaves(trainable(result.policy)[0])
+    return np.concatenate([np.ravel(np.asarray(leaf, np.float64)) for leaf in leaves])
+
+
+MOVE, DAMP = 0.1, 3.0  # of a multiplier and of a price, for an excess of one deviation
+EVERY, KEPT = 5, 0.5  # steps between two measurements of a unit, and the share of those before
+MINIMUM = 1e-12
+
+
+class Dual(NamedTuple):
+    """For every limit its multiplier, its price and the unit of a price now, empty before the first
+    step."""
+
+    multipliers: tuple[float, ...] = ()
+    prices: tuple[float, ...] = ()
+    units: tuple[float, ...] = ()
+
+    @classmethod
+    def read(cls, plain) -> "Dual":
+        """From its fields as lists."""
+        return cls(*(tuple(item) for item in plain))
+
+    def due(self, step: int) -> bool:
+        """Whether it is time to measure units: their derivatives cost as much as a step."""
+        return not self.units or step % EVERY == 0
+
+    def measured(
+        self,
+        bound_engine: BoundEngine,
+        policy: Policy,
+        draws: Draws,
+        smooth,
+        objective: Objective,
+        limits: Sequence[Limit],
+    ) -> "Dual":
+        """With the units of prices on these paths, smoothed over the measurements before."""
+        lengths = np.array([
+            np.linalg.norm(slope_of(bound_engine, policy, draws, smooth, item))
+            for item in (objective, *(limit.measure for limit in limits))
+        ])  # fmt: skip
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = lengths[0] / lengths[1:]
+        available = np.isfinite(length) & (length > 0)
+        before = np.array(self.units) if self.units else np.where(available, length, np.nan)
+        known_before = np.where(np.isnan(before), length, before)
+        smoothed = known_before**KEPT * np.where(available, length, known_before) ** (1 - KEPT)
+        return self._replace(units=tuple(np.where(available, smoothed, before).tolist()))
+
+
+def updated_prices(
+    dual: Dual, objective: Objective, limits: Sequence[Limit], totals: Totals, slower: float
+) -> Dual:
+    """The prices after a step with these exact totals; `slower`, 1 to 0, slows multipliers down
+    towards the end."""
+    old = np.array(dual.multipliers or (0.0,) * len(limits))
+    excess = np.array([limit.excess(totals) for limit in limits])
+    if not np.all(np.isfinite(excess)):
+        return dual
+    local = np.array([_deviation(item.measure, totals) for item in limits])
+    # Where no derivative determines a unit, deviations do.
+    units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
+    units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
+    far = units * excess / np.maximum(local, np.abs(excess))
+    # On a long way to the level the damping part leads: a multiplier that adds up all the way
+    # goes far beyond. With much room it falls by a tenth at least, whatever the unit has become.
+    move = far * local / np.maximum(local, np.abs(excess))
+    move = np.where(excess < -local, np.minimum(far, -old), move)
+    multipliers = np.maximum(old + slower * MOVE * move, 0.0)
+    prices = np.maximum(multipliers + DAMP * far, 0.0)
+    return dual._replace(multipliers=tuple(multipliers.tolist()), prices=tuple(prices.tolist()))
+
+
+def _deviation(objective: Objective, totals: Totals) -> float:
+    """Of one path's share in an objective; at least a tenth of the largest share, since all paths
+    may be equal."""
+    shares = objective.influence(totals)
+    return max(float(shares.std()), 0.1 * float(np.abs(shares).max()), MINIMUM)
+
+
+BLOCKS, PATHS = 16, 4096  # of the shadow prices
+NEARLY = 1e-3  # of a path's deviation in the measure
+ROOM = 0.1  # of it: training's own paths place a measure no better than that
+ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths are the same
+
+
+class LimitFound(NamedTuple):
+    """A limit on fresh paths of the exact simulator.
+
+    - `name`, `level`: it; `value`, `standard_error`, `low`, `high`: the measure, 95 % interval.
+    - `price`, `price_error`: the shadow price, by which one unit more of the level changes the
+      objective (negative for a lower limit); zero where the limit does not bind: where training
+      gave it no multiplier, or the measure keeps a distance from the level. `multiplier`: the one
+      in training.
+    - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, by
+      less than a thousandth of one path's deviation, or by less than round-off.
+    """
+
+    name: str
+    level: float
+    value: float
+    standard_error: float
+    low: float
+    high: float
+    price: float
+    price_error: float
+    multiplier: float
+    met: str
+
+    @property
+    def binds(self) -> bool:
+        """Whether it has a price."""
+        return bool(self.price_error > 0 or self.price != 0)
+
+    @property
+    def at_level(self) -> bool:
+        """Whether the measure is at the level, up to sampling noise and round-off."""
+        return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
+
+    def __str__(self) -> str:
+        value = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
+        return (
+            f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
+            f"to {self.high:,.6g}), {self.met}; {value if self.binds else 'it has no price'}"
+        )
+
+
+def _alike(half: float, level: float) -> float:
+    """How far a measure with this half width may be from the level and yet be taken for it."""
+    return max(half, ALIKE * abs(level))
+
+
+def limits_found(
+    problem: Problem, policy: Policy, totals: Totals, dual: Dual, smooth: Smooth, engine: Engine
+) -> tuple[LimitFound, ...]:
+    """Every limit of the problem, on exact `totals` of its evaluation scenarios; prices by smooth
+    derivatives on the first of these paths."""
+    limits, source = problem.constraints, problem.sources.evaluation
+    if not limits:
+        return ()
+    measured = [of_shares(value_of_groups(item.measure, totals, source)) for item in limits]
+    multipliers = dual.multipliers or (0.0,) * len(limits)
+    binds = np.zeros(len(limits), bool)
+    met = []
+    for i, (limit, result) in enumerate(zip(limits, measured)):
+        excess, half = (
+            limit.sign * (result.value - limit.level),
+            result.value - result.interval()[0],
+        )
+        deviation = float(limit.measure.influence(totals).std())
+        same = _alike(half, limit.level)
+        binds[i] = multipliers[i] > 0 and -excess <= max(same, ROOM * deviation)
+        outside = excess > max(same, NEARLY * deviation)
+        met.append("met" if excess <= 0 else "not met" if outside else "met nearly")
+    prices, errors = _prices(problem, policy, binds, smooth, engine)
+    return tuple(
+        LimitFound(
+            entry.name, entry.level, results.value, results.standard_error, *results.interval(),
+            entry.sign * prices[i], errors[i], entry.sign * multipliers[i], met[i],
+        )
+        for i, (entry, results) in enumerate(zip(limits, measured))
+    )  # fmt: skip
+
+
+def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
+    """The limits that are not met, and those that have room, in sentences."""
+    return tuple(sentence for item in limits if (sentence := _note(item)))
+
+
+def _note(limit: LimitFound) -> str:
+    if limit.met == "not met":
+        return f"Limit not met on fresh paths: {limit}. Try more steps; or no policy may meet it."
+    if limit.binds:
+        return ""
+    if limit.multiplier and limit.at_level:
+        return (
+            f"Limit without a price, though it leaves no room: {limit.name}. All decisions "
+            "are at bounds of their set, where none has a derivative. Training ended at a price "
+            f"of {limit.multiplier:,.4g} for it."
+        )
+    room = f"Limit with room, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
+    if limit.multiplier:
+        room += (
+            f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "
+            "may be caught at a bound of their set. Try more steps or a lower learning_rate."
+        )
+    return room
+
+
+def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Smooth, engine: Engine):
+    """[limits] shadow prices and their standard errors by a jackknife; zeros where none binds."""
+    prices, errors = np.zeros(len(binds)), np.zeros(len(binds))
+    if not binds.any():
+        return prices, errors
+    bind = [constraint for constraint, on in zip(problem.constraints, binds) if on]
+    requested = [problem.objective, *(item.measure for item in bind)]
+    signs = np.array([1.0, *(entry.sign for entry in bind)])[:, None]
+    bound, source = engine.bind(problem), problem.sources.evaluation
+    blocks = source.blocks(source.available(PATHS), BLOCKS)
+    draws = [source.draws(block, problem.simulator) for block in blocks]
+    slopes = np.array([
+        [slope_of(bound, policy, block, smooth, value) for value in requested] for block in draws
+    ]) * signs  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
+    complete = _least_squares(slopes.mean(0))
+    without = (slopes.sum(0) - slopes) / (len(slopes) - 1)
+    left = np.array([_least_squares(each) for each in without])
+    spread = (len(left) - 1) / len(left) * np.sum((left - left.mean(0)) ** 2, axis=0)
+    prices[binds], errors[binds] = complete, np.sqrt(spread)
+    return prices, errors
+
+
+def _least_squares(slopes: np.ndarray) -> np.ndarray:
+    return np.linalg.lstsq(slopes[1:].T, slopes[0], rcond=None)[0]

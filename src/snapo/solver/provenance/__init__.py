@@ -1,1 +1,0 @@
-"""How a result came about: times, and versions of all that had a part in it."""

@@ -1,0 +1,342 @@
+"""How a training ended, in a word, and reasons to distrust its result.
+
+"trained" only means that all steps were taken. Here the policy is compared with the untrained one,
+with that of halfway and with constant decisions on the same paths, in kernels that are there
+already. "converged" has to be earned: without evidence, the word is "too short to tell".
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.engine import Engine
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Totals
+from snapo.problem.policies.composed import Plain
+from snapo.problem.policies.memory import GRU, LastObservations
+from snapo.problem.policy import MLP, Policy, parameters
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Exact
+
+from .. import statistics
+from ..adjoint import finite, float64
+from ..evaluate import DECIDED, chunks, in_a_row, value_of
+from ..learning.settings import TrainingPlan
+from ..limits import NEARLY
+from ..train import Progress
+from .constant import (
+    at_limit,
+    constant_baselines,
+    constant_decisions,
+    describe,
+    equal_on_all_paths,
+    idle_advice,
+    never_taken,
+    numbers_text,
+)
+from .further import Further, compared_step, ends_for_good, restless, times_of, too_short
+
+CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
+SATURATED, CONSTANT = "saturated", "constant"
+UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
+UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # verdicts that a bound may make CONVERGED
+DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
+SIGNIFICANT = 2.0  # standard errors of a gain
+OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
+ENOUGH = 2048  # paths on which two rules are compared
+TRY_OTHERS = (
+    "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
+    "temperature_start"
+)
+
+
+STILL, TELLS_NOT, NOTHING = "Still improving: ", "Too short to tell ", "Training gained nothing "
+
+
+class Ending(NamedTuple):
+    """The word, and sentences on the limits of the value and on remedies."""
+
+    word: str
+    notes: tuple[str, ...] = ()
+
+
+class Gain(NamedTuple):
+    """By how much the objective is above that of another rule on the same paths."""
+
+    value: float
+    error: float
+
+    @property
+    def is_significant(self) -> bool:
+        # One randomised net has no error that could be known.
+        return self.value > (SIGNIFICANT * self.error if np.isfinite(self.error) else 0.0)
+
+    @property
+    def surely_below(self) -> bool:
+        """Whether the other rule is better."""
+        return Gain(-self.value, self.error).is_significant
+
+    def __str__(self) -> str:
+        return f"{self.value:,.3g} ± {self.error:,.2g}"
+
+
+NONE = Gain(0.0, 0.0)  # over itself
+
+
+def ending(
+    problem: Problem,
+    untrained: Policy,
+    progress: Progress,
+    training: TrainingPlan,
+    exact: Totals,
+    held_paths: int,
+    decisions: np.ndarray | None,
+    engine: Engine,
+    gradient: tuple[float, float] | None = None,
+) -> Ending:
+    """How training ended, by the exact simulator on paths of the evaluation; a training that
+    broke off has notes and no word.
+
+    A rule that breaks a limit of the problem, and more than the trained one does, is no baseline.
+
+    - `progress`: its `best` is the policy that is reported; `training`: with numbers for all that
+      is chosen from the problem.
+    - `exact`: {output: [paths]} of that policy on the evaluation's paths.
+    - `held_paths`: of the held derivatives; 0 leaves out what needs decisions.
+    - `decisions` [T, held_paths, A] of that policy there, where they were recorded before.
+    - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
+    """
+    if not np.isfinite(value_of(problem.objective, exact)):
+        return Ending("")
+    does_nothing = equal_on_all_paths(problem, exact)
+    selected = untrained is progress.best
+    over_start = NONE if selected else _over(problem, untrained, exact, engine)
+    notes = [idle_advice(value_of(problem.objective, exact))] if does_nothing else []
+    still, of, over_constant = [], len(problem.action.together()), None
+    if held_paths:
+        taken = _decisions(problem, progress.best, held_paths, decisions, engine)
+        actions = np.concatenate([item[2] for item in taken], axis=1)
+        still = constant_decisions(problem.action, actions)
+        constant, over_constant = _over_constants(problem, exact, taken, engine)
+        if still:
+            notes.append(f"{describe(still, of)}: if that is not meant, {TRY_OTHERS}.")
+        if len(still) < of and not over_constant.is_significant:
+            notes.append(_as_well(problem, constant, over_constant))
+        if unused := never_taken(problem.action, actions):
+            notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
+    if progress.status == "diverged":
+        return Ending("", tuple(notes))
+    all_still = len(still) == of
+    if does_nothing:
+        word = CONSTANT
+    elif not over_start.is_significant:
+        drawn = isinstance(untrained, DRAWN)
+        if drawn:
+            notes.append(UNMOVED_ADVICE)
+        word = UNMOVED if drawn else AS_BEGUN
+    elif all_still and at_limit(still):
+        word = SATURATED
+    else:
+        more = _further(problem, progress, training, exact, over_start, engine)
+        as_good = over_constant is not None and not over_constant.is_significant
+        below = over_constant is not None and over_constant.surely_below
+        if all_still or (as_good and not below):
+            word = CONSTANT
+        elif more.improving:
+            word = IMPROVING
+            notes.append(_improving(progress, training, more))
+        elif as_good:
+            word = CONSTANT
+        elif short := _short(progress, training, more, gradient):
+            word = SHORT
+            notes.append(f"{TELLS_NOT}whether more steps would bring more: {short}.")
+        else:
+            word = CONVERGED
+    return Ending(word, tuple(notes))
+
+
+def without_advice(notes: Iterable[str]) -> list[str]:
+    """The sentences that do not say to train for longer."""
+    return [note for note in notes if not note.startswith((STILL, TELLS_NOT, NOTHING))]
+
+
+UNMOVED_ADVICE = (
+    f"{NOTHING}over the network that was drawn at random: try more steps, another "
+    "learning_rate, wider starting states or features that distinguish states."
+)
+
+
+def _further(
+    problem: Problem,
+    progress: Progress,
+    training: TrainingPlan,
+    exact: Totals,
+    over_start: "Gain",
+    engine: Engine,
+) -> Further:
+    """The gain over the policy of halfway, on more paths until they are significant, and its
+    meaning.
+
+    Within limits it counts at their prices: a policy that breaks one is no worse a measure.
+    """
+    rated = problem.priced(progress.dual.prices or [0.0] * len(problem.constraints))
+    available = exact[problem.objective.outputs[0]]
+    best, spread = value_of(problem.objective, exact), float(np.nanstd(available))
+    size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
+    times = times_of(progress, training)
+    paths, maximum = ENOUGH, len(available)
+    while True:
+        late = _over(rated, progress.halfway, exact, engine, paths)
+        result = Further(late.value, late.error, times, size)
+        if result.improving or result.is_small or paths >= maximum:
+            return result
+        paths *= 4
+
+
+def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
+    return (
+        f"{STILL}the steps after {compared_step(progress, training)} of "
+        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
+        f"bring about {more.more:,.2g}; try steps={2 * progress.step}."
+    )
+
+
+def _short(
+    progress: Progress,
+    training: TrainingPlan,
+    more: Further,
+    gradient: tuple[float, float] | None,
+) -> str:
+    """Why it is not known whether a training has ended; empty where it has."""
+    if too_short(training, progress.step):
+        return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
+    if not more.is_small:
+        return (
+            f"the steps after {compared_step(progress, training)} gained "
+            f"{Gain(more.late, more.late_error)}"
+        )
+    moved = parameters(progress.best) - parameters(progress.halfway)
+    path = float(np.linalg.norm(moved))
+    if gradient is not None and restless(*gradient, path, more.size):
+        return f"the gradient is {gradient[0] / gradient[1]:.2g} times its noise"
+    return ""
+
+
+def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
+    """The sentence on a constant decision that is as good as the trained rule, or better."""
+    attempt = TRY_OTHERS
+    if ends_for_good(problem):
+        attempt = f"write a decision of when to stop with snapo.Stop, or {attempt}"
+    if gain.surely_below:
+        return (
+            f"A constant decision ({numbers_text(constant)}) does better, by {-gain.value:,.3g} ± "
+            f"{gain.error:,.2g}: {attempt}."
+        )
+    return (
+        f"A constant decision ({numbers_text(constant)}) does as well (the trained rule gains "
+        f"{gain}): what the policy observes does not help it. If it should, {attempt}."
+    )
+
+
+def _over(
+    problem: Problem, other: Policy, exact: Totals, engine: Engine, enough: int = ENOUGH
+) -> Gain:
+    """On the first chunks of the evaluation, whose kernels are there."""
+    source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
+    blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])), enough)
+    totals = [
+        bound.values(other, source.draws(block, problem.simulator), Exact()).totals
+        for block in blocks
+    ]
+    return _gain(problem, exact, [float64(item) for item in totals], np.concatenate(blocks))
+
+
+def _decisions(
+    problem: Problem,
+    policy: Policy,
+    held_paths: int,
+    recorded: np.ndarray | None,
+    engine: Engine,
+) -> list[tuple[np.ndarray, Draws, np.ndarray]]:
+    """The paths, their scenarios and the decisions [T, paths, size], by block."""
+    bound, source = engine.bind(problem), problem.sources.evaluation
+    rows = []
+    for paths in _first(source.blocks(source.available(held_paths))):
+        draws = source.draws(paths, problem.simulator)
+        if recorded is None:
+            taken = bound.values(policy, draws, Exact(), record=DECIDED).record["action"]
+        else:
+            taken = recorded[:, in_a_row(paths)]
+        rows.append((paths, draws, np.asarray(taken)))
+    return rows
+
+
+def _over_constants(
+    problem: Problem,
+    exact: Totals,
+    taken: list[tuple[np.ndarray, Draws, np.ndarray]],
+    engine: Engine,
+) -> tuple[np.ndarray, Gain]:
+    """The best constant decision [size] of some, and the gain over it: see `constant_baselines`."""
+    unpriced = _unpriced(problem)
+    bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
+    paths = np.concatenate([entry[0] for entry in taken])
+    pairs = []
+    for constant in constant_baselines(
+        problem.action, np.concatenate([value[2] for value in taken], axis=1)
+    ):
+        parts: list[Totals] = []
+        for _, draws, like in taken:
+            item = np.full(like.shape[1], 1 / like.shape[1])
+            weights = dict.fromkeys(outputs, item)
+            same = np.broadcast_to(constant.astype(like.dtype), like.shape)
+            # The held derivatives have this kernel compiled already.
+            passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
+            parts.append(float64(passed.totals))
+        pairs.append((constant, _gain(problem, exact, parts, paths)))
+    return min(pairs, key=lambda each: each[1].value)
+
+
+def _first(blocks: list[np.ndarray], enough: int = ENOUGH) -> list[np.ndarray]:
+    """The first blocks that have enough paths together, or all."""
+    sizes = np.cumsum([len(block) for block in blocks])
+    return blocks[: int(np.searchsorted(sizes, enough)) + 1]
+
+
+def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarray) -> Gain:
+    """The difference of the objective, with the standard error of paired paths."""
+    objective = problem.objective
+    mine = {name: np.asarray(total)[paths] for name, total in exact.items()}
+    other = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    valid = finite(mine, objective.outputs) & finite(other, objective.outputs)
+    if not valid.any():
+        return Gain(np.inf, 0.0)
+    mine, other = ({n: total[valid] for n, total in item.items()} for item in (mine, other))
+    paths = paths[valid]
+    with np.errstate(invalid="ignore"):
+        value = objective.value(mine) - objective.value(other)
+        spread = objective.influence(mine) - objective.influence(other)
+    groups = np.unique(problem.sources.evaluation.groups(paths), return_inverse=True)[1]
+    if not np.isfinite(value) or _breaks_a_limit(problem, mine, other, groups):  # or is ruined
+        return Gain(np.inf, 0.0)
+    return Gain(float(value), float(statistics.mean(spread, groups).standard_error))
+
+
+def _unpriced(problem: Problem) -> Problem:
+    """With the outputs of its limits in addition to those of its objective, as kernels have
+    them."""
+    return problem.priced([0.0] * len(problem.constraints))
+
+
+def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.ndarray) -> bool:
+    """Whether the other rule is surely further beyond a limit than mine is."""
+    for limit in problem.constraints:
+        influence = limit.measure.influence(other)
+        error = statistics.mean(influence, groups).standard_error
+        outside = limit.excess(other) - max(limit.excess(mine), 0.0)
+        if outside > max(
+            SIGNIFICANT * error if np.isfinite(error) else 0.0, NEARLY * influence.std()
+        ):
+            return True
+    return False

@@ -1,0 +1,299 @@
+"""A trained policy from a file, with which the training of a study begins.
+
+It is the policy.npz of a run folder, or a file that `policy.save` wrote: arrays, and texts that
+describe them. It is read without running any code. The trained numbers come from the file;
+everything else, such as limits of an action or present holdings, comes from the case. The study
+gets two more parts: a copy of the policy, so that the run can be resumed without the other one,
+and the gain of training over it on the paths of the value.
+"""
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.carry.save import PolicyFileError, described, read_arrays
+from snapo.problem.policy import Policy, load_policy, trainable
+from snapo.report.quantity import decimals, finite, measured, number
+from snapo.solver import statistics
+from snapo.solver.evaluate import estimate, path_totals, value_of_groups
+from snapo.solver.solution import POLICY
+
+from . import run_folder
+from .run_folder import START
+from .study import Part, Setup, Study, StudyRun
+from .training import TRAINING, no_policy
+
+ZIP = b"PK"  # with which every .npz begins
+OWN = re.compile(r"\.(low|high|groups)(\W|$)")  # settings that are those of the case, not trained
+
+
+@dataclass(frozen=True, eq=False)
+class SuppliedPolicy:
+    """A policy to begin with, before it is known whether it fits.
+
+    - `source`: the run folder or the file, as the command names it; `file`: where it was read.
+    - `content`: the bytes of the file; `value`: that of its run, where it has one.
+    - `arrays`: all of its numbers, in order; `text`: {place: kinds, sizes, functions}.
+    """
+
+    source: Path
+    file: Path
+    content: bytes
+    arrays: tuple[np.ndarray, ...]
+    text: Mapping[str, str]
+    value: float | None = None
+
+    @property
+    def checksum(self) -> str:
+        """Of the file: a resumed run must begin with the same."""
+        return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
+
+    def adopted_by(self, local: Policy) -> Policy:
+        """The policy of a case, `local`, with the trained numbers of this one.
+
+        **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
+        """
+        needed = described({"policy": local})
+        for position, word in needed.items():
+            if self.text.get(position, word) != word and not OWN.search(position):
+                has, needs = self.text[position], word
+                raise self._misfit(_name(position), has, needs)
+        leaves = jax.tree_util.tree_flatten_with_path(eqx.filter(local, eqx.is_array))[0]
+        sizes = [array.shape for array in self.arrays], [leaf.shape for _, leaf in leaves]
+        if len(sizes[0]) != len(sizes[1]):
+            raise self._misfit("sizes", *map(_sizes, sizes))
+        moved = {path for path, _ in _flat(trainable(local)[0])}
+        for (path, leaf), result in zip(leaves, self.arrays):
+            if path in moved and leaf.shape != result.shape:
+                message = f"{jax.tree_util.keystr(path).strip('.')} of size"
+                raise self._misfit(message, _size(result.shape), _size(leaf.shape), _seen(*sizes))
+        return _with(local, moved, self.arrays)
+
+    def _misfit(self, subject: str, has: str, needs: str, more: str = "") -> CaseError:
+        text = (
+            f"this policy does not fit the case: it has {subject} {has}, and the case needs {needs}"
+        )
+        return CaseError(str(self.file), "", None, text + more)
+
+
+def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
+    """The policy of a run folder or of a file.
+
+    - `kind`: of the case; `out`: the folder of the new run. Where both folders are one, the policy
+      is read before the new run removes it, and a resumed run reads its own copy.
+
+    **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
+    """
+    value, file = None, source
+    if source.is_dir():
+        if resume and (out / run_folder.START).exists() and source.resolve() == out.resolve():
+            file = out / run_folder.START
+        else:
+            value, file = _of_run(source, kind), source / POLICY
+    if not file.is_file():
+        message = (
+            "there is no policy here: name the folder that `snapo solve` wrote, its policy.npz, "
+        )
+        raise CaseError("--policy", "", str(source), message + "or a file of policy.save")
+    try:
+        content = file.read_bytes()
+        if not content.startswith(ZIP):
+            raise ValueError("this is no .npz file")
+        arrays, header = read_arrays(file)
+    except OSError as error:
+        raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        message = str(error).removeprefix(f"{file}: ").rstrip(".")
+        raise CaseError(str(file), "", None, message) from None
+    text, leaves = _parted(file, header, list(arrays.values()))
+    return SuppliedPolicy(source, file, content, tuple(leaves), text, value)
+
+
+def _of_run(run: Path, kind: str) -> float | None:
+    """The value of a run whose policy is whole."""
+    record = run_folder.read(run)
+    if record["kind"] != kind:
+        message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
+        raise CaseError(str(run / run_folder.RUN), "", None, message)
+    if record["parts"].get(TRAINING.name, {}).get("state") != "done":
+        raise no_policy(run, record)
+    run_folder.check_whole(run, record, (POLICY,))
+    return finite((run_folder.read_table(run / run_folder.RESULT) or {}).get("value"))
+
+
+def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
+    """Texts and arrays of the policy only, from either kind of file."""
+    if isinstance(header, dict) and "snapo policy" in header:
+        try:
+            policy = load_policy(file)
+        except PolicyFileError as error:
+            message = str(error).removeprefix(f"{file}: ").rstrip(".")
+            raise CaseError(str(file), "", None, message) from None
+        arrays = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
+        return described({"policy": policy}), [np.asarray(array) for array in arrays]
+    text = header.get("described") if isinstance(header, dict) else None
+    if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
+        message = "this file holds no policy: name the folder that `snapo solve` wrote"
+        raise CaseError(str(file), "", None, message)
+    if isinstance(header.get("header"), dict) and "mark" in header["header"]:
+        message = "this is the state of a training: name the folder of its run, or its policy.npz"
+        raise CaseError(str(file), "", None, message)
+    # The policy from the middle of training is there too; they are in the order of names.
+    count = 2 if "halfway kind" in text else 1
+    table = {
+        position: str(word) for position, word in text.items() if position.startswith("policy")
+    }
+    return table, leaves[len(leaves) - len(leaves) // count :]
+
+
+def _flat(tree: Any) -> list[tuple[Any, Any]]:
+    return jax.tree_util.tree_flatten_with_path(tree)[0]
+
+
+def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
+    """The policy with other numbers where they are trained."""
+    numbers, rest = eqx.partition(policy, eqx.is_array)
+    flat, structure = jax.tree_util.tree_flatten_with_path(numbers)
+    new = [
+        jnp.asarray(result, leaf.dtype) if path in names else leaf
+        for (path, leaf), result in zip(flat, arrays)
+    ]
+    return eqx.combine(structure.unflatten(new), rest)
+
+
+def _name(position: str) -> str:
+    """A part of a policy as text: "the activation" of "policy.network.activation"."""
+    if position == "policy kind":
+        return "the kind"
+    return position.removeprefix("policy.").replace(" kind", "")
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) or "1"
+
+
+def _sizes(shapes: list[tuple[int, ...]]) -> str:
+    return ", ".join(map(_size, shapes))
+
+
+def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
+    """The numbers that the first matrices take, where they differ: the numbers that a policy
+    observes."""
+    first = [
+        next((shape[1] for shape in shapes if len(shape) == 2), None) for shapes in (has, needs)
+    ]
+    if None in first or first[0] == first[1]:
+        return ""
+    return f": its network takes {first[0]} numbers, and here there are {first[1]}"
+
+
+KEPT, GAIN = "given policy", "gain over the given policy"
+
+
+def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
+    """The study with `values` in the place of its untrained policy; `file` is that of its case.
+
+    **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
+    """
+    if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
+        message = f"{file} trains no policy, so that there is nothing to begin with"
+        raise CaseError("--policy", "", str(values.source), message)
+    setup = _fitted(study.setup, values)
+    setup()  # a misfit is refused before anything is written
+    after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
+    parts = [
+        Part(KEPT, _kept(values)),
+        *study.parts[:after],
+        Part(GAIN, _gain, (KEPT, TRAINING.name)),
+        *study.parts[after:],
+    ]
+    return replace(study, parts=parts, setup=setup, result=_told(study.result))
+
+
+def _fitted(setup: Callable[[], Setup], values: SuppliedPolicy) -> Callable[[], Setup]:
+    """The setup of a study, which may change while it runs, with the policy in it."""
+    made: dict[int, tuple[Setup, Setup]] = {}
+
+    def build() -> Setup:
+        local = setup()
+        if id(local) not in made:  # the pair keeps `local`, and with it its number
+            made[id(local)] = (
+                local,
+                local._replace(policy=values.adopted_by(local.policy), recipe=None),
+            )
+        return made[id(local)][1]
+
+    return build
+
+
+def _kept(values: SuppliedPolicy) -> Callable[[StudyRun], Mapping[str, Any]]:
+    def work(run: StudyRun) -> Mapping[str, Any]:
+        (run.folder / START).write_bytes(values.content)
+        about = {"policy": str(values.source), "checksum": values.checksum, "value": values.value}
+        return {"began_with": about}
+
+    return work
+
+
+def _gain(run: StudyRun) -> Mapping[str, Any]:
+    """The value of the supplied policy here, and the gain of the trained one over it."""
+    setup, solution = run.setup, run.solution
+    problem, engine = setup.problem, setup.engines.evaluate
+    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
+    totals = path_totals(problem, setup.policy, solution.paths["evaluate"], engine=engine)
+    value = estimate(problem.objective, totals, source, controls)
+    both = (solution.totals, totals)
+    shares = [value_of_groups(problem.objective, item, source) for item in both]
+    with np.errstate(invalid="ignore"):
+        more = statistics.of_shares(np.subtract(*shares))
+    return {
+        "start_gain": {
+            "before": value.value,
+            "before_error": value.standard_error,
+            "value": more.value,
+            "standard_error": more.standard_error,
+        }
+    }
+
+
+def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
+    """The result with the start, and with a sentence on it for the report."""
+
+    def report(run: StudyRun) -> Mapping[str, Any]:
+        results, start = dict(result(run)), run.get("began_with")
+        if not start or results.get("value") is None:
+            return results
+        gain = run.get("start_gain") or {}
+        sentence = describe(start, gain)
+        return results | {
+            "start": {**start, **gain},
+            "notes": [*results.get("notes", ()), sentence],
+        }
+
+    return report
+
+
+def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
+    """What training began with, and by how much it came further."""
+    text = f"Training began with the policy of {start['policy']}"
+    if start.get("value") is not None:
+        text += f", whose value there is {number(start['value'])}"
+    if not gain or gain.get("before") is None:
+        return f"{text}."
+    before = _with_error(gain["before"], gain["before_error"])
+    more = _with_error(gain["value"], gain["standard_error"])
+    return f"{text}. Its value here is {before}; training gained {more} over it on the same paths."
+
+
+def _with_error(value: float, error: float | None) -> str:
+    digits = max(0, decimals([error], 2)) if finite(error) else 4
+    return " ".join(measured(value, error, digits)).strip()

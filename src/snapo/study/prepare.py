@@ -1,0 +1,177 @@
+"""A run prepared: its folder, all that decides its numbers, and its study.
+
+The case is new, or it is read again from the copy in the folder of its run.
+"""
+
+import datetime
+import json
+import os
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from snapo.case.error import CaseError, Unquoted
+from snapo.case.load import load
+
+from . import run_folder
+from .domain import Domain, Loaded, Options, RunsCode
+from .run_folder import CASE, differences
+
+if TYPE_CHECKING:
+    from .study import ProgressCallback, Study
+
+
+def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, Any]]:
+    """The file of a run's case, and its tables with the keys that `--set` changed.
+
+    **Raises:** `CaseError` where the copy in the run folder is gone.
+    """
+    recorded = record["decides"]["case"]
+    results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
+    if not results:
+        message = "the copy of the case is gone: solve the case again"
+        raise CaseError(str(out / CASE), "", None, message)
+    file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
+    return file, _as_recorded(data, recorded)
+
+
+def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
+    """As the case of a run is studied again: without the checks that it passed, unless it runs code
+    that has changed since."""
+    decided = record["decides"].get("options", {})
+    same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided.items()
+    return Options(engine, about=record.get("about") if same else None)
+
+
+def _as_recorded(data: Any, recorded: Any) -> Any:
+    """Tables of a file with the recorded values; those that are the same keep their types."""
+    if isinstance(data, dict) and isinstance(recorded, dict):
+        return {key: _as_recorded(data.get(key), value) for key, value in recorded.items()}
+    if isinstance(data, list) and isinstance(recorded, list) and len(data) == len(recorded):
+        return [_as_recorded(old, new) for old, new in zip(data, recorded, strict=True)]
+    if _plain(data) == recorded:
+        return data
+    if isinstance(data, datetime.date) and isinstance(recorded, str):
+        return datetime.date.fromisoformat(recorded)
+    return recorded
+
+
+def _plain(data: Any) -> Any:
+    """As run.json holds it."""
+    return json.loads(json.dumps(data, default=str))
+
+
+def use_every_core() -> None:
+    """XLA runs one device per core, where JAX has not computed yet.
+
+    On a machine with a GPU everything but an engine's rollouts runs on the processor all the same:
+    its many small programs take longer to compile for a GPU than to run.
+    """
+    import jax
+
+    jax.config.update("jax_default_device", "cpu")
+    with suppress(RuntimeError):  # it has computed already: then it keeps the devices it has
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+
+
+class Wanted(NamedTuple):
+    """The options of `snapo solve` other than the case.
+
+    - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
+    - `policy`: a run folder, or the file of a policy, with which training begins.
+    - `about`: that of another run of the same case, which passed its checks for this one too.
+    """
+
+    engine: str = "auto"
+    reference: bool = False
+    resume: bool = False
+    policy: Path | None = None
+    about: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A run that can be carried out: its case, its folder, the settings that decide it, and its
+    study."""
+
+    loaded: Loaded
+    out: Path
+    decides: Mapping[str, Any]
+    study: "Study"
+
+
+def output_folder(loaded: Loaded, out: Path | None) -> Path:
+    """The folder of the run, which can be written.
+
+    **Raises:** `CaseError` where it cannot, or is that of the case.
+    """
+    out = out or loaded.file.parent / "run"
+    try:
+        same = out.resolve() == loaded.file.parent.resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        message = "this cannot be the name of a folder: its links go in a circle"
+        raise CaseError(str(out), "", None, message) from None
+    if same:
+        message = "this is the folder of the case; a run has a folder of its own"
+        raise CaseError("--out", "", Unquoted(str(out)), message)
+    run_folder.check_writable(out)
+    return out
+
+
+def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
+    """The study of a case, beginning with a given policy where one is named.
+
+    **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
+    nothing is written before.
+    """
+    use_every_core()
+    options: dict[str, Any] = {"engine": requested.engine}
+    if isinstance(loaded.domain, RunsCode):
+        options |= loaded.domain.decides(loaded.case)
+    values = None
+    if requested.policy is not None:
+        from .initial_policy import read
+
+        values = read(requested.policy, loaded.domain.kind, out, requested.resume)
+        options["policy"] = values.checksum
+    decides = run_folder.decisive(loaded.file, loaded.data, options)
+    before = run_folder.check_same(out, decides) if requested.resume else None
+    about = before.get("about") if before else requested.about
+    request = Options(requested.engine, requested.reference, about)
+    study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
+    if values is not None:
+        from .initial_policy import begun_with
+
+        study = begun_with(study, values, str(loaded.file))
+    return Prepared(loaded, out, decides, study)
+
+
+def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
+    """The study with the remarks on its case among its notes, also where it has none."""
+    every = dict.fromkeys([*notes, *study.about.get("notes", ())])
+    return replace(study, about={**study.about, "notes": list(every)})
+
+
+def carried_out(
+    prepared: Prepared,
+    resume: bool,
+    progress: "ProgressCallback",
+    began: float,
+    adjacent: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Does the parts of the study; returns the content of result.json.
+
+    `began`: when the command did, by `time.perf_counter()`; `adjacent`: seconds of other work for
+    it.
+    """
+    from .carry_out import carry_out
+
+    run_folder.copy_case(prepared.loaded.file, prepared.out)
+    spent = time.perf_counter() - began
+    domain = prepared.loaded.domain
+    return carry_out(
+        domain, prepared.study, prepared.out, prepared.decides, resume, progress, spent, adjacent
+    )

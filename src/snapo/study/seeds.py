@@ -1,0 +1,334 @@
+"""Trainings of one case with several seeds, compared on common paths that nothing else has seen."""
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
+from snapo.solver import statistics
+from snapo.solver.checkpoint import CheckpointError
+from snapo.solver.evaluate import estimate, path_totals, value_of_groups
+from snapo.solver.solution import Solution
+from snapo.solver.tables import write_csv
+
+from . import run_folder
+from .domain import CaseRequest, Loaded, load, remarks
+from .initial_policy import KEPT
+from .prepare import Prepared, Wanted, carried_out, made_ready, output_folder
+from .run_folder import SEEDS
+from .study import Part, Setup, Study, StudyRun
+from .training import TRAINING, with_needs
+
+if TYPE_CHECKING:
+    from .study import ProgressCallback
+
+STREAM = 0x5EED  # of the evaluation's scenarios: those on which seeds are compared
+
+
+class Trained(NamedTuple):
+    """One seed: its study, and the result of its training."""
+
+    seed: int
+    study: Study
+    folder: Any
+    result: Mapping[str, Any]
+
+
+class SeedRow(NamedTuple):
+    """One seed in the table.
+
+    - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
+    - `below_best`, `below_best_error`: the difference to the best, paired path by path.
+    - `within`: whether all limits of the problem are met, or nearly, on the run's own paths.
+    """
+
+    seed: int
+    value: float | None
+    standard_error: float | None
+    below_best: float | None
+    below_best_error: float | None
+    within: bool
+    status: str
+    convergence: str
+    seconds: float
+    run: str
+
+
+class SeedComparison(NamedTuple):
+    """All seeds side by side.
+
+    - `best`: the seed with the highest value, of those within their limits where some are.
+    - `mean`, `worst`, `highest`, `deviation`: of the values; `standard_error`: the Monte Carlo
+      error of their mean, which all of them share.
+    - `fresh`: whether the paths serve for nothing else; `paths`: how many there are.
+    """
+
+    rows: tuple[SeedRow, ...]
+    best: int
+    mean: float
+    worst: float
+    highest: float
+    deviation: float
+    standard_error: float
+    fresh: bool
+    paths: int
+
+    def table(self) -> dict[str, Any]:
+        """As plain data."""
+        return self._asdict() | {"rows": [row._asdict() for row in self.rows]}
+
+
+def compared(trained: Sequence[Trained]) -> SeedComparison:
+    """The policies of all seeds on common paths: of the first one's problem."""
+    setup = _setup(trained[0].study)
+    problem, fresh = _measured_on_others(setup)
+    results = [_shares(problem, setup, item) for item in trained]
+    means = [np.mean(entry) if entry is not None else np.nan for entry in results]
+    values = np.array(means, np.float64)
+    within = [_within(value.result) for value in trained]
+    best = _best(values, within)
+    rows = tuple(
+        _row(each, shares, results[best], ok) for each, shares, ok in zip(trained, results, within)
+    )
+    available = [result for result in results if result is not None and np.isfinite(result).all()]
+    selected = values[np.isfinite(values)]
+    error = statistics.of_shares(np.mean(available, axis=0)).standard_error if available else np.nan
+    endpoints = (np.mean, np.min, np.max)
+    mean, worst, highest = (
+        float(endpoint(selected)) if selected.size else np.nan for endpoint in endpoints
+    )
+    return SeedComparison(
+        rows,
+        trained[best].seed,
+        mean,
+        worst,
+        highest,
+        float(selected.std(ddof=1)) if selected.size > 1 else np.nan,
+        float(error),
+        fresh,
+        problem.sources.evaluation.available(setup.evaluation.paths),
+    )
+
+
+def _setup(study: Study) -> Setup:
+    assert study.setup is not None
+    return study.setup()
+
+
+def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
+    """The problem on scenarios of its own for the comparison, where they can be drawn."""
+    problem, sources = setup.problem, setup.problem.sources
+    others: Scenarios = sources.evaluation
+    fresh = isinstance(others, Pseudo | Sobol)
+    if fresh:
+        others = Pseudo(setup.training.seed, stream=stream(EVALUATE, STREAM))
+    problem = replace(problem, sources=replace(sources, evaluation=others))
+    return problem.prepared(setup.problem.schedule), fresh
+
+
+def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
+    """The values of independent groups of paths under a seed's policy; None where it has none."""
+    try:
+        policy = Solution.load(item.folder, like=_setup(item.study).policy).policy
+    except CheckpointError:
+        return None
+    paths, engine = setup.evaluation.paths, setup.engines.evaluate
+    totals = path_totals(problem, policy, paths, engine=engine)  # pyright: ignore
+    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
+    value = estimate(problem.objective, totals, source, controls).value
+    shares = value_of_groups(problem.objective, totals, source, controls)
+    return shares if np.isfinite(value) else np.full_like(shares, np.nan)
+
+
+def _within(result: Mapping[str, Any]) -> bool:
+    return all(item.get("met") != "not met" for item in result.get("limits") or ())
+
+
+def _best(values: np.ndarray, within: Sequence[bool]) -> int:
+    """The number of the best: a policy that meets the limits comes before all that break one."""
+    allowed = np.array(within) if any(within) else np.full(len(values), True)
+    ranked = np.where(allowed & np.isfinite(values), values, -np.inf)
+    return int(np.argmax(ranked))
+
+
+def _row(
+    item: Trained, shares: np.ndarray | None, best: np.ndarray | None, within: bool
+) -> SeedRow:
+    available = None if shares is None else statistics.of_shares(shares)
+    behind = None if shares is None or best is None else statistics.of_shares(best - shares)
+    result = item.result
+    return SeedRow(
+        item.seed,
+        available and available.value,
+        available and available.standard_error,
+        behind and behind.value,
+        behind and behind.standard_error,
+        within,
+        str(result.get("status", "")),
+        str(result.get("convergence", "")),
+        float((result.get("seconds") or {}).get("total", 0.0)),
+        f"seeds/{item.seed}",
+    )
+
+
+def describe(result: Mapping[str, Any]) -> str:
+    """What choosing the best of several does to the value that is reported."""
+    from snapo.report.quantity import decimals, finite, number
+
+    rows, best = result["rows"], result["best"]
+    sizes = [finite(result[name]) for name in ("deviation", "standard_error")]
+    digits = max(0, decimals([size for size in sizes if size] or [result["mean"]], 2))
+    endpoints = [number(result[name], digits) for name in ("worst", "highest", "mean")]
+    text = (
+        f"Best of {len(rows)} seeds: {best}. On {result['paths']:,} common paths their values lie "
+        f"between {endpoints[0]} and {endpoints[1]}, with the mean {endpoints[2]}"
+    )
+    if sizes[0] is not None and sizes[1] is not None:
+        text += (
+            f" and the standard deviation {number(sizes[0], digits)} between seeds, next to a "
+            f"Monte Carlo error of {number(sizes[1], digits)} that all share"
+        )
+    if result["standard_error"] == 0:  # nothing is random
+        return f"{text}."
+    if result["fresh"]:
+        return f"{text}. The value of this run is on other paths, which that choice has not seen."
+    return (
+        f"{text}. There are no other paths than those of the value, so that it is that of the best "
+        "of several on the same paths, and slightly high."
+    )
+
+
+TABLE = "seeds"  # the name of the part, and of the folder with the runs
+
+
+def solve_seeds(
+    request: CaseRequest,
+    progress: "ProgressCallback",
+    out: Path | None,
+    requested: Wanted,
+    seeds: int | Sequence[int],
+) -> dict[str, Any]:
+    """Trains every seed, and carries out the run of the best; returns the content of result.json.
+
+    `seeds`: how many, from the seed of the case on, or the seeds themselves.
+
+    **Raises:** `CaseError` where the case trains nothing, or another run lies in the folder.
+    """
+    began = time.perf_counter()
+    loaded = load(request)
+    remarks(loaded.case.notes, progress)
+    out = output_folder(loaded, out)
+    numbers = _numbers(loaded, seeds)
+    trained, ready = [], {}
+    for seed in numbers:
+        local = request._replace(assignments=(*request.assignments, f"training.seed={seed}"))
+        one = _ready(load(local), out, seed, requested)
+        if seed == numbers[0]:
+            remarks(one.study.about["notes"], progress, ignored=loaded.case.notes)
+            if requested.resume:
+                _check_same(out, one)
+        ready[seed] = one
+        requested = requested._replace(about=one.study.about)  # the checks are those of the case
+        trained.append(_trained(one, seed, requested, progress, began))
+        began = time.perf_counter()
+    progress(f"comparing {len(numbers)} seeds")
+    result = compared(trained)
+    adjacent = {"other seeds": _spent(result), "comparison": time.perf_counter() - began}
+    best = replace(ready[result.best], out=out)
+    _adopt(best, out / TABLE / str(result.best), requested.resume)
+    best = replace(best, study=_with_table(best.study, result))
+    return carried_out(best, True, progress, time.perf_counter(), adjacent)
+
+
+def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
+    if not isinstance(seeds, int):
+        return list(seeds)
+    training = loaded.data.get("training")
+    first = training.get("seed") if isinstance(training, Mapping) else None
+    if first is None:
+        first = getattr(getattr(loaded.case, "training", None), "seed", 0)
+    return list(range(first, first + seeds))
+
+
+def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Prepared:
+    """The run of one seed in its own folder."""
+    folder = out / TABLE / str(seed)
+    selected, values = folder / run_folder.START, requested.policy
+    # RUN may be the folder of the given policy, and another run by now.
+    if values and requested.resume and selected.exists() and values.resolve() == out.resolve():
+        requested = requested._replace(policy=selected)
+    ready = made_ready(loaded, folder, requested)
+    if ready.study.setup is None or TRAINING.name not in {part.name for part in ready.study.parts}:
+        message = "this case trains no policy, so that all seeds are the same"
+        raise CaseError("--seeds", "", None, f"{loaded.file}: {message}")
+    return ready
+
+
+def _trained(
+    one: Prepared, seed: int, requested: Wanted, progress: "ProgressCallback", began: float
+) -> Trained:
+    """The parts up to the training, done in the seed's folder."""
+    parts = with_needs(one.study.parts, (KEPT, TRAINING.name))
+    study = replace(one.study, parts=parts)
+
+    def report(text: str) -> None:
+        progress(f"seed {seed}: {text}")
+
+    report("begins")
+    result = carried_out(replace(one, study=study), requested.resume, report, began)
+    return Trained(seed, one.study, one.out, result)
+
+
+def _check_same(out: Path, one: Prepared) -> None:
+    """**Raises:** `CaseError` where RUN holds a run that differs by more than its seed."""
+    if not (out / run_folder.RUN).exists():
+        return
+    seeded = json.loads(json.dumps(one.decides))
+    old = run_folder.read(out)["decides"].get("case", {}).get("training", {})
+    seeded["case"].setdefault("training", {})["seed"] = old.get("seed")
+    if "seed" not in old:
+        del seeded["case"]["training"]["seed"]
+    run_folder.check_same(out, seeded)
+
+
+def _adopt(best: Prepared, source: Path, resume: bool) -> None:
+    """The folder of the best seed as RUN; kept, but for the table, where it is the same already."""
+    if resume and (best.out / run_folder.RUN).exists():
+        record = run_folder.read(best.out)
+        if run_folder.mark(record["decides"]) == run_folder.mark(best.decides):
+            record["parts"].pop(TABLE, None)
+            run_folder.save(best.out, record)
+            return
+    run_folder.become(best.out, source)
+
+
+def _with_table(study: Study, comparison: SeedComparison) -> Study:
+    """The study with the table of seeds as its first part, and a sentence in its result."""
+
+    def keep(run: StudyRun) -> Mapping[str, Any]:
+        write_csv(run.folder / SEEDS, SeedRow._fields, (_cells(row) for row in comparison.rows))
+        return {"by_seed": comparison.table()}
+
+    def result(run: StudyRun) -> Mapping[str, Any]:
+        summary, table = dict(study.result(run)), run.get("by_seed")
+        if not table:
+            return summary
+        return summary | {"seeds": table, "notes": [describe(table), *summary.get("notes", ())]}
+
+    return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
+
+
+def _cells(row: SeedRow) -> Iterator[Any]:
+    return ("" if item is None else item for item in row)
+
+
+def _spent(comparison: SeedComparison) -> float:
+    """The seconds of the seeds that are not the best one, whose own are in its run."""
+    return sum(row.seconds for row in comparison.rows if row.seed != comparison.best)
