@@ -15,7 +15,8 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import TITLE, CaseTable, TableContext, Title, load, parse
+from snapo.case.load import load
+from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 from snapo.study.assign import assigned
 from snapo.study.domain import find
 from snapo.study.run_folder import case_files
@@ -61,15 +62,20 @@ class TasksTable(CaseTable):
     policy: Literal["contract", "stress"] = Field(
         "contract", description="trained once for each contract, or again under each stress"
     )
-    deltas: Literal["base", "all", "none"] = Field("base", description="of which points")
-    judge: float = Field(0.1, ge=0, le=1, description="the share of contracts, 0 to 1")
-    paths: int = Field(16384, ge=64, le=2**24, description="paths of every value")
+    deltas: Literal["base", "all", "none"] = Field("base", description="at which points")
+    judge: float = Field(
+        0.1, ge=0, le=1, description="the share of contracts whose derivatives bumps judge, 0 to 1"
+    )
+    paths: int = Field(16384, ge=64, le=2**24, description="paths of every value, 64 or more")
 
 
 class RunTable(CaseTable):
     """`[run]`"""
 
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="of all contracts")
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="of all contracts, 0 or more")
+    processor: Literal["", "x86-64-v2", "x86-64-v3", "x86-64-v4"] = Field(
+        "", description="the processor for which all workers compile; left out: that of this one"
+    )
 
 
 class BookTable(CaseTable):
@@ -80,8 +86,8 @@ class BookTable(CaseTable):
     cases: CasesTable = Field(description="the table [cases]")
     markets: dict[str, MarketTable] = Field({}, description="tables [markets.NAME]")
     stress: list[StressTable] = Field([], description="tables [[stress]]")
-    tasks: TasksTable = TasksTable()
-    run: RunTable = RunTable()
+    tasks: TasksTable = Field(default_factory=lambda: TasksTable.model_validate({}))
+    run: RunTable = Field(default_factory=lambda: RunTable.model_validate({}))
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ class Book:
     stresses: tuple[Stress, ...]
     by: tuple[str, ...]
     tasks: TasksTable
-    seed: int
+    run: RunTable
 
 
 def read_book(path: Path) -> Book:
@@ -156,7 +162,7 @@ def read_book(path: Path) -> Book:
             names = ", ".join(contracts[0].labels) or "none"
             raise context.error("by", column, f"allowed is a column of the table: {names}")
     return Book(
-        file, table.title, contracts, stresses, tuple(table.cases.by), table.tasks, table.run.seed
+        file, table.title, contracts, stresses, tuple(table.cases.by), table.tasks, table.run
     )
 
 
@@ -276,7 +282,7 @@ def _stresses(file: Path, tables: Sequence[StressTable]) -> Iterator[Stress]:
 
 
 def _of_table(context: TableContext, name: str) -> Iterator[Stress]:
-    """A stress in each row: columns `name`, and `scale KEY` or `shift KEY`, perhaps `KEY@PERIOD`."""
+    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, perhaps `KEY@PERIOD`."""
     for row in read_rows(FileReference(context, "table", name), ("name",)):
         moves = []
         for column in row.cells:

@@ -10,16 +10,17 @@ import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.toml import to_toml
-from snapo.solver.provenance.versions import versions
+from snapo.solver.provenance import versions
 
-from .file import Contract, Move, Stress, TasksTable
+from .file import Contract, Move, TasksTable
 
 STRESSES = 25  # of one order
 BATCHES = 512  # of paths, whose shares are kept
@@ -27,12 +28,17 @@ BATCHES = 512  # of paths, whose shares are kept
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker computes.
+    """The task of a worker: one contract with some stresses.
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
-    - `stresses`: the moves of each; the unstressed point is in every order without a policy.
-    - `tasks`: of the book; `seed`: of training and paths; `judged`: whether derivatives are.
-    - `policy`: the file of a trained one; None: the order trains it.
+    - `stresses`: the moves of each.
+    - `tasks`: of the book; `seed`: of training and paths.
+    - `base`: whether the unstressed point is computed too, before the stresses.
+    - `judged`: whether bumps judge the derivatives.
+    - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
+      a policy is trained for each stress, for its only stress.
+    - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
+      of the processors that give the same bits.
     """
 
     case: str
@@ -40,21 +46,16 @@ class Order:
     stresses: tuple[tuple[Move, ...], ...]
     tasks: TasksTable
     seed: int
+    base: bool = True
     judged: bool = False
     policy: bytes | None = None
+    processor: str = ""
+    fingerprint: str = ""
 
     @classmethod
-    def of(
-        cls,
-        contract: Contract,
-        stresses: Sequence[Stress],
-        tasks: TasksTable,
-        seed: int,
-        **more: Any,
-    ) -> "Order":
-        """Of a contract and some of the stresses."""
-        moves = tuple(stress.moves for stress in stresses)
-        return cls(to_toml(contract.tables), dict(contract.files), moves, tasks, seed, **more)
+    def of(cls, contract: Contract, tasks: TasksTable, seed: int, **more: Any) -> "Order":
+        """The base of a contract, without stresses; `more` are other fields."""
+        return cls(to_toml(contract.tables), contract.files, (), tasks, seed, **more)
 
     def pack(self) -> bytes:
         """The order as bytes; equal orders have equal bytes."""
@@ -64,8 +65,11 @@ class Order:
             "stresses": [[_plain(move) for move in moves] for moves in self.stresses],
             "tasks": self.tasks.model_dump(),
             "seed": self.seed,
+            "base": self.base,
             "judged": self.judged,
             "policy": None if self.policy is None else _text(self.policy),
+            "processor": self.processor,
+            "fingerprint": self.fingerprint,
             "versions": versions(),
         }
         return json.dumps(table, sort_keys=True).encode()
@@ -82,8 +86,11 @@ class Order:
             stresses,
             TasksTable(**table["tasks"]),
             table["seed"],
+            table["base"],
             table["judged"],
             None if policy is None else base64.b64decode(policy),
+            table["processor"],
+            table["fingerprint"],
         )
 
 
@@ -102,8 +109,10 @@ def _plain(move: Move) -> dict[str, Any]:
 
 
 def _move(table: Mapping[str, Any]) -> Move:
-    when = table["when"] and tuple(map(datetime.date.fromisoformat, table["when"]))
-    return Move(table["key"], table["scale"], table["shift"], when)
+    if table["when"] is None:
+        return Move(table["key"], table["scale"], table["shift"])
+    first, last = map(datetime.date.fromisoformat, table["when"])
+    return Move(table["key"], table["scale"], table["shift"], (first, last))
 
 
 class Point(NamedTuple):
@@ -112,6 +121,7 @@ class Point(NamedTuple):
     - `status`: "ok" or "failed", with a `note`.
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
+    - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
     """
 
     status: str
@@ -120,48 +130,52 @@ class Point(NamedTuple):
     standard_error: float
     shares: np.ndarray
     changes: Mapping[str, np.ndarray]
+    deltas: "tuple[Delta, ...]" = ()
 
 
 class Delta(NamedTuple):
-    """The held derivatives of the base with respect to one input: `blocks` [32, n]."""
+    """The held derivatives with respect to the `n` numbers of one input.
+
+    - `labels`, `unit`: of the input; `blocks`: [32 to 64, n] of independent blocks of paths.
+    - `trusted`: whether no bump of the input refuted them; None where none was made.
+    """
 
     input: str
     labels: tuple[str, ...]
     unit: str
     blocks: np.ndarray
+    trusted: bool | None = None
 
 
 class Answer(NamedTuple):
     """What was computed for an order.
 
-    - `points`: the base first where the order has no policy, then those of its stresses.
-    - `deltas`: of the base; `policy`: the file of the trained one.
+    - `points`: the base first where the order has one, then those of its stresses.
+    - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
     """
 
     points: tuple[Point, ...]
-    deltas: tuple[Delta, ...] = ()
     policy: bytes | None = None
+    shape: str = ""
 
     def pack(self) -> bytes:
         """The answer as bytes, an archive of arrays; equal answers have equal bytes."""
-        arrays: dict[str, np.ndarray] = {
-            "status": np.array([point.status for point in self.points]),
-            "note": np.array([point.note for point in self.points]),
-            "value": np.array([point.value for point in self.points]),
-            "standard_error": np.array([point.standard_error for point in self.points]),
-            "changed": np.array(json.dumps([list(point.changes) for point in self.points])),
-            "input": np.array([delta.input for delta in self.deltas]),
-            "unit": np.array([delta.unit for delta in self.deltas]),
-        }
+        arrays = dict[str, np.ndarray]()
+        points = []
         for i, point in enumerate(self.points):
             arrays[f"shares.{i}"] = point.shares
             arrays |= {f"change.{i}.{j}": x for j, x in enumerate(point.changes.values())}
-        for i, delta in enumerate(self.deltas):
-            arrays |= {f"labels.{i}": np.array(delta.labels), f"blocks.{i}": delta.blocks}
+            arrays |= {f"blocks.{i}.{j}": x.blocks for j, x in enumerate(point.deltas)}
+            points.append(
+                point._asdict()
+                | {"shares": None, "changes": list(point.changes)}
+                | {"deltas": [x._replace(blocks=None)._asdict() for x in point.deltas]}  # pyright: ignore[reportArgumentType]
+            )
         if self.policy is not None:
             arrays["policy"] = np.frombuffer(self.policy, np.uint8)
+        table = json.dumps({"points": points, "shape": self.shape})
         out = io.BytesIO()
-        np.savez(out, allow_pickle=False, **arrays)
+        np.savez(out, allow_pickle=False, table=np.array(table), **arrays)
         return out.getvalue()
 
     @classmethod
@@ -170,28 +184,49 @@ class Answer(NamedTuple):
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
-        except (zipfile.BadZipFile, OSError, EOFError) as error:
+            table = json.loads(str(arrays["table"]))
+            points = tuple(_point(i, row, arrays) for i, row in enumerate(table["points"]))
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
             raise ValueError(f"not an answer: {error}") from None
-        names = json.loads(str(arrays["changed"]))
-        points = tuple(
-            Point(
-                str(arrays["status"][i]),
-                str(arrays["note"][i]),
-                float(arrays["value"][i]),
-                float(arrays["standard_error"][i]),
-                arrays[f"shares.{i}"],
-                {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(names[i])},
-            )
-            for i in range(len(arrays["value"]))
-        )
-        deltas = tuple(
-            Delta(
-                str(arrays["input"][i]),
-                tuple(map(str, arrays[f"labels.{i}"])),
-                str(arrays["unit"][i]),
-                arrays[f"blocks.{i}"],
-            )
-            for i in range(len(arrays["input"]))
-        )
         policy = arrays.get("policy")
-        return cls(points, deltas, None if policy is None else policy.tobytes())
+        return cls(points, None if policy is None else policy.tobytes(), table["shape"])
+
+
+def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Point:
+    deltas = tuple(
+        Delta(**entry | {"labels": tuple(entry["labels"]), "blocks": arrays[f"blocks.{i}.{j}"]})
+        for j, entry in enumerate(row["deltas"])
+    )
+    changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
+    return Point(**row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas})
+
+
+class Cost(NamedTuple):
+    """What an answer took, which is no part of it.
+
+    - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
+    - `worker`: its process and machine.
+    """
+
+    cpu_seconds: float
+    peak_mb: float
+    worker: str
+
+
+def enclosed(answer: bytes, cost: Cost) -> bytes:
+    """An answer with its cost, and a checksum by which a whole one is known."""
+    head = {"checksum": name_of(answer), "cost": cost._asdict()}
+    return json.dumps(head).encode() + b"\n" + answer
+
+
+def opened(data: bytes) -> tuple[bytes, Cost]:
+    """The answer and its cost. **Raises:** `ValueError` where they are not whole."""
+    head, _, answer = data.partition(b"\n")
+    try:
+        table = json.loads(head)
+        cost, checksum = Cost(**table["cost"]), table["checksum"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"not an answer: {error}") from None
+    if checksum != name_of(answer):
+        raise ValueError("not a whole answer")
+    return answer, cost

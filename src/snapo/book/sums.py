@@ -1,10 +1,12 @@
 """Sums of contracts, with errors from shares: the same batch of paths is the same world in each.
 
-A sum's share of a batch is the sum of its contracts' shares times their quantities. Contracts of one
-market share their paths; markets are independent, so that their errors add in squares.
+A sum's share of a batch is the sum of the shares of its contracts. Contracts of one market share
+their paths; markets are independent, so that their errors add in squares.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -21,38 +23,112 @@ class Sum(NamedTuple):
     change_error: float
 
 
-class Holding(NamedTuple):
-    """A contract of the book: its market, its quantity, and {stress: shares [B]} with the base."""
+@dataclass
+class Total:
+    """The sum of positions under every stress.
 
-    market: str
-    quantity: float
-    shares: Mapping[str, np.ndarray]
+    - `shares`: {market: {stress: [B] of its positions together}}.
+    - `missing`: {stress: positions without a value there}.
+    """
 
+    base: str
+    shares: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    missing: dict[str, int] = field(default_factory=dict)
 
-def total(holdings: Iterable[Holding], stress: str, base: str) -> Sum | None:
-    """The sum of the holdings under a stress; None where one has no value there."""
-    by_market: dict[str, list[Holding]] = {}
-    for holding in holdings:
-        by_market.setdefault(holding.market, []).append(holding)
-    values, changes = [], []
-    for members in by_market.values():
-        stressed, unstressed = (_shares(members, name) for name in (stress, base))
-        if stressed is None or unstressed is None:
+    def add(self, market: str, shares: Mapping[str, np.ndarray | None]) -> None:
+        """Adds a position: {stress: its shares [B]}, None where it has no value."""
+        totals = self.shares.setdefault(market, {})
+        for stress, x in shares.items():
+            if x is None:
+                self.missing[stress] = self.missing.get(stress, 0) + 1
+            else:
+                totals[stress] = _sum(totals[stress], x) if stress in totals else x
+
+    def at(self, stress: str) -> Sum | None:
+        """The sum under a stress; None where a position has no value there, or at the base."""
+        if self.missing.get(stress) or self.missing.get(self.base) or not self.shares:
             return None
-        values.append(statistics.of_shares(stressed))
-        changes.append(statistics.of_shares(stressed - unstressed))
-    value, change = (sum(x.value for x in parts) for parts in (values, changes))
-    errors = [float(np.hypot.reduce([x.standard_error for x in p])) for p in (values, changes)]
-    return Sum(float(value), errors[0], float(change), errors[1])
+        values, changes = [], []
+        for totals in self.shares.values():
+            values.append(statistics.of_shares(totals[stress]))
+            changes.append(statistics.of_shares(_sum(totals[stress], -totals[self.base])))
+        value, change = (math.fsum(x.value for x in parts) for parts in (values, changes))
+        errors = [math.hypot(*(x.standard_error for x in parts)) for parts in (values, changes)]
+        return Sum(value, errors[0], change, errors[1])
+
+    def mean_change(self, stresses: Sequence[str]) -> tuple[float, float]:
+        """The mean change over some stresses, and its standard error."""
+        means = []
+        for totals in self.shares.values():
+            parts = [_sum(totals[stress], -totals[self.base]) for stress in stresses]
+            means.append(statistics.of_shares(np.mean(parts, 0)))
+        return math.fsum(x.value for x in means), math.hypot(*(x.standard_error for x in means))
 
 
-def _shares(members: Sequence[Holding], stress: str) -> np.ndarray | None:
-    """[B] the shares of a market's contracts together; of the coarsest batches of all."""
-    shares = [member.shares.get(stress) for member in members]
-    if any(x is None or not np.isfinite(x).all() for x in shares):
-        return None
-    count = min(len(x) for x in shares if x is not None)
-    parts = [
-        x.reshape(count, -1).mean(1) * m.quantity for x, m in zip(shares, members) if x is not None
-    ]
-    return np.sum(parts, 0)
+def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Of shares of different batches, those of the batches that both can be joined to."""
+    count = math.gcd(len(x), len(y))
+    return x.reshape(count, -1).mean(1) + y.reshape(count, -1).mean(1)
+
+
+class Risk(NamedTuple):
+    """Loss over the stresses, as scenarios of equal weight.
+
+    - `level`: 0.95; `var`: the loss that so large a share of them does not exceed; `shortfall`: the
+      mean loss of the others; with the standard errors of their Monte Carlo values.
+    """
+
+    level: float
+    var: float
+    var_error: float
+    shortfall: float
+    shortfall_error: float
+
+
+LEVELS = (0.95, 0.99)
+
+
+def risks(total: Total, stresses: Sequence[str]) -> list[Risk]:
+    """At every level of `LEVELS` that has at least one stress beyond it."""
+    changes = {stress: total.at(stress) for stress in stresses}
+    known = {stress: x for stress, x in changes.items() if x is not None}
+    if len(known) < len(changes):
+        return []
+    worst = sorted(known, key=lambda stress: known[stress].change)
+    rows = []
+    for level in LEVELS:
+        beyond = round(len(worst) * (1 - level), 9)
+        if beyond < 1:
+            continue
+        tail = worst[: int(beyond)]
+        mean, error = total.mean_change(tail)
+        at = known[tail[-1]]
+        rows.append(Risk(level, -at.change, at.change_error, -mean, error))
+    return rows
+
+
+@dataclass
+class DeltaTotal:
+    """The sum of held derivatives of positions, {(market, input, label): [blocks]}."""
+
+    blocks: dict[tuple[str, str, str], np.ndarray] = field(default_factory=dict)
+
+    def add(self, key: tuple[str, str, str], blocks: np.ndarray) -> None:
+        """Adds those of a position, [blocks]."""
+        self.blocks[key] = _sum(self.blocks[key], blocks) if key in self.blocks else blocks
+
+    def by_month(self) -> "DeltaTotal":
+        """The sums of those whose labels are dates of one month."""
+        months = DeltaTotal()
+        for (market, name, label), blocks in self.blocks.items():
+            months.add((market, name, label[:7] if _is_date(label) else label), blocks)
+        return months
+
+    def estimate(self, key: tuple[str, str, str]) -> tuple[float, float]:
+        """The derivative, and its standard error."""
+        result = statistics.of_shares(self.blocks[key])
+        return result.value, result.standard_error
+
+
+def _is_date(label: str) -> bool:
+    return len(label) >= 10 and label[4:5] == "-" == label[7:8] and label[:4].isdigit()

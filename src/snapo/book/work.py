@@ -1,45 +1,94 @@
 """The answer to an order: a contract trained and valued, then valued under stresses.
 
 It is a function of the order's bytes alone: the same on every machine with the same versions and
-vectors of the same size. What is compiled for one contract serves all of the same form in a process.
+processors of one kind. Code compiled for one contract serves all of the same form in a process.
 """
 
+import gc
+import hashlib
+import os
+import platform
+import re
+import resource
 import tempfile
+import time
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.live.case.files import read_files
-from snapo.live.case.places import InputPositions
+from snapo.lanes.machine import pipeline
+from snapo.live.files import read_files
+from snapo.live.positions import InputPositions
+from snapo.problem.form import form_of
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Policy
-from snapo.problem.problem import Problem
+from snapo.problem.policy import Policy, load_policy
 from snapo.solver import statistics
+from snapo.solver.derivatives.interval import HELD
 from snapo.solver.evaluate import path_totals, value_of_groups
+from snapo.solver.sensitivity import Sensitivities, sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.solve import solve
 from snapo.study.assign import assigned
 from snapo.study.domain import Domain, Options, find
+from snapo.study.prepare import use_every_core
 from snapo.study.study import Setup, Study
 
 from .file import Move
-from .order import BATCHES, Answer, Delta, Order, Point
+from .order import BATCHES, Answer, Cost, Delta, Order, Point, enclosed
+from .workers import OTHER
+
+LARGE = 1 << 30  # bytes of memory at which a worker drops what it compiled
 
 
 def answer(data: bytes) -> bytes:
-    """The answer to an order. A mistake in a case, and numbers that are not finite, are answers."""
-    order = Order.unpack(data)
+    """The answer to an order, with its cost. A mistake in a case, and numbers that are not finite,
+    are answers too."""
+    order, started = Order.unpack(data), time.process_time()
+    if not _same_bits(order):
+        return OTHER
+    use_every_core()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
-            return _Contract(order, Path(folder)).answer().pack()
-        except (CaseError, ValueError, FloatingPointError, ArithmeticError) as error:
+            result = _Contract(order, Path(folder)).answer()
+        except (CaseError, ValueError, ArithmeticError) as error:
             failed = _failed(_sentence(error, folder))
-            count = len(order.stresses) + (order.policy is None)
-            return Answer((failed,) * count).pack()
+            result = Answer((failed,) * (len(order.stresses) + order.base))
+    packed = result.pack()
+    _keep_small()
+    return enclosed(packed, _cost(time.process_time() - started))
+
+
+def _same_bits(order: Order) -> bool:
+    """Whether this processor gives the bits that the book asks for; its code is compiled for it."""
+    if pipeline.unavailable() is not None:
+        return True
+    if order.processor:
+        return pipeline.use_processor(order.processor)
+    return order.fingerprint in ("", pipeline.fingerprint())
+
+
+def _cost(seconds: float) -> Cost:
+    return Cost(seconds, _memory(), f"{platform.node()}:{os.getpid()}")
+
+
+def _memory() -> float:
+    """MB that this process has had in memory at most."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _keep_small() -> None:
+    """A worker that has grown large drops what it compiled; the disk has it still."""
+    with suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if pages * resource.getpagesize() > LARGE:
+            jax.clear_caches()
+            gc.collect()
 
 
 def _failed(note: str) -> Point:
@@ -55,62 +104,89 @@ class _Contract:
 
     def __init__(self, order: Order, folder: Path):
         self.order, self.paths = order, order.tasks.paths
+        self.file = folder / "case.toml"
         tables, _ = assigned(tomllib.loads(order.case), _settings(order))
         for name, content in order.files.items():
             (folder / name).write_bytes(content)
-        self.file = folder / "case.toml"
         self.file.write_text(order.case, encoding="utf-8")
-        self.domain: Domain = find(tables["kind"], self.file.name)
-        self.case = self.domain.read(self.file, tables)
-        self.study: Study = self.domain.study(self.case, Options())
+        domain: Domain = find(tables["kind"], self.file.name)
+        case = domain.read(self.file, tables)
+        self.study: Study = domain.study(case, Options())
         if self.study.setup is None or self.study.setup_at is None:
             raise ValueError(f'a case of kind "{self.study.kind}" has no policy that a book values')
         self.setup: Setup = self.study.setup()
+        self.inputs = self.setup.problem.inputs_by_name
         self.positions = InputPositions(
-            self.domain.read,
-            read_files(folder, tables),
-            self.setup.problem.inputs_by_name,
-            self.study.inputs,
-            self.case,
+            domain.read, read_files(folder, tables), self.inputs, self.study.inputs, case
         )
 
     def answer(self) -> Answer:
-        """The points of the order, and what the base gives."""
-        if self.order.policy is not None:
-            policy = _policy(self.order.policy)
-            return Answer(tuple(self._stressed(policy)))
-        setup = self.setup
-        solution = solve(
+        """The points of the order, and the policy where it was trained."""
+        order, shape = self.order, _shape(self.setup)
+        if order.policy is not None:
+            policy = _policy(order.policy)
+            return Answer((*self._base(policy), *self._stressed(policy)), shape=shape)
+        if not order.base:
+            return Answer(tuple(self._stressed(None)), shape=shape)
+        solution = self._solved(self.setup)
+        assert solution.policy is not None
+        deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
+        base = _point(self.setup, solution.totals, {}, deltas)
+        points = (base, *self._stressed(solution.policy))
+        return Answer(points, _file(solution.policy), shape)
+
+    def _solved(self, setup: Setup) -> Solution:
+        return solve(
             setup.problem,
             policy=setup.policy if setup.recipe is None else setup.recipe,
             training=setup.training,
             evaluation=setup.evaluation,
             engine=setup.engines,
         )
-        policy = solution.policy
-        assert policy is not None
-        base = _point(setup.problem, solution.totals, {})
-        deltas = () if self.order.tasks.deltas == "none" else tuple(_deltas(solution))
-        return Answer((base, *self._stressed(policy)), deltas, _file(policy))
 
-    def _stressed(self, policy: Policy) -> Iterator[Point]:
+    def _base(self, policy: Policy) -> Iterator[Point]:
+        if self.order.base:
+            yield self._valued(self.setup, policy, {})
+
+    def _stressed(self, policy: Policy | None) -> Iterator[Point]:
+        """The points of the stresses; None: each trains a policy."""
         for moves in self.order.stresses:
             try:
                 yield self._under(moves, policy)
-            except (CaseError, ValueError) as error:
+            except (CaseError, ValueError, ArithmeticError) as error:
                 yield _failed(_sentence(error, str(self.file.parent)))
 
-    def _under(self, moves: tuple[Move, ...], policy: Policy) -> Point:
-        """The value of the policy under a stress, with guide and control variate of its numbers."""
-        inputs, values = self.setup.problem.inputs_by_name, {}
+    def _under(self, moves: tuple[Move, ...], policy: Policy | None) -> Point:
+        """The value under a stress, with guide and control variate of its numbers."""
+        values = dict[str, np.ndarray]()
         for move in moves:
-            name = _input(move.key, inputs)
-            values[name] = _moved(inputs[name], values.get(name, inputs[name].value), move)
+            name = _input(move.key, self.inputs)
+            value = values.get(name, self.inputs[name].value)
+            values[name] = _moved(self.inputs[name], value, move)
         assert self.study.setup_at is not None
         setup = self.study.setup_at(self.setup, self.positions.case_at(values).case)
-        totals = path_totals(setup.problem, policy, self.paths, engine=setup.engines.evaluate)
-        changes = {name: (x - inputs[name].value).ravel() for name, x in values.items()}
-        return _point(setup.problem, totals, changes)
+        changes = {name: (x - self.inputs[name].value).ravel() for name, x in values.items()}
+        if policy is not None:
+            return self._valued(setup, policy, changes)
+        solution = self._solved(setup)
+        deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
+        return _point(setup, solution.totals, changes, deltas)
+
+    def _valued(self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray]) -> Point:
+        engine = setup.engines.evaluate
+        totals = path_totals(setup.problem, policy, self.paths, engine=engine)
+        deltas: tuple[Delta, ...] = ()
+        if self.order.tasks.deltas == "all":
+            paths = setup.evaluation.sensitivity_paths
+            deltas = _deltas(sensitivities(setup.problem, policy, paths=paths, engine=engine))
+        return _point(setup, totals, changes, deltas)
+
+
+def _shape(setup: Setup) -> str:
+    """The hash of the form of simulator and policy, and of the engine that runs them."""
+    form = (form_of(setup.problem.simulator), form_of(setup.policy), setup.engines.name)
+    text = re.sub(r"0x[0-9a-f]+", "", repr(form))
+    return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
 def _settings(order: Order) -> list[str]:
@@ -139,14 +215,21 @@ def _moved(entry: Input, value: np.ndarray, move: Move) -> np.ndarray:
     return np.where(inside, value * move.scale + move.shift, value)
 
 
-def _point(problem: Problem, totals: Mapping[str, Any], changes: dict[str, np.ndarray]) -> Point:
+def _point(
+    setup: Setup,
+    totals: Mapping[str, Any],
+    changes: dict[str, np.ndarray],
+    deltas: tuple[Delta, ...] = (),
+) -> Point:
     """The value of these totals [paths], by batch of paths."""
+    problem = setup.problem
     controls = problem.simulator.control_variates()
     shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
     if not np.isfinite(shares).all():
         return _failed("too many paths are not finite")
-    result = statistics.of_shares(batched(shares))
-    return Point("ok", "", result.value, result.standard_error, batched(shares), changes)
+    shares = batched(shares)
+    result = statistics.of_shares(shares)
+    return Point("ok", "", result.value, result.standard_error, shares, changes, deltas)
 
 
 def batched(shares: np.ndarray) -> np.ndarray:
@@ -155,15 +238,21 @@ def batched(shares: np.ndarray) -> np.ndarray:
     return shares.reshape(count, -1).mean(1)
 
 
-def _deltas(solution: Solution) -> Iterator[Delta]:
-    """The held derivatives of the base."""
-    table = solution.sensitivities
+def _deltas(table: Sensitivities | None) -> tuple[Delta, ...]:
+    """The held derivatives; none where the objective is no mean: they do not add up."""
     if table is None:
-        return
-    for name, estimate in table.held.items():
-        blocks = estimate.blocks.reshape(len(estimate.blocks), -1)
-        entry = table.inputs[name]
-        yield Delta(name, tuple(map(str, entry.names())), entry.unit, blocks)
+        return ()
+    verdicts = table.verdicts or {}
+    return tuple(
+        Delta(
+            name,
+            tuple(map(str, table.inputs[name].names())),
+            table.inputs[name].unit,
+            estimate.blocks.reshape(len(estimate.blocks), -1),
+            verdicts[name].source == HELD if name in verdicts else None,
+        )
+        for name, estimate in table.held.items()
+    )
 
 
 def _file(policy: Policy) -> bytes:
@@ -174,8 +263,6 @@ def _file(policy: Policy) -> bytes:
 
 
 def _policy(data: bytes) -> Policy:
-    from snapo.problem.carry.save import load_policy
-
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "policy.npz"
         file.write_bytes(data)

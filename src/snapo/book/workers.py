@@ -1,120 +1,136 @@
 """Gives orders to executors and collects their answers; an order that is lost is given out again.
 
-Anything with `submit` serves: `concurrent.futures`, Dask's `Client.get_executor(pure=False)`, Parsl,
-mpi4py. On one machine every worker is a pool of one process, so that a process that dies loses one
-order only, and the order that killed it is known.
+Anything with `submit` serves: `concurrent.futures`, Dask's `Client.get_executor(pure=False)`,
+Parsl, mpi4py. On one machine every worker is a pool of one process, so that a process that dies
+loses one order only, and the order that killed it is known.
 """
 
-import importlib
-import multiprocessing
-import os
-import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from typing import NamedTuple
-
-from snapo.case.error import CaseError
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 LOSSES = 3  # after which an order is given up
-WAITING = 2  # orders that every executor has: one in work and the next one
+REFUSALS = 20  # of an order by workers of another processor, after which it is given up
+OTHER = b"other processor"  # the answer of a worker that would compute other bits
 
-Make = Callable[[], Executor]
+Work = Callable[[bytes], bytes]
+
+
+class Submits(Protocol):
+    """An executor, as far as it is used."""
+
+    def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None: ...
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where orders are computed.
+
+    - `make`: a new executor, at the beginning and where one broke.
+    - `waiting`: how many orders it has in work or before it at most.
+    """
+
+    make: Callable[[], Executor | Submits]
+    waiting: int = 2
 
 
 class Lost(NamedTuple):
-    """An order that no worker answered, and why."""
+    """An order that no worker answered, and the reason."""
 
-    order: bytes
     reason: str
-
-
-def local(workers: int | None = None) -> list[Make]:
-    """So many processes of this machine, by default one for each core."""
-    return [_process] * (workers or len(os.sched_getaffinity(0)))
-
-
-def _process() -> Executor:
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_alone)
-
-
-def _alone() -> None:
-    """A worker has one thread for its kernels, and one for XLA: its sums have the same bits."""
-    os.environ["OMP_NUM_THREADS"] = "1"
-    os.environ["XLA_FLAGS"] = (
-        f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false"
-    )
-    if hasattr(os, "sched_setaffinity"):
-        mine = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {mine[os.getpid() % len(mine)]})
-
-
-def named(where: str) -> list[Make]:
-    """The executors of `--on MODULE:FACTORY`: the factory gives one, or several.
-
-    **Raises:** `CaseError` where there is no such factory.
-    """
-    module, _, name = where.partition(":")
-    try:
-        sys.path.insert(0, os.getcwd())
-        made = getattr(importlib.import_module(module), name)()
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        allowed = f"a function that gives an executor, as MODULE:FUNCTION ({error})"
-        raise CaseError("--on", "", where, allowed) from None
-    executors: Sequence[Executor] = [made] if hasattr(made, "submit") else list(made)
-    return [lambda executor=executor: executor for executor in executors]
 
 
 class _Worker:
     """An executor that is made again where it broke."""
 
-    def __init__(self, make: Make):
-        self.make, self.executor, self.busy = make, make(), 0
+    def __init__(self, place: Place):
+        self.place, self.busy = place, 0
+        self.executor: Executor | Submits | None = None
 
-    def submit(self, work: Callable[[bytes], bytes], order: bytes) -> "Future[bytes]":
-        try:
-            return self.executor.submit(work, order)
-        except Exception:
+    def submit(self, work: Work, order: bytes) -> "Future[bytes]":
+        self.busy += 1
+        if self.executor is not None:
+            try:
+                return self.executor.submit(work, order)
+            except (BrokenProcessPool, RuntimeError):
+                self.stop()
+        self.executor = self.place.make()
+        return self.executor.submit(work, order)
+
+    def stop(self) -> None:
+        """Ends the executor; orders that it has not begun are cancelled."""
+        if self.executor is not None:
             self.executor.shutdown(wait=False, cancel_futures=True)
-            self.executor = self.make()
-            return self.executor.submit(work, order)
+            self.executor = None
+
+
+Flight = dict["Future[bytes]", tuple[_Worker, bytes]]
 
 
 def answers(
-    orders: Iterable[bytes], work: Callable[[bytes], bytes], makes: Sequence[Make]
+    next_order: Callable[[], bytes | None], work: Work, places: Sequence[Place]
 ) -> Iterator[tuple[bytes, bytes | Lost]]:
     """(order, answer) as they come; `work` is a function of the order's bytes alone.
 
-    At most `WAITING` orders of every executor are in flight. One that was lost three times is `Lost`.
+    - `next_order`: the next order, None where there is none until another answer has come.
+
+    An order that is lost three times is answered by `Lost`; one that was in the queue of a process
+    when another one broke it has lost nothing.
     """
-    workers = [_Worker(make) for make in makes]
-    waiting, losses = deque(), Counter[bytes]()
-    source, flight = iter(orders), {}
+    workers = [_Worker(place) for place in places]
+    again: deque[bytes] = deque()
+    losses, refusals = Counter[bytes](), Counter[bytes]()
+    flight: Flight = {}
+
+    def order_to_give() -> bytes | None:
+        return again.popleft() if again else next_order()
+
     try:
         while True:
-            for worker in workers:
-                while worker.busy < WAITING and (order := _next(waiting, source)) is not None:
-                    flight[worker.submit(work, order)] = worker, order
-                    worker.busy += 1
+            _fill(workers, order_to_give, work, flight)
             if not flight:
                 return
             done, _ = wait(flight, return_when=FIRST_COMPLETED)
-            for future in done:
+            blamed: set[_Worker] = set()
+            # In the order in which they were given out: the first one of a broken process is the
+            # one that was in work.
+            for future in [future for future in flight if future in done]:
                 worker, order = flight.pop(future)
                 worker.busy -= 1
-                try:
-                    yield order, future.result()
-                except Exception as error:
-                    losses[order] += 1
-                    if losses[order] < LOSSES:
-                        waiting.append(order)
-                    else:
-                        yield order, Lost(order, f"{type(error).__name__}: {error}"[:500])
+                result, count, most = _result(future), losses, LOSSES
+                if result == OTHER:
+                    result = Lost("no worker has the processor that the book names")
+                    count, most = refusals, REFUSALS
+                if isinstance(result, Lost):
+                    count[order] += worker not in blamed
+                    blamed.add(worker)
+                    if count[order] < most:
+                        again.append(order)
+                        continue
+                yield order, result
     finally:
         for worker in workers:
-            worker.executor.shutdown(wait=False, cancel_futures=True)
+            worker.stop()
 
 
-def _next(waiting: deque[bytes], source: Iterator[bytes]) -> bytes | None:
-    return waiting.popleft() if waiting else next(source, None)
+def _fill(
+    workers: Sequence[_Worker], next_order: Callable[[], bytes | None], work: Work, flight: Flight
+) -> None:
+    """Gives every worker as many orders as it may have, one after the other."""
+    while idle := [worker for worker in workers if worker.busy < worker.place.waiting]:
+        for worker in sorted(idle, key=lambda worker: worker.busy):
+            if (order := next_order()) is None:
+                return
+            flight[worker.submit(work, order)] = worker, order
+
+
+def _result(future: "Future[bytes]") -> bytes | Lost:
+    try:
+        return bytes(future.result())
+    except (Exception, CancelledError) as error:
+        return Lost(f"{type(error).__name__}: {error}"[:500])

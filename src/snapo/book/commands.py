@@ -1,0 +1,122 @@
+"""The commands of a book: value it, check it, report it, query it."""
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.solver.tables import write_text
+
+from .executors import places
+from .file import read_book
+from .folder import REPORT, RESULT, BookFolder
+from .parquet import query as query
+from .plan import Plan
+from .run import Shard, run_book
+
+Progress = Callable[[str], None]
+
+# Processor seconds (AMD EPYC with AVX2), as `python -m benchmarks.book shapes` prints them.
+OF_A_SHAPE, OF_A_CONTRACT, OF_A_JUDGED, OF_A_STRESS = 15.0, 5.3, 2.5, 0.7
+
+
+def solve(
+    path: Path,
+    progress: Progress,
+    *,
+    out: Path | None = None,
+    workers: int | None = None,
+    on: str = "",
+    trust_network: bool = False,
+    shard: tuple[int, int] | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Values a book; see `run_book`. `on`: where, see `executors.places`.
+
+    **Raises:** `CaseError` for a mistake in the book, or where its workers cannot be reached.
+    """
+    read_book(path)  # a mistake in it is named before workers start
+    made = places(on, workers, trust_network)
+    part = None if shard is None else Shard(*shard)
+    return run_book(path, progress, made, out=out, shard=part, resume=resume)
+
+
+def check(path: Path) -> list[str]:
+    """A book in a few lines: contracts, orders, shapes, and expected processor time."""
+    book = read_book(path)
+    plan = Plan(book)
+    stresses, twins = len(book.stresses), sum(map(len, plan.alike.values()))
+    judged, shapes = len(plan.judged), len(plan.alike)
+    trainings = 1 if book.tasks.policy == "contract" else 1 + stresses
+    seconds = (
+        shapes * OF_A_SHAPE
+        + twins * OF_A_CONTRACT * trainings
+        + judged * OF_A_JUDGED
+        + (twins * stresses * OF_A_STRESS if trainings == 1 else 0.0)
+    )
+    same = f", {len(book.contracts) - twins} of them twins" if twins < len(book.contracts) else ""
+    markets = sorted({contract.market for contract in book.contracts} - {""})
+    return [
+        f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
+        *([f"markets: {', '.join(markets)}"] if markets else []),
+        f"{plan.size:,} orders of {1 + stresses:,} points for each contract",
+        f"about {shapes:,} shapes; derivatives of {judged:,} contracts are judged by bumps",
+        f"expected: {_duration(seconds)} of processor time on gas stores of a year",
+    ]
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:,.0f} s"
+    return f"{seconds / 60:,.0f} min" if seconds < 7200 else f"{seconds / 3600:,.1f} h"
+
+
+def report(path: Path) -> Path:
+    """Writes the report of a book's folder again; returns its path."""
+    from snapo.report.page import render
+
+    from .report import page
+
+    folder = BookFolder(path)
+    record = folder.record()
+    try:
+        result = json.loads((path / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        message = "this book has no results yet: snapo book BOOK --resume computes what is missing"
+        raise CaseError(str(path / RESULT), "", None, message) from None
+    write_text(path / REPORT, render(page(result, record)))
+    return path / REPORT
+
+
+def summary(result: Mapping[str, Any]) -> str:
+    """The result for a reader."""
+    orders = result["orders"]
+    counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
+    lines = [f"book: {result['status']}"]
+    if "sums" in result:
+        cases = result["cases"]
+        lines.append(f"{'contracts':<24}{cases['ok']:>16,}   {cases['failed']:,} failed")
+        rows = result["sums"]
+        shown = rows if len(rows) <= 12 else [rows[0], *_worst(rows[1:])]
+        for row in shown:
+            if row["value"] is None:
+                lines.append(f"{row['stress']:<24}{'none':>16}")
+                continue
+            change = f"   change {row['change']:+,.2f} ± {row['change_error']:,.2g}"
+            line = f"{row['stress']:<24}{row['value']:>16,.2f} ± {row['standard_error']:,.2g}"
+            lines.append(line + (change if row is not rows[0] else ""))
+        lines += [f"{x['case']} under {x['stress']}: {x['note']}" for x in result["failures"][:5]]
+    else:
+        number, count = result["shard"]
+        counts += f"; part {number} of {count}: others are missing yet"
+    lines.append(f"{counts}, {result['seconds']['total']:,.1f} s")
+    if "sums" in result:
+        lines.append(f"report: {Path(result['run']) / REPORT}")
+    return "\n".join(lines)
+
+
+def _worst(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The ten that lose most, and before them those without a value."""
+    return sorted(rows, key=lambda x: -math.inf if x["change"] is None else x["change"])[:10]

@@ -1,0 +1,165 @@
+"""The plan of a book: which orders its contracts need, and in which sequence.
+
+The base of a contract is ordered first; its policy travels with its further stresses. Contracts
+that are alike come one after the other, so that a worker has their code.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from .file import Book, Contract
+from .order import STRESSES, Answer, Order, name_of
+
+LEAST_JUDGED = 3  # of contracts that are alike
+
+Read = Callable[[str], Answer | None]  # the answer of this name; None where there is none
+
+
+def likeness(contract: Contract) -> str:
+    """Equal for contracts that most probably share compiled code: all but their numbers is equal.
+
+    It decides the sequence alone; the shape of an answer says what was compiled.
+    """
+    term = contract.tables.get("contract", {})
+    days = "start" in term and "end" in term and _days(term["start"], term["end"])
+    lines = {name: content.count(b"\n") for name, content in sorted(contract.files.items())}
+    return json.dumps([_kinds(contract.tables), str(days), lines], sort_keys=True)
+
+
+def _days(start: Any, end: Any) -> Any:
+    try:
+        return (end - start).days
+    except (TypeError, AttributeError):
+        return None
+
+
+def _kinds(table: Any) -> Any:
+    if isinstance(table, Mapping):
+        return {key: _kinds(value) for key, value in table.items() if key != "title"}
+    if isinstance(table, list):
+        return [_kinds(value) for value in table]
+    return table if isinstance(table, str | bool) else type(table).__name__
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The orders of a book; `fingerprint` of the processors that may answer them."""
+
+    book: Book
+    fingerprint: str = ""
+
+    @cached_property
+    def twins(self) -> dict[str, Contract]:
+        """{name of a contract: the first contract with the same case}."""
+        first, table = dict[str, Contract](), dict[str, Contract]()
+        for contract in self.book.contracts:
+            case = name_of(self._base(contract, False).pack())
+            table[contract.name] = first.setdefault(case, contract)
+        return table
+
+    @cached_property
+    def alike(self) -> dict[str, list[Contract]]:
+        """{likeness: contracts}, twins once."""
+        groups = dict[str, list[Contract]]()
+        for contract in self.book.contracts:
+            if self.twins[contract.name] is contract:
+                groups.setdefault(self.likenesses[contract.name], []).append(contract)
+        return groups
+
+    @cached_property
+    def likenesses(self) -> dict[str, str]:
+        """{name of a contract: its likeness}."""
+        return {contract.name: likeness(contract) for contract in self.book.contracts}
+
+    @cached_property
+    def judged(self) -> set[str]:
+        """The names of the contracts whose derivatives are judged in any case."""
+        share, names = self.book.tasks.judge, set[str]()
+        for contracts in self.alike.values():
+            count = max(math.ceil(share * len(contracts)), LEAST_JUDGED) if share else 0
+            names |= {contract.name for contract in contracts[:count]}
+        return names
+
+    @property
+    def size(self) -> int:
+        """The orders of the whole book, twins once."""
+        stresses = len(self.book.stresses)
+        by_contract = max(1, math.ceil(stresses / STRESSES))
+        if self.book.tasks.policy == "stress":
+            by_contract = 1 + stresses
+        return by_contract * sum(map(len, self.alike.values()))
+
+    def needed(self, contracts: Sequence[Contract]) -> list[Contract]:
+        """All whose orders some contracts need, twins once, in sequence: the judged ones of those
+        that are alike, and then the others."""
+        twins = {self.twins[contract.name].name for contract in contracts}
+        kinds = {self.likenesses[name] for name in twins}
+        groups = [x for kind, alike in sorted(self.alike.items()) if kind in kinds for x in alike]
+        return [x for x in groups if x.name in self.judged] + [
+            x for x in groups if x.name in twins and x.name not in self.judged
+        ]
+
+    def base(self, contract: Contract, read: Read) -> Order | None:
+        """The first order of a contract; None as long as it waits for judged ones that are alike.
+
+        Where a bump refuted a derivative of one, those of all that are alike are judged.
+        """
+        twin = self.twins[contract.name]
+        if twin.name in self.judged or not self.book.tasks.judge:
+            return self._base(twin, twin.name in self.judged)
+        refuted = self._refuted(self.likenesses[twin.name], read)
+        return None if refuted is None else self._base(twin, refuted)
+
+    def _refuted(self, kind: str, read: Read) -> bool | None:
+        if kind not in self._verdicts:
+            judged = [x for x in self.alike[kind] if x.name in self.judged]
+            answers = [read(name_of(self._base(x, True).pack())) for x in judged]
+            whole = [answer for answer in answers if answer is not None]
+            if len(whole) < len(judged):
+                return None
+            deltas = [delta for answer in whole for delta in answer.points[0].deltas]
+            self._verdicts[kind] = any(delta.trusted is False for delta in deltas)
+        return self._verdicts[kind]
+
+    @cached_property
+    def _verdicts(self) -> dict[str, bool]:
+        return {}
+
+    def _base(self, contract: Contract, judged: bool) -> Order:
+        book = self.book
+        order = Order.of(
+            contract,
+            book.tasks,
+            book.run.seed,
+            judged=judged,
+            processor=book.run.processor,
+            fingerprint="" if book.run.processor else self.fingerprint,
+        )
+        if book.tasks.policy == "stress":
+            return order
+        return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
+
+    def further(self, base: Order, policy: bytes | None) -> Iterator[Order]:
+        """The other orders of a contract, in the sequence of the stresses."""
+        moves = [stress.moves for stress in self.book.stresses]
+        if self.book.tasks.policy == "stress":
+            for one in moves:
+                yield replace(base, base=False, stresses=(one,), policy=None)
+            return
+        if policy is None:
+            return
+        for i in range(STRESSES, len(moves), STRESSES):
+            stresses = tuple(moves[i : i + STRESSES])
+            yield replace(base, base=False, judged=False, stresses=stresses, policy=policy)
+
+
+def digest(book: Book) -> str:
+    """The hash of all that the book's numbers depend on."""
+    orders = [Order.of(x, book.tasks, book.run.seed).pack() for x in book.contracts]
+    text = repr([book.stresses, [name_of(order) for order in orders]])
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

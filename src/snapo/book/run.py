@@ -1,0 +1,226 @@
+"""Computes a book: gives out its orders, keeps their answers, and makes its tables."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from snapo.case.error import CaseError
+from snapo.lanes.machine import pipeline
+from snapo.solver.provenance import versions
+from snapo.solver.tables import write_text
+
+from .collect import collect, none
+from .file import Book, Contract, read_book
+from .folder import REPORT, RESULT, BookFolder
+from .order import Answer, Order, name_of, opened
+from .plan import Plan, digest
+from .work import answer
+from .workers import Lost, Place, answers
+
+Progress = Callable[[str], None]
+EVERY = 5.0  # seconds between two lines of progress
+
+
+class Shard(NamedTuple):
+    """The part `number` of `count` of a book, from 1."""
+
+    number: int
+    count: int
+
+
+class Counts(NamedTuple):
+    """The orders of a run: computed in it, and whose answers were there."""
+
+    computed: int
+    reused: int
+
+
+class Driver:
+    """The orders of some contracts, one after the other, and what became of them.
+
+    - `lost`: {order: the reason}, of those that no worker answered.
+    """
+
+    def __init__(self, plan: Plan, contracts: Sequence[Contract], folder: BookFolder):
+        self.plan, self.folder = plan, folder
+        self.waiting = deque(plan.needed(contracts))
+        self.ready: deque[Order] = deque()
+        self.flight: dict[str, tuple[Order, Contract | None]] = {}
+        self.lost: dict[str, str] = {}
+        self.computed = self.reused = 0
+
+    def next_order(self) -> bytes | None:
+        """The next order without an answer; None where all others wait for one in work."""
+        while True:
+            order, contract = self._next()
+            if order is None:
+                return None
+            data = order.pack()
+            name = name_of(data)
+            known = self.folder.read(name)
+            if known is None:
+                self.flight[name] = order, contract
+                return data
+            self.reused += 1
+            if contract is not None:
+                self._add_further(order, known[0])
+
+    def _next(self) -> tuple[Order | None, Contract | None]:
+        if self.ready:
+            return self.ready.popleft(), None
+        for i, contract in enumerate(self.waiting):
+            order = self.plan.base(contract, self._read)
+            if order is not None:
+                del self.waiting[i]
+                return order, contract
+        return None, None
+
+    def _read(self, name: str) -> Answer | None:
+        if name in self.lost:
+            return Answer((none("lost", self.lost[name]),))
+        entry = self.folder.read(name)
+        return None if entry is None else entry[0]
+
+    def _add_further(self, base: Order, answer: Answer) -> None:
+        if answer.points[0].status == "ok":
+            self.ready.extend(self.plan.further(base, answer.policy))
+
+    def take(self, data: bytes, result: bytes | Lost) -> None:
+        """Keeps an answer. **Raises:** `OSError` where the disk is full."""
+        name = name_of(data)
+        order, contract = self.flight.pop(name)
+        if not isinstance(result, Lost):
+            try:
+                whole, _ = opened(result)
+                known = Answer.unpack(whole)
+            except ValueError as error:
+                result = Lost(f"its answer cannot be read: {error}")
+        if isinstance(result, Lost):
+            self.lost[name] = result.reason
+            return
+        self.folder.write(name, result)
+        self.computed += 1
+        if contract is not None:
+            self._add_further(order, known)
+
+
+def run_book(
+    path: Path,
+    progress: Progress,
+    places: Sequence[Place],
+    *,
+    out: Path | None = None,
+    shard: Shard | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Values a book into the folder `out`, by default `run` next to its file.
+
+    - `places`: where its orders are computed; `shard`: only a part of its contracts.
+    - `resume`: answers that the folder has are not computed again.
+
+    Returns the content of result.json. Where interrupted, or on a full disk, answers that have been
+    written stay. **Raises:** `CaseError` for a mistake in the book.
+    """
+    began = time.perf_counter()
+    book = read_book(path)
+    folder = BookFolder(book.file.parent / "run" if out is None else out)
+    plan = Plan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
+    folder.begin(_record(book), keep=resume or shard is not None)
+    contracts = book.contracts
+    if shard is not None:
+        ordered = sorted(book.contracts, key=lambda x: plan.likenesses[x.name])
+        first, last = (len(ordered) * n // shard.count for n in (shard.number - 1, shard.number))
+        contracts = tuple(ordered[first:last])
+    driver = Driver(plan, contracts, folder)
+    _compute(driver, places, progress, began)
+    seconds = time.perf_counter() - began
+    cost = {
+        "orders": {"computed": driver.computed, "reused": driver.reused, "lost": len(driver.lost)},
+        "seconds": {"orders": seconds, "total": seconds},
+        "workers": len(places),
+        "versions": versions(),
+        "run": str(folder.path),
+    }
+    if shard is not None and not _whole(plan, folder):
+        return {
+            "kind": "book",
+            "status": "ok" if not driver.lost else "failed",
+            "title": book.title,
+            "shard": list(shard),
+            **cost,
+        }
+    return finished(plan, folder, driver.lost, cost, began)
+
+
+def finished(
+    plan: Plan, folder: BookFolder, lost: Mapping[str, str], cost: dict[str, Any], began: float
+) -> dict[str, Any]:
+    """Writes the tables, result.json and the report; returns the content of result.json."""
+    from snapo.report.page import render
+
+    from .report import page
+
+    results = collect(plan, folder, lost)
+    cost["seconds"]["total"] = time.perf_counter() - began
+    result = results.table() | cost
+    write_text(folder.path / RESULT, _to_json(result))
+    write_text(folder.path / REPORT, render(page(result, folder.record())))
+    return result
+
+
+def _compute(driver: Driver, places: Sequence[Place], progress: Progress, began: float) -> None:
+    told, size = time.perf_counter(), driver.plan.size
+    try:
+        for order, result in answers(driver.next_order, answer, places):
+            driver.take(order, result)
+            if (now := time.perf_counter()) - told > EVERY:
+                told = now
+                done = driver.computed + driver.reused + len(driver.lost)
+                progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
+    except OSError as error:
+        message = (
+            f"an answer cannot be written ({error.strerror}); --resume goes on from the others"
+        )
+        raise CaseError(str(driver.folder.path), "", None, message) from None
+
+
+def _whole(plan: Plan, folder: BookFolder) -> bool:
+    """Whether every order of the book has an answer."""
+    driver = Driver(plan, plan.book.contracts, folder)
+    return driver.next_order() is None and not driver.waiting
+
+
+def _record(book: Book) -> dict[str, Any]:
+    return {
+        "title": book.title,
+        "digest": digest(book),
+        "cases": [
+            {"name": x.name, "market": x.market, "quantity": x.quantity, "labels": dict(x.labels)}
+            for x in book.contracts
+        ],
+        "stresses": [stress.name for stress in book.stresses],
+        "by": list(book.by),
+        "tasks": book.tasks.model_dump(),
+        "seed": book.run.seed,
+        "processor": book.run.processor,
+        "versions": versions(),
+    }
+
+
+def _to_json(result: Mapping[str, Any]) -> str:
+    import json
+
+    with suppress(ValueError):
+        return json.dumps(result, indent=1, allow_nan=False)
+    return json.dumps(_without_nan(result), indent=1)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(x) for key, x in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(x) for x in value]
+    return None if isinstance(value, float) and value != value else value
