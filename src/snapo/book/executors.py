@@ -95,7 +95,7 @@ def _dask(address: str, trust_network: bool) -> Place:
     def make() -> Executor:
         return client.get_executor(pure=False)
 
-    return Place(make, IN_FLIGHT)
+    return Place(make, IN_FLIGHT, client.close)
 
 
 def _ray(address: str, trust_network: bool) -> Place:
@@ -113,7 +113,7 @@ def _ray(address: str, trust_network: bool) -> Place:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
     except (OSError, ValueError, ConnectionError, RuntimeError) as error:
         raise CaseError("--on", "", f"ray:{address}", f"no cluster answers: {error}") from None
-    return Place(RayExecutor, IN_FLIGHT)
+    return Place(RayExecutor, IN_FLIGHT, ray.shutdown)
 
 
 class RayExecutor:
@@ -127,7 +127,7 @@ class RayExecutor:
     def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]":
         return self.remote.remote(fn, order).future()
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+    def shutdown(self, wait: bool = True) -> None:
         """The cluster is not ours to end."""
 
 

@@ -83,11 +83,11 @@ class BookTable(CaseTable):
 
     kind: Literal["book"]
     title: Title = Field("Book", description=TITLE)
-    cases: CasesTable = Field(description="the table [cases]")
-    markets: dict[str, MarketTable] = Field({}, description="tables [markets.NAME]")
-    stress: list[StressTable] = Field([], description="tables [[stress]]")
-    tasks: TasksTable = Field(default_factory=lambda: TasksTable.model_validate({}))
-    run: RunTable = Field(default_factory=lambda: RunTable.model_validate({}))
+    cases: dict[str, Any] = Field(description="the table [cases]")
+    markets: dict[str, dict[str, Any]] = Field({}, description="tables [markets.NAME]")
+    stress: list[dict[str, Any]] = Field([], description="tables [[stress]]")
+    tasks: dict[str, Any] = Field({}, description="a table")
+    run: dict[str, Any] = Field({}, description="a table")
 
 
 @dataclass(frozen=True)
@@ -150,20 +150,21 @@ def read_book(path: Path) -> Book:
     file, data = load(path)
     table = parse(BookTable, data, str(file), "")
     context = TableContext(file, "cases", [])
+    cases = parse(CasesTable, table.cases, str(file), "cases")
+    tasks = parse(TasksTable, table.tasks, str(file), "tasks")
+    run = parse(RunTable, table.run, str(file), "run")
     markets = {name: _market(file, name, entry) for name, entry in table.markets.items()}
-    contracts = tuple(_contracts(context, table.cases, markets))
+    contracts = tuple(_contracts(context, cases, markets))
     if not contracts:
-        raise context.error("table", table.cases.table or table.cases.files, "it has no contract")
+        raise context.error("table", cases.table or cases.files, "it has no contract")
     _no_twins(file, "cases", [contract.name for contract in contracts])
     stresses = tuple(_stresses(file, table.stress))
     _no_twins(file, "stress", [BASE, *(stress.name for stress in stresses)])
-    for column in table.cases.by:
+    for column in cases.by:
         if column not in contracts[0].labels:
             names = ", ".join(contracts[0].labels) or "none"
             raise context.error("by", column, f"allowed is a column of the table: {names}")
-    return Book(
-        file, table.title, contracts, stresses, tuple(table.cases.by), table.tasks, table.run
-    )
+    return Book(file, table.title, contracts, stresses, tuple(cases.by), tasks, run)
 
 
 def _no_twins(file: Path, where: str, names: Sequence[str]) -> None:
@@ -177,10 +178,10 @@ def _no_twins(file: Path, where: str, names: Sequence[str]) -> None:
 MarketFiles = tuple[Mapping[str, Any], Mapping[str, bytes]]
 
 
-def _market(file: Path, name: str, table: MarketTable) -> MarketFiles:
+def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
     """The tables of a market, and the files beside it."""
-    where = f"markets.{name}.file"
-    path = _beside(file, where, table.file)
+    table = parse(MarketTable, entry, str(file), f"markets.{name}")
+    path = _beside(file, f"markets.{name}.file", table.file)
     tables = load(path)[1]
     if other := set(tables) - set(SHARED):
         raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
@@ -264,9 +265,10 @@ def _contract(
     return Contract(name, market, quantity, tables, contents, labels)
 
 
-def _stresses(file: Path, tables: Sequence[StressTable]) -> Iterator[Stress]:
-    for i, table in enumerate(tables):
-        where = f"stress[{i}]"
+def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[Stress]:
+    for i, entry in enumerate(entries):
+        where = f"stress[{i + 1}]"
+        table = parse(StressTable, entry, str(file), where)
         if table.table:
             yield from _of_table(TableContext(file, where, []), table.table)
             continue

@@ -54,8 +54,9 @@ class Order:
 
     @classmethod
     def of(cls, contract: Contract, tasks: TasksTable, seed: int, **more: Any) -> "Order":
-        """The base of a contract, without stresses; `more` are other fields."""
-        return cls(to_toml(contract.tables), contract.files, (), tasks, seed, **more)
+        """Of a contract, without stresses where `more`, the other fields, has none."""
+        fields = {"stresses": (), **more}
+        return cls(to_toml(contract.tables), contract.files, tasks=tasks, seed=seed, **fields)
 
     def pack(self) -> bytes:
         """The order as bytes; equal orders have equal bytes."""

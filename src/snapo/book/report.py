@@ -31,7 +31,7 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         sections.append(_stresses(result))
     if result["by"]:
         sections.append(_groups(result))
-    if result["deltas"]:
+    if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
     if result["failures"]:
         sections.append(_failures(result))

@@ -127,13 +127,12 @@ def run_book(
     began = time.perf_counter()
     book = read_book(path)
     folder = BookFolder(book.file.parent / "run" if out is None else out)
-    plan = Plan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
+    plan = plan_of(book)
     folder.begin(_record(book), keep=resume or shard is not None)
-    contracts = book.contracts
+    contracts = plan.needed(book.contracts)
     if shard is not None:
-        ordered = sorted(book.contracts, key=lambda x: plan.likenesses[x.name])
-        first, last = (len(ordered) * n // shard.count for n in (shard.number - 1, shard.number))
-        contracts = tuple(ordered[first:last])
+        ends = (len(contracts) * n // shard.count for n in (shard.number - 1, shard.number))
+        contracts = contracts[slice(*ends)]
     driver = Driver(plan, contracts, folder)
     _compute(driver, places, progress, began)
     seconds = time.perf_counter() - began
@@ -153,6 +152,11 @@ def run_book(
             **cost,
         }
     return finished(plan, folder, driver.lost, cost, began)
+
+
+def plan_of(book: Book) -> Plan:
+    """The plan of a book whose orders processors of this kind may answer."""
+    return Plan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
 
 
 def finished(

@@ -24,7 +24,7 @@ class Submits(Protocol):
 
     def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None: ...
+    def shutdown(self, wait: bool = True) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,12 @@ class Place:
 
     - `make`: a new executor, at the beginning and where one broke.
     - `waiting`: how many orders it has in work or before it at most.
+    - `close`: leaves the cluster.
     """
 
     make: Callable[[], Executor | Submits]
     waiting: int = 2
+    close: Callable[[], object] = bool
 
 
 class Lost(NamedTuple):
@@ -63,9 +65,9 @@ class _Worker:
         return self.executor.submit(work, order)
 
     def stop(self) -> None:
-        """Ends the executor; orders that it has not begun are cancelled."""
+        """Ends the executor after the order in work."""
         if self.executor is not None:
-            self.executor.shutdown(wait=False, cancel_futures=True)
+            self.executor.shutdown(wait=False)
             self.executor = None
 
 
@@ -114,8 +116,11 @@ def answers(
                         continue
                 yield order, result
     finally:
+        for future in flight:
+            future.cancel()
         for worker in workers:
             worker.stop()
+            worker.place.close()
 
 
 def _fill(
