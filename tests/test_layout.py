@@ -29,6 +29,7 @@ ORDER = [
     "report",
     "study",
     "live",
+    "book",
     "testing",
     "domains",
     "cli",

@@ -14,6 +14,7 @@ from snapo.book.folder import BookFolder
 from snapo.book.order import Answer, Cost, Order, enclosed, opened
 from snapo.book.run import run_book
 from snapo.case.error import CaseError
+from snapo.cli.main import main
 
 
 def test_no_port_is_opened(valued, tmp_path, monkeypatch):
