@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from snapo.book.executors import places
 from snapo.book.file import read_book
-from snapo.book.order import Answer, Cost, Order, opened
+from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
 from snapo.book.run import plan_of, run_book
 from snapo.book.work import answer
 from snapo.book.workers import answers
@@ -107,14 +107,16 @@ def shapes() -> list[str]:
         for contract, name in zip(
             book.contracts, ("first", "further", "other dates", "other number of days")
         ):
-            order = Order.of(contract, book.tasks, book.run.seed)
+            order = BookOrder.of(contract, book.tasks, book.run.seed)
             heard.clear()
             data, cost = opened(answer(order.pack()))
             table.append(Timed(name, cost.cpu_seconds, sum(heard)))
-            known = Answer.unpack(data)
+            known = OrderAnswer.unpack(data)
             assert known.points[0].status == "ok", known.points[0].note
             policy = known.policy if policy is None else policy
-        first = Order.of(book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy)
+        first = BookOrder.of(
+            book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy
+        )
         times = []
         for count in (1, 11):
             moves = tuple(stress.moves for stress in book.stresses[:count])

@@ -9,8 +9,8 @@ from tests.miniatures import thirty_days
 
 from snapo.book.file import Book, read_book
 from snapo.book.folder import BookFolder
-from snapo.book.order import Answer, name_of
-from snapo.book.plan import Plan
+from snapo.book.order import OrderAnswer, name_of
+from snapo.book.plan import BookPlan
 from snapo.book.workers import Place
 
 SHORT = {
@@ -66,13 +66,13 @@ class InProcess(Executor):
 HERE = [Place(InProcess)]
 
 
-def answers_of(book: Book, folder: Path) -> dict[str, Answer]:
+def answers_of(book: Book, folder: Path) -> dict[str, OrderAnswer]:
     """{contract: the answer to its first order}, as the folder has them."""
     from snapo.book.run import plan_of
 
     plan, files = plan_of(book), BookFolder(folder)
 
-    def read(name: str) -> Answer | None:
+    def read(name: str) -> OrderAnswer | None:
         entry = files.read(name)
         return None if entry is None else entry[0]
 
@@ -85,4 +85,4 @@ def answers_of(book: Book, folder: Path) -> dict[str, Answer]:
     return result
 
 
-__all__ = ["HERE", "InProcess", "Plan", "answers_of", "read_book", "write_book"]
+__all__ = ["HERE", "BookPlan", "InProcess", "answers_of", "read_book", "write_book"]

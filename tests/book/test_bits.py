@@ -79,9 +79,9 @@ def dask():
 
 @contextlib.contextmanager
 def ray():
-    pytest.importorskip("ray")
-    # On the loopback address Ray takes a cluster for one of Windows otherwise.
+    # On the loopback address Ray takes a cluster for one of Windows otherwise, as it is imported.
     os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+    pytest.importorskip("ray")
     # Workers import the tests by the same path as this process.
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     command = [str(Path(sys.executable).with_name("ray"))]

@@ -7,7 +7,7 @@ from tests.book.books import answers_of
 from snapo.book.collect import position, tables
 from snapo.book.folder import BookFolder
 from snapo.book.run import plan_of
-from snapo.book.sums import Total, risks
+from snapo.book.sums import BookTotal, risks
 from snapo.solver import statistics
 
 
@@ -29,7 +29,7 @@ def test_twins_are_computed_once(valued):
 def test_a_contract_and_its_twin_double_the_error(valued):
     """Their paths are the same worlds: errors of 1 + 1 add, and 1 + 1 - 2 leaves nothing."""
     one = members(valued)["first"].base
-    both = Total("base")
+    both = BookTotal("base")
     both.add("", {"base": one.shares})
     both.add("", {"base": one.shares})
     result = both.at("base")
@@ -100,7 +100,7 @@ def test_a_quantity_scales_all_tables(valued):
 def test_independent_markets_add_in_squares():
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(2, 512))
-    total = Total("base")
+    total = BookTotal("base")
     total.add("a", {"base": x})
     total.add("b", {"base": y})
     result = total.at("base")
@@ -115,7 +115,7 @@ def test_the_interval_covers_the_truth():
     rng, covered = np.random.default_rng(1), 0
     for _ in range(400):
         world = rng.normal(size=512)
-        total = Total("base")
+        total = BookTotal("base")
         for quantity in (1.0, -3.0, 2.0):
             total.add("", {"base": quantity * (world + rng.normal(size=512))})
         result = total.at("base")
@@ -126,7 +126,7 @@ def test_the_interval_covers_the_truth():
 
 def test_value_at_risk_of_scenarios():
     """100 stresses that lose 1 to 100: 95 % loses 96, and 98 beyond it on average."""
-    total = Total("base")
+    total = BookTotal("base")
     shares = {f"{i}": np.full(8, -float(i)) for i in range(1, 101)}
     total.add("", {"base": np.zeros(8), **shares})
     at_95, at_99 = risks(total, list(shares))

@@ -11,8 +11,8 @@ from snapo.book import run
 from snapo.book.collect import position
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
-from snapo.book.order import STRESSES, Answer, Cost, Delta, Order, Point, enclosed
-from snapo.book.plan import Plan
+from snapo.book.order import STRESSES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
+from snapo.book.plan import BookPlan
 from snapo.book.run import plan_of, run_book
 from snapo.case.error import CaseError
 
@@ -85,18 +85,18 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
     judged = []
 
     def answer(data):
-        order = Order.unpack(data)
+        order = BookOrder.unpack(data)
         judged.append(order.judged)
         trusted = not refuted if order.judged else None
         delta = Delta("injection_cost", ("",), "MWh", np.ones((32, 1)), trusted)
-        point = Point("ok", "", 1.0, 0.1, np.ones(512), {}, (delta,))
-        return enclosed(Answer((point,)).pack(), Cost(1.0, 1.0, "here"))
+        point = BookPoint("ok", "", 1.0, 0.1, np.ones(512), {}, (delta,))
+        return enclosed(OrderAnswer((point,)).pack(), Cost(1.0, 1.0, "here"))
 
     monkeypatch.setattr(run, "answer", answer)
     assert run_book(file, lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
     assert judged == [True, True, True, refuted, refuted]
     assert plan_of(read_book(file)).judged == {"0", "1", "2"}
-    nobody = Plan(read_book(write_book(tmp_path / "b", rows, stresses="", more=TASKS)))
+    nobody = BookPlan(read_book(write_book(tmp_path / "b", rows, stresses="", more=TASKS)))
     assert not nobody.judged
 
 
@@ -134,6 +134,33 @@ def test_a_market_replaces_that_of_its_contracts(tmp_path):
     (tmp_path / "contracts.csv").write_text("name,market\na,none\n")
     with pytest.raises(CaseError, match="allowed is one of low, high"):
         read_book(file)
+
+
+def test_axes_make_a_grid_of_contracts(tmp_path):
+    """Two axes of two and three values: six contracts, each with the values as labels."""
+    file = write_book(tmp_path, ONE, stresses="")
+    axes = (
+        '[[axis]]\nkey = "contract.max_injection"\nvalues = [4.0, 6.0]\n'
+        '[[axis]]\nkey = "contract.max_inventory"\nvalues = "40:60:3"\n'
+    )
+    file.write_text(file.read_text().replace('by = ["desk"]', 'by = ["max_inventory"]') + axes)
+    contracts = read_book(file).contracts
+    assert [x.name for x in contracts][:2] == [
+        "first, max_injection 4, max_inventory 40",
+        "first, max_injection 4, max_inventory 50",
+    ]
+    values = {(x.tables["contract"]["max_injection"], x.tables["contract"]["max_inventory"])
+              for x in contracts}  # fmt: skip
+    assert values == {(i, j) for i in (4, 6) for j in (40, 50, 60)}
+    assert contracts[-1].labels["max_inventory"] == "60"
+    # A larger store is worth more on the same paths.
+    result = run_book(file, lambda _: None, HERE, out=tmp_path / "run")
+    small, middle, large = (rows[0]["value"] for rows in result["by"]["max_inventory"].values())
+    assert small < middle < large
+    for wrong in ('"5:35"', '"5:35:1"', '"a:b:c"', "[]"):
+        file.write_text(file.read_text().rpartition("values")[0] + f"values = {wrong}\n")
+        with pytest.raises(CaseError):
+            read_book(file)
 
 
 def test_cases_of_their_own_folders(tmp_path):

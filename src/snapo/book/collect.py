@@ -10,65 +10,64 @@ import numpy as np
 
 from snapo.solver import statistics
 
-from .file import BASE, Book, Contract
+from .file import BASE, Book, BookContract
 from .folder import POLICIES, TABLES, BookFolder
-from .order import Answer, Cost, Order, Point, name_of
-from .parquet import Writer
-from .plan import Plan
-from .sums import DeltaTotal, Risk, Sum, Total, risks
+from .order import BookOrder, BookPoint, Cost, OrderAnswer, name_of
+from .parquet import TableRows, TableWriter
+from .plan import BookPlan
+from .sums import BookTotal, DeltaTotal, Risk, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
 TOGETHER = 32
 
-Rows = dict[str, list[Any]]  # {column: values}
 NOT_A_NUMBER = float("nan")
 
 
-def none(status: str, note: str) -> Point:
+def none(status: str, note: str) -> BookPoint:
     """A point that has no value."""
-    return Point(status, note, NOT_A_NUMBER, NOT_A_NUMBER, np.full(1, np.nan), {})
+    return BookPoint(status, note, NOT_A_NUMBER, NOT_A_NUMBER, np.full(1, np.nan), {})
 
 
 @dataclass
-class Position:
+class BookPosition:
     """All points of a contract in the book.
 
     - `points`: {stress: its point, with the cost and the shape of its answer}.
     """
 
-    contract: Contract
-    points: dict[str, tuple[Point, Cost | None, str]]
+    contract: BookContract
+    points: dict[str, tuple[BookPoint, Cost | None, str]]
     policy: bytes | None = None
 
     @property
-    def base(self) -> Point:
+    def base(self) -> BookPoint:
         return self.points[BASE][0]
 
     @property
-    def worst(self) -> Point:
+    def worst(self) -> BookPoint:
         """A point that failed, where there is one."""
         return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
 
 
 def position(
-    plan: Plan, contract: Contract, folder: BookFolder, lost: Mapping[str, str]
-) -> Position:
+    plan: BookPlan, contract: BookContract, folder: BookFolder, lost: Mapping[str, str]
+) -> BookPosition:
     """The points of a contract from the folder's answers; `lost`: {order: the reason}."""
     names = [BASE, *(stress.name for stress in plan.book.stresses)]
 
-    def read(name: str) -> tuple[Answer, Cost | None] | None:
+    def read(name: str) -> tuple[OrderAnswer, Cost | None] | None:
         if name in lost:
-            return Answer((none("lost", lost[name]),)), None
+            return OrderAnswer((none("lost", lost[name]),)), None
         return folder.read(name)
 
-    def answer_of(name: str) -> Answer | None:
+    def answer_of(name: str) -> OrderAnswer | None:
         result = read(name)
         return None if result is None else result[0]
 
-    result = Position(contract, {})
+    result = BookPosition(contract, {})
     waiting = iter(names)
 
-    def take(order: Order) -> Answer | None:
+    def take(order: BookOrder) -> OrderAnswer | None:
         entry = read(name_of(order.pack()))
         for i, name in enumerate(itertools.islice(waiting, len(order.stresses) + order.base)):
             if entry is None:
@@ -97,9 +96,9 @@ class Results:
     """The sums of a book, filled position by position."""
 
     book: Book
-    total: Total = field(default_factory=lambda: Total(BASE))
+    total: BookTotal = field(default_factory=lambda: BookTotal(BASE))
     deltas: DeltaTotal = field(default_factory=DeltaTotal)
-    groups: dict[str, dict[str, Total]] = field(default_factory=dict)
+    groups: dict[str, dict[str, BookTotal]] = field(default_factory=dict)
     cases: Counter[str] = field(default_factory=Counter)
     failures: list[dict[str, str]] = field(default_factory=list)
     explained: dict[str, float] = field(default_factory=dict)
@@ -107,7 +106,7 @@ class Results:
     peak_mb: float = 0.0
     shapes: Counter[str] = field(default_factory=Counter)
 
-    def add(self, member: Position) -> None:
+    def add(self, member: BookPosition) -> None:
         """Adds a contract."""
         contract = member.contract
         bad = member.worst
@@ -129,7 +128,7 @@ class Results:
         self.total.add(contract.market, shares)
         for column in self.book.by:
             label = contract.labels.get(column, "")
-            self.groups.setdefault(column, {}).setdefault(label, Total(BASE)).add(
+            self.groups.setdefault(column, {}).setdefault(label, BookTotal(BASE)).add(
                 contract.market, shares
             )
         for delta in member.base.deltas:
@@ -189,13 +188,13 @@ def _sum_row(stress: str, total: Sum | None, explained: float | None = None) -> 
     return row
 
 
-def explained(base: Point, point: Point) -> float:
+def explained(base: BookPoint, point: BookPoint) -> float:
     """The change that the held derivatives of the base explain, per unit of the contract."""
     sums = {delta.input: delta.blocks.mean(0) for delta in base.deltas}
     return sum(float(sums[name] @ x) for name, x in point.changes.items() if name in sums)
 
 
-def tables(member: Position) -> dict[str, Rows]:
+def tables(member: BookPosition) -> dict[str, TableRows]:
     """The rows of a contract in every table; values, changes, derivatives and shares are those of
     the position: times its quantity."""
     contract, base = member.contract, member.base
@@ -239,21 +238,21 @@ def tables(member: Position) -> dict[str, Rows]:
     return {name: _columns(rows) for name, rows in zip(TABLES, (values, deltas, shares))}
 
 
-def _both_ok(point: Point, base: Point) -> bool:
+def _both_ok(point: BookPoint, base: BookPoint) -> bool:
     return point.status == "ok" == base.status and len(point.shares) == len(base.shares)
 
 
-def _columns(rows: Sequence[Mapping[str, Any]]) -> Rows:
+def _columns(rows: Sequence[Mapping[str, Any]]) -> TableRows:
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [row.get(name) for row in rows] for name in names}
 
 
-def collect(plan: Plan, folder: BookFolder, lost: Mapping[str, str]) -> Results:
+def collect(plan: BookPlan, folder: BookFolder, lost: Mapping[str, str]) -> Results:
     """Writes the tables and policies of all contracts, and returns the sums."""
     results = Results(plan.book)
     together = TOGETHER if len(plan.book.contracts) > FEW else 1
     (folder.path / POLICIES).mkdir(exist_ok=True)
-    with Writer(folder.path, together) as writer:
+    with TableWriter(folder.path, together) as writer:
         for contract in plan.book.contracts:
             member = position(plan, contract, folder, lost)
             results.add(member)

@@ -2,21 +2,20 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.solver.tables import write_text
+from snapo.study.study import ProgressCallback
 
 from .executors import places
 from .file import read_book
 from .folder import REPORT, RESULT, BookFolder
 from .parquet import query as query
-from .plan import Plan
+from .plan import BookPlan
 from .run import Shard, run_book
-
-Progress = Callable[[str], None]
 
 # Processor seconds (AMD EPYC with AVX2), as `python -m benchmarks.book shapes` prints them.
 OF_A_SHAPE, OF_A_CONTRACT, OF_A_JUDGED, OF_A_STRESS = 15.0, 5.3, 2.5, 0.7
@@ -24,7 +23,7 @@ OF_A_SHAPE, OF_A_CONTRACT, OF_A_JUDGED, OF_A_STRESS = 15.0, 5.3, 2.5, 0.7
 
 def solve(
     path: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     *,
     out: Path | None = None,
     workers: int | None = None,
@@ -46,7 +45,7 @@ def solve(
 def check(path: Path) -> list[str]:
     """A book in a few lines: contracts, orders, shapes, and expected processor time."""
     book = read_book(path)
-    plan = Plan(book)
+    plan = BookPlan(book)
     stresses, twins = len(book.stresses), sum(map(len, plan.alike.values()))
     judged, shapes = len(plan.judged), len(plan.alike)
     trainings = 1 if book.tasks.policy == "contract" else 1 + stresses

@@ -7,7 +7,8 @@ the book has markets, they replace the tables `[market]` and `[model]` of their 
 import datetime
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +29,7 @@ PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASC
 SHARED = ("market", "model")  # tables of a case that its market gives
 MAX_STRESSES, MAX_CONTRACTS = 10_000, 100_000
 
-Key = Annotated[str, Field(pattern=r"^[^.]+(\.[^.]+)*$")]
+CaseKey = Annotated[str, Field(pattern=r"^[^.]+(\.[^.]+)*$")]
 
 
 class CasesTable(CaseTable):
@@ -40,18 +41,29 @@ class CasesTable(CaseTable):
     by: list[str] = Field([], description="columns of the table to sum by")
 
 
-class MarketTable(CaseTable):
+class AxisTable(CaseTable):
+    """`[[axis]]`"""
+
+    key: CaseKey = Field(description='a key of the cases, "contract.max_inventory"')
+    values: str | list[float] = Field(
+        description='numbers, or "5:35:7", seven of them from 5 to 35'
+    )
+
+
+class BookMarketTable(CaseTable):
     """`[markets.NAME]`"""
 
     file: str = Field(description="a TOML file with [market], and [model] where it has one")
 
 
-class StressTable(CaseTable):
+class BookStressTable(CaseTable):
     """`[[stress]]`"""
 
     name: str = Field("", description="a name")
-    scale: dict[Key, float] = Field({}, description='factors, { "market.forward_curve" = 1.10 }')
-    shift: dict[Key, float] = Field({}, description='amounts, { "market.forward_curve" = 2.0 }')
+    scale: dict[CaseKey, float] = Field(
+        {}, description='factors, { "market.forward_curve" = 1.10 }'
+    )
+    shift: dict[CaseKey, float] = Field({}, description='amounts, { "market.forward_curve" = 2.0 }')
     when: str = Field("", description='months or days, the last included: "2026-12/2027-02"')
     table: str = Field("", description="a file with a stress in each row")
 
@@ -85,13 +97,14 @@ class BookTable(CaseTable):
     title: Title = Field("Book", description=TITLE)
     cases: dict[str, Any] = Field(description="the table [cases]")
     markets: dict[str, dict[str, Any]] = Field({}, description="tables [markets.NAME]")
+    axis: list[dict[str, Any]] = Field([], description="tables [[axis]]")
     stress: list[dict[str, Any]] = Field([], description="tables [[stress]]")
     tasks: dict[str, Any] = Field({}, description="a table")
     run: dict[str, Any] = Field({}, description="a table")
 
 
 @dataclass(frozen=True)
-class Move:
+class StressMove:
     """One input under a stress: `value * scale + shift`, on the dates of `when`.
 
     - `key`: of the case, "market.forward_curve".
@@ -105,15 +118,15 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Stress:
+class BookStress:
     """Other numbers for some inputs."""
 
     name: str
-    moves: tuple[Move, ...]
+    moves: tuple[StressMove, ...]
 
 
 @dataclass(frozen=True)
-class Contract:
+class BookContract:
     """A case of the book.
 
     - `quantity`: how many of it the book has; negative: sold.
@@ -135,8 +148,8 @@ class Book:
 
     file: Path
     title: str
-    contracts: tuple[Contract, ...]
-    stresses: tuple[Stress, ...]
+    contracts: tuple[BookContract, ...]
+    stresses: tuple[BookStress, ...]
     by: tuple[str, ...]
     tasks: TasksTable
     run: RunTable
@@ -157,9 +170,15 @@ def read_book(path: Path) -> Book:
     contracts = tuple(_contracts(context, cases, markets))
     if not contracts:
         raise context.error("table", cases.table or cases.files, "it has no contract")
-    _no_twins(file, "cases", [contract.name for contract in contracts])
+    for i, entry in enumerate(table.axis):
+        contracts = tuple(_along(file, f"axis[{i + 1}]", entry, contracts))
+        if not contracts:
+            raise CaseError(
+                str(file), f"axis[{i + 1}].values", [], "an axis has at least one value"
+            )
+    _unique_names(file, "cases", [contract.name for contract in contracts])
     stresses = tuple(_stresses(file, table.stress))
-    _no_twins(file, "stress", [BASE, *(stress.name for stress in stresses)])
+    _unique_names(file, "stress", [BASE, *(stress.name for stress in stresses)])
     for column in cases.by:
         if column not in contracts[0].labels:
             names = ", ".join(contracts[0].labels) or "none"
@@ -167,7 +186,7 @@ def read_book(path: Path) -> Book:
     return Book(file, table.title, contracts, stresses, tuple(cases.by), tasks, run)
 
 
-def _no_twins(file: Path, where: str, names: Sequence[str]) -> None:
+def _unique_names(file: Path, where: str, names: Sequence[str]) -> None:
     visited: set[str] = set()
     for name in names:
         if name in visited:
@@ -180,7 +199,7 @@ MarketFiles = tuple[Mapping[str, Any], Mapping[str, bytes]]
 
 def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
     """The tables of a market, and the files beside it."""
-    table = parse(MarketTable, entry, str(file), f"markets.{name}")
+    table = parse(BookMarketTable, entry, str(file), f"markets.{name}")
     path = _beside(file, f"markets.{name}.file", table.file)
     tables = load(path)[1]
     if other := set(tables) - set(SHARED):
@@ -205,7 +224,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 def _contracts(
     context: TableContext, cases: CasesTable, markets: Mapping[str, MarketFiles]
-) -> Iterator[Contract]:
+) -> Iterator[BookContract]:
     file = context.file
     if bool(cases.template) == bool(cases.files):
         raise context.error("template", cases.template, "give a template, or files; one of them")
@@ -227,7 +246,7 @@ def _contracts(
         yield _of_row(context, row, tables, contents, markets)
 
 
-def _of_row(context, row: Row, tables, contents, markets) -> Contract:
+def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
     """The template with the values of a row: columns with a point, or named as a key, are keys."""
     labels = {column: text for column, text in row.cells.items() if column not in ("name", "")}
     keys = [column for column in labels if "." in column and labels[column] != ""]
@@ -247,7 +266,7 @@ def _of_row(context, row: Row, tables, contents, markets) -> Contract:
 
 def _contract(
     context, name, tables, contents, market, markets: Mapping[str, MarketFiles], quantity, labels
-) -> Contract:
+) -> BookContract:
     if markets:
         if not market and len(markets) == 1:
             (market,) = markets
@@ -262,13 +281,45 @@ def _contract(
                 raise CaseError(str(context.file), f"markets.{market}.file", file, message)
         contents = {**contents, **files}
     find(tables.get("kind"), str(context.file))
-    return Contract(name, market, quantity, tables, contents, labels)
+    return BookContract(name, market, quantity, tables, contents, labels)
 
 
-def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[Stress]:
+def _along(
+    file: Path, where: str, entry: Mapping[str, Any], contracts: Sequence[BookContract]
+) -> Iterator[BookContract]:
+    """Every contract at every value of an axis, which is a label too."""
+    axis = parse(AxisTable, entry, str(file), where)
+    label = axis.key.rpartition(".")[2]
+    for contract in contracts:
+        for value in _values(str(file), f"{where}.values", axis.values):
+            text = f"{value:.12g}"
+            tables, _ = assigned(contract.tables, [f"{axis.key}={text}"])
+            yield replace(
+                contract,
+                name=f"{contract.name}, {label} {text}",
+                tables=tables,
+                labels={**contract.labels, label: text},
+            )
+
+
+def _values(file: str, where: str, values: str | list[float]) -> list[float]:
+    if isinstance(values, list):
+        return values
+    allowed = 'first, last and a number of values, 2 or more: "5:35:7"'
+    try:
+        first, last, count = values.split(":")
+        start, end, size = float(first), float(last), int(count)
+    except ValueError:
+        raise CaseError(file, where, values, allowed) from None
+    if not 2 <= size <= MAX_CONTRACTS or not isfinite(start) or not isfinite(end):
+        raise CaseError(file, where, values, allowed)
+    return [start + (end - start) * i / (size - 1) for i in range(size)]
+
+
+def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[BookStress]:
     for i, entry in enumerate(entries):
         where = f"stress[{i + 1}]"
-        table = parse(StressTable, entry, str(file), where)
+        table = parse(BookStressTable, entry, str(file), where)
         if table.table:
             yield from _of_table(TableContext(file, where, []), table.table)
             continue
@@ -278,12 +329,13 @@ def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[Stre
         when = _period(str(file), f"{where}.when", table.when)
         keys = dict.fromkeys([*table.scale, *table.shift])
         moves = (
-            Move(key, table.scale.get(key, 1.0), table.shift.get(key, 0.0), when) for key in keys
+            StressMove(key, table.scale.get(key, 1.0), table.shift.get(key, 0.0), when)
+            for key in keys
         )
-        yield Stress(table.name, tuple(moves))
+        yield BookStress(table.name, tuple(moves))
 
 
-def _of_table(context: TableContext, name: str) -> Iterator[Stress]:
+def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
     """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, perhaps `KEY@PERIOD`."""
     for row in read_rows(FileReference(context, "table", name), ("name",)):
         moves = []
@@ -293,10 +345,10 @@ def _of_table(context: TableContext, name: str) -> Iterator[Stress]:
                 continue
             key, _, text = rest.strip().partition("@")
             when = _period(row.file, f"line {row.line}, column {column}", text)
-            moves.append(Move(key, when=when, **{kind: row.number(column)}))
+            moves.append(StressMove(key, when=when, **{kind: row.number(column)}))
         if not moves:
             raise row.error("name", "a row with at least one of the columns scale KEY, shift KEY")
-        yield Stress(row.label("name"), tuple(moves))
+        yield BookStress(row.label("name"), tuple(moves))
 
 
 def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.date] | None:

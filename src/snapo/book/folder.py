@@ -19,7 +19,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.solver.tables import write_text
 
-from .order import Answer, Cost, opened
+from .order import Cost, OrderAnswer, opened
 
 BOOK, RESULT, REPORT = "book.json", "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
@@ -76,11 +76,11 @@ class BookFolder:
             Path(temporary).unlink(missing_ok=True)
             raise
 
-    def read(self, name: str) -> tuple[Answer, Cost] | None:
+    def read(self, name: str) -> tuple[OrderAnswer, Cost] | None:
         """The answer to the order of this name; None where there is no whole one."""
         try:
             data, cost = opened(self._answer(name).read_bytes())
-            return Answer.unpack(data), cost
+            return OrderAnswer.unpack(data), cost
         except (OSError, ValueError):
             return None
 

@@ -20,14 +20,14 @@ import numpy as np
 from snapo.case.toml import to_toml
 from snapo.solver.provenance import versions
 
-from .file import Contract, Move, TasksTable
+from .file import BookContract, StressMove, TasksTable
 
 STRESSES = 25  # of one order
 BATCHES = 512  # of paths, whose shares are kept
 
 
 @dataclass(frozen=True)
-class Order:
+class BookOrder:
     """The task of a worker: one contract with some stresses.
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
@@ -43,7 +43,7 @@ class Order:
 
     case: str
     files: Mapping[str, bytes]
-    stresses: tuple[tuple[Move, ...], ...]
+    stresses: tuple[tuple[StressMove, ...], ...]
     tasks: TasksTable
     seed: int
     base: bool = True
@@ -53,7 +53,7 @@ class Order:
     fingerprint: str = ""
 
     @classmethod
-    def of(cls, contract: Contract, tasks: TasksTable, seed: int, **more: Any) -> "Order":
+    def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
         """Of a contract, without stresses where `more`, the other fields, has none."""
         fields = {"stresses": (), **more}
         return cls(to_toml(contract.tables), contract.files, tasks=tasks, seed=seed, **fields)
@@ -76,7 +76,7 @@ class Order:
         return json.dumps(table, sort_keys=True).encode()
 
     @classmethod
-    def unpack(cls, data: bytes) -> "Order":
+    def unpack(cls, data: bytes) -> "BookOrder":
         """The order of these bytes."""
         table = json.loads(data)
         stresses = tuple(tuple(map(_move, moves)) for moves in table["stresses"])
@@ -104,19 +104,19 @@ def _text(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-def _plain(move: Move) -> dict[str, Any]:
+def _plain(move: StressMove) -> dict[str, Any]:
     when = None if move.when is None else [day.isoformat() for day in move.when]
     return asdict(move) | {"when": when}
 
 
-def _move(table: Mapping[str, Any]) -> Move:
+def _move(table: Mapping[str, Any]) -> StressMove:
     if table["when"] is None:
-        return Move(table["key"], table["scale"], table["shift"])
+        return StressMove(table["key"], table["scale"], table["shift"])
     first, last = map(datetime.date.fromisoformat, table["when"])
-    return Move(table["key"], table["scale"], table["shift"], (first, last))
+    return StressMove(table["key"], table["scale"], table["shift"], (first, last))
 
 
-class Point(NamedTuple):
+class BookPoint(NamedTuple):
     """The value at one point: unstressed, or under a stress.
 
     - `status`: "ok" or "failed", with a `note`.
@@ -148,14 +148,14 @@ class Delta(NamedTuple):
     trusted: bool | None = None
 
 
-class Answer(NamedTuple):
+class OrderAnswer(NamedTuple):
     """What was computed for an order.
 
     - `points`: the base first where the order has one, then those of its stresses.
     - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
     """
 
-    points: tuple[Point, ...]
+    points: tuple[BookPoint, ...]
     policy: bytes | None = None
     shape: str = ""
 
@@ -180,7 +180,7 @@ class Answer(NamedTuple):
         return out.getvalue()
 
     @classmethod
-    def unpack(cls, data: bytes) -> "Answer":
+    def unpack(cls, data: bytes) -> "OrderAnswer":
         """The answer of these bytes. **Raises:** `ValueError` where they are none."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
@@ -193,13 +193,15 @@ class Answer(NamedTuple):
         return cls(points, None if policy is None else policy.tobytes(), table["shape"])
 
 
-def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Point:
+def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> BookPoint:
     deltas = tuple(
         Delta(**entry | {"labels": tuple(entry["labels"]), "blocks": arrays[f"blocks.{i}.{j}"]})
         for j, entry in enumerate(row["deltas"])
     )
     changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
-    return Point(**row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas})
+    return BookPoint(
+        **row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas}
+    )
 
 
 class Cost(NamedTuple):

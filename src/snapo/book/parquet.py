@@ -7,14 +7,14 @@ from snapo.case.error import CaseError
 
 from .folder import TABLES
 
-Rows = dict[str, list[Any]]
+TableRows = dict[str, list[Any]]  # {column: values}
 NUMBERS = (
     "value", "standard_error", "change", "change_error", "explained", "unexplained", "cpu_seconds",
     "peak_mb", "held", "held_error", "share",
 )  # fmt: skip
 
 
-class Writer:
+class TableWriter:
     """Writes the rows of contracts, those of `together` contracts into one file.
 
     A context manager; it writes files whole.
@@ -22,10 +22,10 @@ class Writer:
 
     def __init__(self, path: Path, together: int):
         self.path, self.together = path, together
-        self.waiting: list[dict[str, Rows]] = []
+        self.waiting: list[dict[str, TableRows]] = []
         self.names: list[str] = []
 
-    def __enter__(self) -> "Writer":
+    def __enter__(self) -> "TableWriter":
         for name in TABLES:
             folder = self.path / name
             folder.mkdir(exist_ok=True)
@@ -36,7 +36,7 @@ class Writer:
     def __exit__(self, *_: object) -> None:
         self._flush()
 
-    def write(self, name: str, tables: dict[str, Rows]) -> None:
+    def write(self, name: str, tables: dict[str, TableRows]) -> None:
         """Adds the rows of a contract."""
         self.waiting.append(tables)
         self.names.append(name)
@@ -60,7 +60,7 @@ class Writer:
         self.waiting, self.names = [], []
 
 
-def _typed(pa: Any, rows: Rows) -> dict[str, Any]:
+def _typed(pa: Any, rows: TableRows) -> dict[str, Any]:
     kinds = {"batch": pa.int32(), "trusted": pa.bool_()} | dict.fromkeys(NUMBERS, pa.float64())
     return {name: pa.array(x, kinds.get(name, pa.string())) for name, x in rows.items()}
 

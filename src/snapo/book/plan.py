@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from .file import Book, Contract
-from .order import STRESSES, Answer, Order, name_of
+from .file import Book, BookContract
+from .order import STRESSES, BookOrder, OrderAnswer, name_of
 
 LEAST_JUDGED = 3  # of contracts that are alike
 
-Read = Callable[[str], Answer | None]  # the answer of this name; None where there is none
+AnswerReader = Callable[
+    [str], OrderAnswer | None
+]  # the answer of this name; None where there is none
 
 
-def likeness(contract: Contract) -> str:
+def likeness(contract: BookContract) -> str:
     """Equal for contracts that most probably share compiled code: all but their numbers is equal.
 
     It decides the sequence alone; the shape of an answer says what was compiled.
@@ -47,25 +49,25 @@ def _kinds(table: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Plan:
+class BookPlan:
     """The orders of a book; `fingerprint` of the processors that may answer them."""
 
     book: Book
     fingerprint: str = ""
 
     @cached_property
-    def twins(self) -> dict[str, Contract]:
+    def twins(self) -> dict[str, BookContract]:
         """{name of a contract: the first contract with the same case}."""
-        first, table = dict[str, Contract](), dict[str, Contract]()
+        first, table = dict[str, BookContract](), dict[str, BookContract]()
         for contract in self.book.contracts:
             case = name_of(self._base(contract, False).pack())
             table[contract.name] = first.setdefault(case, contract)
         return table
 
     @cached_property
-    def alike(self) -> dict[str, list[Contract]]:
+    def alike(self) -> dict[str, list[BookContract]]:
         """{likeness: contracts}, twins once."""
-        groups = dict[str, list[Contract]]()
+        groups = dict[str, list[BookContract]]()
         for contract in self.book.contracts:
             if self.twins[contract.name] is contract:
                 groups.setdefault(self.likenesses[contract.name], []).append(contract)
@@ -94,7 +96,7 @@ class Plan:
             by_contract = 1 + stresses
         return by_contract * sum(map(len, self.alike.values()))
 
-    def needed(self, contracts: Sequence[Contract]) -> list[Contract]:
+    def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
         """All whose orders some contracts need, twins once, in sequence: the judged ones of those
         that are alike, and then the others."""
         twins = {self.twins[contract.name].name for contract in contracts}
@@ -104,7 +106,7 @@ class Plan:
             x for x in groups if x.name in twins and x.name not in self.judged
         ]
 
-    def base(self, contract: Contract, read: Read) -> Order | None:
+    def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
         """The first order of a contract; None as long as it waits for judged ones that are alike.
 
         Where a bump refuted a derivative of one, those of all that are alike are judged.
@@ -115,7 +117,7 @@ class Plan:
         refuted = self._refuted(self.likenesses[twin.name], read)
         return None if refuted is None else self._base(twin, refuted)
 
-    def _refuted(self, kind: str, read: Read) -> bool | None:
+    def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
         if kind not in self._verdicts:
             judged = [x for x in self.alike[kind] if x.name in self.judged]
             answers = [read(name_of(self._base(x, True).pack())) for x in judged]
@@ -130,9 +132,9 @@ class Plan:
     def _verdicts(self) -> dict[str, bool]:
         return {}
 
-    def _base(self, contract: Contract, judged: bool) -> Order:
+    def _base(self, contract: BookContract, judged: bool) -> BookOrder:
         book = self.book
-        order = Order.of(
+        order = BookOrder.of(
             contract,
             book.tasks,
             book.run.seed,
@@ -144,7 +146,7 @@ class Plan:
             return order
         return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
-    def further(self, base: Order, policy: bytes | None) -> Iterator[Order]:
+    def further(self, base: BookOrder, policy: bytes | None) -> Iterator[BookOrder]:
         """The other orders of a contract, in the sequence of the stresses."""
         moves = [stress.moves for stress in self.book.stresses]
         if self.book.tasks.policy == "stress":
@@ -160,6 +162,6 @@ class Plan:
 
 def digest(book: Book) -> str:
     """The hash of all that the book's numbers depend on."""
-    orders = [Order.of(x, book.tasks, book.run.seed).pack() for x in book.contracts]
+    orders = [BookOrder.of(x, book.tasks, book.run.seed).pack() for x in book.contracts]
     text = repr([book.stresses, [name_of(order) for order in orders]])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,16 +11,16 @@ from snapo.case.error import CaseError
 from snapo.lanes.machine import pipeline
 from snapo.solver.provenance import versions
 from snapo.solver.tables import write_text
+from snapo.study.study import ProgressCallback
 
 from .collect import collect, none
-from .file import Book, Contract, read_book
+from .file import Book, BookContract, read_book
 from .folder import REPORT, RESULT, BookFolder
-from .order import Answer, Order, name_of, opened
-from .plan import Plan, digest
+from .order import BookOrder, OrderAnswer, name_of, opened
+from .plan import BookPlan, digest
 from .work import answer
 from .workers import Lost, Place, answers
 
-Progress = Callable[[str], None]
 EVERY = 5.0  # seconds between two lines of progress
 
 
@@ -31,24 +31,17 @@ class Shard(NamedTuple):
     count: int
 
 
-class Counts(NamedTuple):
-    """The orders of a run: computed in it, and whose answers were there."""
-
-    computed: int
-    reused: int
-
-
 class Driver:
     """The orders of some contracts, one after the other, and what became of them.
 
     - `lost`: {order: the reason}, of those that no worker answered.
     """
 
-    def __init__(self, plan: Plan, contracts: Sequence[Contract], folder: BookFolder):
+    def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
         self.plan, self.folder = plan, folder
         self.waiting = deque(plan.needed(contracts))
-        self.ready: deque[Order] = deque()
-        self.flight: dict[str, tuple[Order, Contract | None]] = {}
+        self.ready: deque[BookOrder] = deque()
+        self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
         self.lost: dict[str, str] = {}
         self.computed = self.reused = 0
 
@@ -68,7 +61,7 @@ class Driver:
             if contract is not None:
                 self._add_further(order, known[0])
 
-    def _next(self) -> tuple[Order | None, Contract | None]:
+    def _next(self) -> tuple[BookOrder | None, BookContract | None]:
         if self.ready:
             return self.ready.popleft(), None
         for i, contract in enumerate(self.waiting):
@@ -78,13 +71,13 @@ class Driver:
                 return order, contract
         return None, None
 
-    def _read(self, name: str) -> Answer | None:
+    def _read(self, name: str) -> OrderAnswer | None:
         if name in self.lost:
-            return Answer((none("lost", self.lost[name]),))
+            return OrderAnswer((none("lost", self.lost[name]),))
         entry = self.folder.read(name)
         return None if entry is None else entry[0]
 
-    def _add_further(self, base: Order, answer: Answer) -> None:
+    def _add_further(self, base: BookOrder, answer: OrderAnswer) -> None:
         if answer.points[0].status == "ok":
             self.ready.extend(self.plan.further(base, answer.policy))
 
@@ -95,7 +88,7 @@ class Driver:
         if not isinstance(result, Lost):
             try:
                 whole, _ = opened(result)
-                known = Answer.unpack(whole)
+                known = OrderAnswer.unpack(whole)
             except ValueError as error:
                 result = Lost(f"its answer cannot be read: {error}")
         if isinstance(result, Lost):
@@ -109,7 +102,7 @@ class Driver:
 
 def run_book(
     path: Path,
-    progress: Progress,
+    progress: ProgressCallback,
     places: Sequence[Place],
     *,
     out: Path | None = None,
@@ -154,13 +147,13 @@ def run_book(
     return finished(plan, folder, driver.lost, cost, began)
 
 
-def plan_of(book: Book) -> Plan:
+def plan_of(book: Book) -> BookPlan:
     """The plan of a book whose orders processors of this kind may answer."""
-    return Plan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
+    return BookPlan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
 
 
 def finished(
-    plan: Plan, folder: BookFolder, lost: Mapping[str, str], cost: dict[str, Any], began: float
+    plan: BookPlan, folder: BookFolder, lost: Mapping[str, str], cost: dict[str, Any], began: float
 ) -> dict[str, Any]:
     """Writes the tables, result.json and the report; returns the content of result.json."""
     from snapo.report.page import render
@@ -175,7 +168,9 @@ def finished(
     return result
 
 
-def _compute(driver: Driver, places: Sequence[Place], progress: Progress, began: float) -> None:
+def _compute(
+    driver: Driver, places: Sequence[Place], progress: ProgressCallback, began: float
+) -> None:
     told, size = time.perf_counter(), driver.plan.size
     try:
         for order, result in answers(driver.next_order, answer, places):
@@ -191,7 +186,7 @@ def _compute(driver: Driver, places: Sequence[Place], progress: Progress, began:
         raise CaseError(str(driver.folder.path), "", None, message) from None
 
 
-def _whole(plan: Plan, folder: BookFolder) -> bool:
+def _whole(plan: BookPlan, folder: BookFolder) -> bool:
     """Whether every order of the book has an answer."""
     driver = Driver(plan, plan.book.contracts, folder)
     return driver.next_order() is None and not driver.waiting

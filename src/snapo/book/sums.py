@@ -24,7 +24,7 @@ class Sum(NamedTuple):
 
 
 @dataclass
-class Total:
+class BookTotal:
     """The sum of positions under every stress.
 
     - `shares`: {market: {stress: [B] of its positions together}}.
@@ -88,7 +88,7 @@ class Risk(NamedTuple):
 LEVELS = (0.95, 0.99)
 
 
-def risks(total: Total, stresses: Sequence[str]) -> list[Risk]:
+def risks(total: BookTotal, stresses: Sequence[str]) -> list[Risk]:
     """At every level of `LEVELS` that has at least one stress beyond it."""
     changes = {stress: total.at(stress) for stress in stresses}
     known = {stress: x for stress, x in changes.items() if x is not None}

@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.engine.native import forget_kernels
 from snapo.lanes.machine import pipeline
 from snapo.live.files import read_files
 from snapo.live.positions import InputPositions
@@ -39,8 +40,8 @@ from snapo.study.domain import Domain, Options, find
 from snapo.study.prepare import use_every_core
 from snapo.study.study import Setup, Study
 
-from .file import Move
-from .order import BATCHES, Answer, Cost, Delta, Order, Point, enclosed
+from .file import StressMove
+from .order import BATCHES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
 from .workers import OTHER
 
 LARGE = 1 << 30  # bytes of memory at which a worker drops what it compiled
@@ -49,7 +50,7 @@ LARGE = 1 << 30  # bytes of memory at which a worker drops what it compiled
 def answer(data: bytes) -> bytes:
     """The answer to an order, with its cost. A mistake in a case, and numbers that are not finite,
     are answers too."""
-    order, started = Order.unpack(data), time.process_time()
+    order, started = BookOrder.unpack(data), time.process_time()
     if not _same_bits(order):
         return OTHER
     use_every_core()
@@ -58,13 +59,13 @@ def answer(data: bytes) -> bytes:
             result = _Contract(order, Path(folder)).answer()
         except (CaseError, ValueError, ArithmeticError) as error:
             failed = _failed(_sentence(error, folder))
-            result = Answer((failed,) * (len(order.stresses) + order.base))
+            result = OrderAnswer((failed,) * (len(order.stresses) + order.base))
     packed = result.pack()
     _keep_small()
     return enclosed(packed, _cost(time.process_time() - started))
 
 
-def _same_bits(order: Order) -> bool:
+def _same_bits(order: BookOrder) -> bool:
     """Whether this processor gives the bits that the book asks for; its code is compiled for it."""
     if pipeline.unavailable() is not None:
         return True
@@ -87,12 +88,13 @@ def _keep_small() -> None:
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         if pages * resource.getpagesize() > LARGE:
+            forget_kernels()
             jax.clear_caches()
             gc.collect()
 
 
-def _failed(note: str) -> Point:
-    return Point("failed", note, np.nan, np.nan, np.full(1, np.nan), {})
+def _failed(note: str) -> BookPoint:
+    return BookPoint("failed", note, np.nan, np.nan, np.full(1, np.nan), {})
 
 
 def _sentence(error: Exception, folder: str) -> str:
@@ -102,7 +104,7 @@ def _sentence(error: Exception, folder: str) -> str:
 class _Contract:
     """The contract of an order, made ready."""
 
-    def __init__(self, order: Order, folder: Path):
+    def __init__(self, order: BookOrder, folder: Path):
         self.order, self.paths = order, order.tasks.paths
         self.file = folder / "case.toml"
         tables, _ = assigned(tomllib.loads(order.case), _settings(order))
@@ -120,20 +122,20 @@ class _Contract:
             domain.read, read_files(folder, tables), self.inputs, self.study.inputs, case
         )
 
-    def answer(self) -> Answer:
+    def answer(self) -> OrderAnswer:
         """The points of the order, and the policy where it was trained."""
         order, shape = self.order, _shape(self.setup)
         if order.policy is not None:
             policy = _policy(order.policy)
-            return Answer((*self._base(policy), *self._stressed(policy)), shape=shape)
+            return OrderAnswer((*self._base(policy), *self._stressed(policy)), shape=shape)
         if not order.base:
-            return Answer(tuple(self._stressed(None)), shape=shape)
+            return OrderAnswer(tuple(self._stressed(None)), shape=shape)
         solution = self._solved(self.setup)
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = _point(self.setup, solution.totals, {}, deltas)
         points = (base, *self._stressed(solution.policy))
-        return Answer(points, _file(solution.policy), shape)
+        return OrderAnswer(points, _file(solution.policy), shape)
 
     def _solved(self, setup: Setup) -> Solution:
         return solve(
@@ -144,11 +146,11 @@ class _Contract:
             engine=setup.engines,
         )
 
-    def _base(self, policy: Policy) -> Iterator[Point]:
+    def _base(self, policy: Policy) -> Iterator[BookPoint]:
         if self.order.base:
             yield self._valued(self.setup, policy, {})
 
-    def _stressed(self, policy: Policy | None) -> Iterator[Point]:
+    def _stressed(self, policy: Policy | None) -> Iterator[BookPoint]:
         """The points of the stresses; None: each trains a policy."""
         for moves in self.order.stresses:
             try:
@@ -156,7 +158,7 @@ class _Contract:
             except (CaseError, ValueError, ArithmeticError) as error:
                 yield _failed(_sentence(error, str(self.file.parent)))
 
-    def _under(self, moves: tuple[Move, ...], policy: Policy | None) -> Point:
+    def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
         """The value under a stress, with guide and control variate of its numbers."""
         values = dict[str, np.ndarray]()
         for move in moves:
@@ -172,7 +174,7 @@ class _Contract:
         deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return _point(setup, solution.totals, changes, deltas)
 
-    def _valued(self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray]) -> Point:
+    def _valued(self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray]) -> BookPoint:
         engine = setup.engines.evaluate
         totals = path_totals(setup.problem, policy, self.paths, engine=engine)
         deltas: tuple[Delta, ...] = ()
@@ -189,7 +191,7 @@ def _shape(setup: Setup) -> str:
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
-def _settings(order: Order) -> list[str]:
+def _settings(order: BookOrder) -> list[str]:
     """The settings of a case that the book decides."""
     judge = [] if order.judged else ["evaluation.judge_paths=0"]
     return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}", *judge]
@@ -203,7 +205,7 @@ def _input(key: str, inputs: Mapping[str, Input]) -> str:
     raise CaseError("stress", key, None, f"allowed is one of {', '.join(inputs)}")
 
 
-def _moved(entry: Input, value: np.ndarray, move: Move) -> np.ndarray:
+def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
     """The numbers of an input under a stress; `when`: where its labels begin with a date within."""
     if move.when is None:
         return value * move.scale + move.shift
@@ -220,7 +222,7 @@ def _point(
     totals: Mapping[str, Any],
     changes: dict[str, np.ndarray],
     deltas: tuple[Delta, ...] = (),
-) -> Point:
+) -> BookPoint:
     """The value of these totals [paths], by batch of paths."""
     problem = setup.problem
     controls = problem.simulator.control_variates()
@@ -229,7 +231,7 @@ def _point(
         return _failed("too many paths are not finite")
     shares = batched(shares)
     result = statistics.of_shares(shares)
-    return Point("ok", "", result.value, result.standard_error, shares, changes, deltas)
+    return BookPoint("ok", "", result.value, result.standard_error, shares, changes, deltas)
 
 
 def batched(shares: np.ndarray) -> np.ndarray:
