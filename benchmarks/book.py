@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from snapo.book.executors import places
+from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
 from snapo.book.run import plan_of, run_book
@@ -111,9 +111,9 @@ def shapes() -> list[str]:
             heard.clear()
             data, cost = opened(answer(order.pack()))
             table.append(Timed(name, cost.cpu_seconds, sum(heard)))
-            known = OrderAnswer.unpack(data)
-            assert known.points[0].status == "ok", known.points[0].note
-            policy = known.policy if policy is None else policy
+            stored = OrderAnswer.unpack(data)
+            assert stored.points[0].status == "ok", stored.points[0].note
+            policy = stored.policy if policy is None else policy
         first = BookOrder.of(
             book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy
         )
@@ -155,7 +155,7 @@ def overhead(count: int = 200) -> list[str]:
         plan = plan_of(book)
         waiting = iter([plan._base(x, False).pack() for x in book.contracts])  # pyright: ignore[reportPrivateUsage]
         began, cpu, spans = time.perf_counter(), time.process_time(), []
-        for _, result in answers(lambda: next(waiting, None), idle, places("", 1)):
+        for _, result in answers(lambda: next(waiting, None), idle, worker_pools("", 1)):
             assert isinstance(result, bytes)
             spans.append(json.loads(result))
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
@@ -174,7 +174,7 @@ def large(contracts: int = 100) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         file = write_book(Path(folder), rows(contracts), STRESSES)
         progress = partial(print, file=sys.stderr, flush=True)
-        result = run_book(file, progress, places(""), out=Path(folder) / "run")
+        result = run_book(file, progress, worker_pools(""), out=Path(folder) / "run")
         peaks = _peaks(Path(folder) / "run")
     driver = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     points = contracts * len(result["sums"])
@@ -219,7 +219,9 @@ def model(contracts: int = 16) -> list[str]:
     for workers in (1, 2, 4):
         with tempfile.TemporaryDirectory() as folder:
             file = write_book(Path(folder), rows(contracts), "", "judge = 0\n")
-            result = run_book(file, lambda _: None, places("", workers), out=Path(folder) / "run")
+            result = run_book(
+                file, lambda _: None, worker_pools("", workers), out=Path(folder) / "run"
+            )
             costs = [opened(x.read_bytes())[1] for x in Path(folder).glob("run/answers/*/*")]
         seconds = result["seconds"]["orders"]
         if workers == 1:

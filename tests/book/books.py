@@ -11,7 +11,7 @@ from snapo.book.file import Book, read_book
 from snapo.book.folder import BookFolder
 from snapo.book.order import OrderAnswer, name_of
 from snapo.book.plan import BookPlan
-from snapo.book.workers import Place
+from snapo.book.workers import WorkerPool
 
 SHORT = {
     "training.steps": 2,
@@ -63,7 +63,7 @@ class InProcess(Executor):
         return future
 
 
-HERE = [Place(InProcess)]
+HERE = [WorkerPool(InProcess)]
 
 
 def answers_of(book: Book, folder: Path) -> dict[str, OrderAnswer]:

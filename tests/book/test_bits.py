@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.book.books import HERE, answers_of, write_book
 
-from snapo.book.executors import places
+from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.run import Shard, run_book
 from snapo.case.load import load
@@ -74,7 +74,7 @@ def dask():
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
-        yield places(f"dask:{cluster.scheduler_address}")
+        yield worker_pools(f"dask:{cluster.scheduler_address}")
 
 
 @contextlib.contextmanager
@@ -92,7 +92,7 @@ def ray():
     quiet = ["--include-dashboard=false", "--disable-usage-stats"]
     subprocess.run([*command, "start", *options, *quiet], check=True, capture_output=True)
     try:
-        yield places(f"ray:127.0.0.1:{port}")
+        yield worker_pools(f"ray:127.0.0.1:{port}")
     finally:
         subprocess.run([*command, "stop", "--force"], check=False, capture_output=True)
 
@@ -109,9 +109,9 @@ def test_twelve_contracts_on_every_executor(tmp_path):
         assert result["status"] == "ok", result["failures"]
         return {x: answer.pack() for x, answer in answers_of(book, tmp_path / name).items()}
 
-    one = valued("one", places("", 1))
+    one = valued("one", worker_pools("", 1))
     assert len(one) == 12
-    assert valued("two", places("", 2)) == one
+    assert valued("two", worker_pools("", 2)) == one
     for part in (1, 2):
         run_book(file, lambda _: None, HERE, out=tmp_path / "parts", shard=Shard(part, 2))
     assert {x: a.pack() for x, a in answers_of(book, tmp_path / "parts").items()} == one

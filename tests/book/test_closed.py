@@ -73,13 +73,13 @@ def test_an_open_network_is_refused(where, monkeypatch):
     monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
     pytest.importorskip("distributed" if where.startswith("dask") else "ray")
     with pytest.raises(CaseError, match="--trust-network"):
-        executors.places(where)
+        executors.worker_pools(where)
 
 
 @pytest.mark.parametrize("where", ["nothing", "no_such_module:f", "json:loads", "json:nothing"])
 def test_a_wrong_place_has_one_message(where):
     with pytest.raises(CaseError, match=r"--on: got .*dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCT"):
-        executors.places(where)
+        executors.worker_pools(where)
 
 
 def test_an_executor_of_others(valued, tmp_path, monkeypatch):
@@ -88,7 +88,7 @@ def test_an_executor_of_others(valued, tmp_path, monkeypatch):
         "from tests.book.books import InProcess\ndef two():\n    return [InProcess(), InProcess()]\n"
     )
     monkeypatch.chdir(tmp_path)
-    made = executors.places("mine:two")
+    made = executors.worker_pools("mine:two")
     assert len(made) == 2
     file = write_book(tmp_path / "book", ROWS[:4])
     result = run_book(file, lambda _: None, made, out=tmp_path / "run")

@@ -16,7 +16,7 @@ from tests.book.conftest import ROWS
 from tests.book.fragile import echo
 
 from snapo.book import run
-from snapo.book.executors import places
+from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.run import Shard, run_book
@@ -33,7 +33,7 @@ def test_killed_workers_lose_nothing(tmp_path):
     """60 orders on two processes; four of them kill theirs the first time, one every time."""
     orders = [f"order:{i}".encode() for i in range(55)]
     once = [f"once:{tmp_path / str(i)}".encode() for i in range(4)]
-    results = given([*orders[:20], *once, b"poison:", *orders[20:]], places("", 2))
+    results = given([*orders[:20], *once, b"poison:", *orders[20:]], worker_pools("", 2))
     assert Counter(order for order, _ in results) == Counter([*orders, *once, b"poison:"])
     table = dict(results)
     assert all(table[order] == order + b"!" for order in (*orders, *once))
@@ -66,16 +66,16 @@ def test_resume_computes_what_is_missing(valued, tmp_path):
             for row in ROWS[:4]]  # fmt: skip
     file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
     first = run_book(file, lambda _: None, HERE, out=out)
-    again = run_book(write_book(tmp_path, rows), lambda _: None, HERE, out=out, resume=True)
-    assert again["orders"] == {"computed": 1, "reused": 1, "lost": 0}
-    assert again["by"]["desk"]["A"] == first["by"]["desk"]["A"]
-    assert again["sums"][0]["value"] != first["sums"][0]["value"]
+    repeated = run_book(write_book(tmp_path, rows), lambda _: None, HERE, out=out, resume=True)
+    assert repeated["orders"] == {"computed": 1, "reused": 1, "lost": 0}
+    assert repeated["by"]["desk"]["A"] == first["by"]["desk"]["A"]
+    assert repeated["sums"][0]["value"] != first["sums"][0]["value"]
 
     largest = max(out.glob("answers/*/*"), key=lambda x: x.stat().st_size)
     largest.write_bytes(largest.read_bytes()[:-100])
-    whole = run_book(file, lambda _: None, HERE, out=out, resume=True)
-    assert whole["orders"]["computed"] == 1
-    assert whole["sums"] == again["sums"]
+    complete = run_book(file, lambda _: None, HERE, out=out, resume=True)
+    assert complete["orders"]["computed"] == 1
+    assert complete["sums"] == repeated["sums"]
 
 
 def test_shards_meet(valued, tmp_path):

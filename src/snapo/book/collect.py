@@ -109,8 +109,8 @@ class Results:
     def add(self, member: BookPosition) -> None:
         """Adds a contract."""
         contract = member.contract
-        bad = member.worst
-        self.cases["ok" if bad.status == "ok" else bad.status] += 1
+        failed_count = member.worst
+        self.cases["ok" if failed_count.status == "ok" else failed_count.status] += 1
         for stress, (point, cost, _) in member.points.items():
             if point.status != "ok":
                 row = {"case": contract.name, "stress": stress}
@@ -138,16 +138,16 @@ class Results:
                 self.deltas.add(key, contract.quantity * blocks)
 
     def table(self) -> dict[str, Any]:
-        """The content of result.json, but for what only the driver knows."""
+        """The content of result.json without the cost of the run."""
         stresses = [stress.name for stress in self.book.stresses]
         names = [BASE, *stresses]
-        bad = sum(count for status, count in self.cases.items() if status != "ok")
-        status = "ok" if not bad else "incomplete" if self.cases["missing"] else "failed"
+        failed_count = sum(count for status, count in self.cases.items() if status != "ok")
+        status = "ok" if not failed_count else "incomplete" if self.cases["missing"] else "failed"
         return {
             "kind": "book",
             "status": status,
             "title": self.book.title,
-            "cases": {"ok": self.cases["ok"], "failed": bad},
+            "cases": {"ok": self.cases["ok"], "failed": failed_count},
             "sums": [
                 _sum_row(stress, self.total.at(stress), self.explained[stress]) for stress in names
             ],
@@ -204,7 +204,7 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
         entry = head | {"stress": stress}
         change = statistics.of_shares(point.shares - base.shares) if _both_ok(point, base) else None
         by_deltas = contract.quantity * explained(base, point) if change else None
-        moved = None if change is None else contract.quantity * change.value
+        change_value = None if change is None else contract.quantity * change.value
         values.append(
             entry
             | {
@@ -212,10 +212,12 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
                 "note": point.note,
                 "value": contract.quantity * point.value,
                 "standard_error": abs(contract.quantity) * point.standard_error,
-                "change": moved,
+                "change": change_value,
                 "change_error": change and abs(contract.quantity) * change.standard_error,
                 "explained": by_deltas,
-                "unexplained": None if moved is None or by_deltas is None else moved - by_deltas,
+                "unexplained": None
+                if change_value is None or by_deltas is None
+                else change_value - by_deltas,
                 "cpu_seconds": cost and cost.cpu_seconds,
                 "peak_mb": cost and cost.peak_mb,
                 "shape": shape,

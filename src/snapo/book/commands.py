@@ -10,7 +10,7 @@ from snapo.case.error import CaseError
 from snapo.solver.tables import write_text
 from snapo.study.study import ProgressCallback
 
-from .executors import places
+from .executors import worker_pools
 from .file import read_book
 from .folder import REPORT, RESULT, BookFolder
 from .parquet import query as query
@@ -32,12 +32,12 @@ def solve(
     shard: tuple[int, int] | None = None,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Values a book; see `run_book`. `on`: where, see `executors.places`.
+    """Values a book; see `run_book`. `on`: where, see `executors.worker_pools`.
 
     **Raises:** `CaseError` for a mistake in the book, or where its workers cannot be reached.
     """
     read_book(path)  # a mistake in it is named before workers start
-    made = places(on, workers, trust_network)
+    made = worker_pools(on, workers, trust_network)
     part = None if shard is None else Shard(*shard)
     return run_book(path, progress, made, out=out, shard=part, resume=resume)
 
@@ -46,16 +46,17 @@ def check(path: Path) -> list[str]:
     """A book in a few lines: contracts, orders, shapes, and expected processor time."""
     book = read_book(path)
     plan = BookPlan(book)
-    stresses, twins = len(book.stresses), sum(map(len, plan.alike.values()))
-    judged, shapes = len(plan.judged), len(plan.alike)
+    stresses, distinct = len(book.stresses), sum(map(len, plan.similar.values()))
+    judged, shapes = len(plan.judged), len(plan.similar)
     trainings = 1 if book.tasks.policy == "contract" else 1 + stresses
     seconds = (
         shapes * OF_A_SHAPE
-        + twins * OF_A_CONTRACT * trainings
+        + distinct * OF_A_CONTRACT * trainings
         + judged * OF_A_JUDGED
-        + (twins * stresses * OF_A_STRESS if trainings == 1 else 0.0)
+        + (distinct * stresses * OF_A_STRESS if trainings == 1 else 0.0)
     )
-    same = f", {len(book.contracts) - twins} of them twins" if twins < len(book.contracts) else ""
+    repeated = len(book.contracts) - distinct
+    same = f", {repeated:,} of them with the case of another one" if repeated else ""
     markets = sorted({contract.market for contract in book.contracts} - {""})
     return [
         f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
@@ -83,7 +84,7 @@ def report(path: Path) -> Path:
     try:
         result = json.loads((path / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        message = "this book has no results yet: snapo book BOOK --resume computes what is missing"
+        message = "this book has no results yet: snapo book BOOK --resume computes the rest"
         raise CaseError(str(path / RESULT), "", None, message) from None
     write_text(path / REPORT, render(page(result, record)))
     return path / REPORT
@@ -98,8 +99,8 @@ def summary(result: Mapping[str, Any]) -> str:
         cases = result["cases"]
         lines.append(f"{'contracts':<24}{cases['ok']:>16,}   {cases['failed']:,} failed")
         rows = result["sums"]
-        shown = rows if len(rows) <= 12 else [rows[0], *_worst(rows[1:])]
-        for row in shown:
+        displayed = rows if len(rows) <= 12 else [rows[0], *_worst(rows[1:])]
+        for row in displayed:
             if row["value"] is None:
                 lines.append(f"{row['stress']:<24}{'none':>16}")
                 continue

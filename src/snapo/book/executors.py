@@ -19,13 +19,15 @@ from urllib.parse import urlsplit
 from snapo.case.error import CaseError
 from snapo.lanes.machine.disk import cache_home
 
-from .workers import Place, Submits, Work
+from .workers import WorkerPool, Submits, Work
 
 MAX_CACHE = 256 << 20  # bytes of XLA's programs on disk
 IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself
 
 
-def places(where: str, workers: int | None = None, trust_network: bool = False) -> list[Place]:
+def worker_pools(
+    where: str, workers: int | None = None, trust_network: bool = False
+) -> list[WorkerPool]:
     """The places of `--on WHERE`; "" is this machine, with one process for each core.
 
     **Raises:** `CaseError` where there is no such place, or its network is open.
@@ -40,11 +42,11 @@ def places(where: str, workers: int | None = None, trust_network: bool = False) 
     return _named(where)
 
 
-def _processes(workers: int | None) -> list[Place]:
+def _processes(workers: int | None) -> list[WorkerPool]:
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     count = workers or len(cores)
     # One order in work and the next one: a worker does not wait for the driver.
-    return [Place(partial(_process, cores[i % len(cores)]), 2) for i in range(count)]
+    return [WorkerPool(partial(_process, cores[i % len(cores)]), 2) for i in range(count)]
 
 
 def _process(core: int) -> Executor:
@@ -66,7 +68,7 @@ def _pinned(core: int) -> None:
             os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(MAX_CACHE))
 
 
-def _named(where: str) -> list[Place]:
+def _named(where: str) -> list[WorkerPool]:
     """The executors of MODULE:FACTORY: the factory returns one, or several."""
     module, _, name = where.partition(":")
     sys.path.insert(0, os.getcwd())
@@ -82,14 +84,14 @@ def _named(where: str) -> list[Place]:
     finally:
         sys.path.pop(0)
     count = max(2, IN_FLIGHT // len(executors))
-    return [Place(partial(_same, executor), count) for executor in executors]
+    return [WorkerPool(partial(_same, executor), count) for executor in executors]
 
 
 def _same(executor: Submits) -> Submits:
     return executor
 
 
-def _dask(address: str, trust_network: bool) -> Place:
+def _dask(address: str, trust_network: bool) -> WorkerPool:
     try:
         from distributed import Client
     except ImportError:
@@ -106,10 +108,10 @@ def _dask(address: str, trust_network: bool) -> Place:
     def make() -> Executor:
         return client.get_executor(pure=False)
 
-    return Place(make, IN_FLIGHT, client.close)
+    return WorkerPool(make, IN_FLIGHT, client.close)
 
 
-def _ray(address: str, trust_network: bool) -> Place:
+def _ray(address: str, trust_network: bool) -> WorkerPool:
     try:
         import ray
     except ImportError:
@@ -124,7 +126,7 @@ def _ray(address: str, trust_network: bool) -> Place:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
     except (OSError, ValueError, ConnectionError, RuntimeError) as error:
         raise CaseError("--on", "", f"ray:{address}", f"no cluster answers: {error}") from None
-    return Place(RayExecutor, IN_FLIGHT, ray.shutdown)
+    return WorkerPool(RayExecutor, IN_FLIGHT, ray.shutdown)
 
 
 class RayExecutor:
@@ -151,7 +153,7 @@ def _missing(extra: str) -> CaseError:
 
 
 def _open(where: str, message: str) -> CaseError:
-    allowed = f"{message}; --trust-network says that nobody else can reach it"
+    allowed = f"{message}; with --trust-network this is up to you"
     return CaseError("--on", "", where, allowed)
 
 

@@ -35,7 +35,7 @@ CaseKey = Annotated[str, Field(pattern=r"^[^.]+(\.[^.]+)*$")]
 class CasesTable(CaseTable):
     """`[cases]`"""
 
-    template: str = Field("", description='the folder of a case beside the book, "store"')
+    template: str = Field("", description='the folder of a case, relative to the book: "store"')
     files: str = Field("", description='cases by a pattern, "contracts/*/case.toml"')
     table: str = Field("", description='the CSV of the contracts, "contracts.csv"')
     by: list[str] = Field([], description="columns of the table to sum by")
@@ -76,7 +76,10 @@ class TasksTable(CaseTable):
     )
     deltas: Literal["base", "all", "none"] = Field("base", description="at which points")
     judge: float = Field(
-        0.1, ge=0, le=1, description="the share of contracts whose derivatives bumps judge, 0 to 1"
+        0.1,
+        ge=0,
+        le=1,
+        description="the share of contracts whose derivatives are tested by bumps, 0 to 1",
     )
     paths: int = Field(16384, ge=64, le=2**24, description="paths of every value, 64 or more")
 
@@ -198,9 +201,9 @@ MarketFiles = tuple[Mapping[str, Any], Mapping[str, bytes]]
 
 
 def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
-    """The tables of a market, and the files beside it."""
+    """The tables of a market, and the files next to it."""
     table = parse(BookMarketTable, entry, str(file), f"markets.{name}")
-    path = _beside(file, f"markets.{name}.file", table.file)
+    path = _in_folder(file, f"markets.{name}.file", table.file)
     tables = load(path)[1]
     if other := set(tables) - set(SHARED):
         raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
@@ -209,7 +212,7 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
     return tables, _contents(path.parent)
 
 
-def _beside(file: Path, where: str, name: str) -> Path:
+def _in_folder(file: Path, where: str, name: str) -> Path:
     """A path of the book, which must lie in its folder or below it."""
     path = file.parent / name
     if not path.exists() or not path.resolve().is_relative_to(file.parent.resolve()):
@@ -237,8 +240,8 @@ def _contracts(
             )
             yield _contract(context, name, tables, _contents(path.parent), "", markets, 1.0, {})
         return
-    _, tables = load(_beside(file, "cases.template", cases.template))
-    contents = _contents(_beside(file, "cases.template", cases.template))
+    _, tables = load(_in_folder(file, "cases.template", cases.template))
+    contents = _contents(_in_folder(file, "cases.template", cases.template))
     if not cases.table:
         yield _contract(context, cases.template, tables, contents, "", markets, 1.0, {})
         return
@@ -251,7 +254,7 @@ def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
     labels = {column: text for column, text in row.cells.items() if column not in ("name", "")}
     keys = [column for column in labels if "." in column and labels[column] != ""]
     try:
-        own, _ = assigned(tables, [f"{key}={labels[key]}" for key in keys])
+        row_tables, _ = assigned(tables, [f"{key}={labels[key]}" for key in keys])
     except CaseError as error:
         raise row.error(keys[0], str(error.allowed)) from None
     quantity = row.number("quantity") if "quantity" in labels else 1.0
@@ -260,7 +263,7 @@ def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
         raise row.error("name", "a name of 1 to 80 characters without / and \\")
     labels = {column: text for column, text in labels.items() if "." not in column}
     return _contract(
-        context, name, own, contents, labels.get("market", ""), markets, quantity, labels
+        context, name, row_tables, contents, labels.get("market", ""), markets, quantity, labels
     )
 
 
@@ -336,7 +339,7 @@ def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[Book
 
 
 def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
-    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, perhaps `KEY@PERIOD`."""
+    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, or `scale KEY@PERIOD`."""
     for row in read_rows(FileReference(context, "table", name), ("name",)):
         moves = []
         for column in row.cells:

@@ -1,6 +1,6 @@
 """An order: one contract with some of the book's stresses, as bytes; and its answer, as bytes.
 
-The answer is a function of the order alone. An order has neither the contract's name nor its
+The answer depends on nothing but the order. An order has neither the contract's name nor its
 quantity, so that twins are computed once; it is called by the hash of its bytes.
 """
 
@@ -34,7 +34,7 @@ class BookOrder:
     - `stresses`: the moves of each.
     - `tasks`: of the book; `seed`: of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
-    - `judged`: whether bumps judge the derivatives.
+    - `judged`: whether the derivatives are tested by bumps.
     - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
       a policy is trained for each stress, for its only stress.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:

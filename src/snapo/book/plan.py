@@ -1,7 +1,7 @@
 """The plan of a book: which orders its contracts need, and in which sequence.
 
-The base of a contract is ordered first; its policy travels with its further stresses. Contracts
-that are alike come one after the other, so that a worker has their code.
+The base of a contract is ordered first; its policy travels with its further stresses. Similar
+contracts come one after the other, so that a worker has their code.
 """
 
 import hashlib
@@ -15,17 +15,17 @@ from typing import Any
 from .file import Book, BookContract
 from .order import STRESSES, BookOrder, OrderAnswer, name_of
 
-LEAST_JUDGED = 3  # of contracts that are alike
+MIN_JUDGED = 3  # of similar contracts
 
 AnswerReader = Callable[
     [str], OrderAnswer | None
 ]  # the answer of this name; None where there is none
 
 
-def likeness(contract: BookContract) -> str:
+def similarity_key(contract: BookContract) -> str:
     """Equal for contracts that most probably share compiled code: all but their numbers is equal.
 
-    It decides the sequence alone; the shape of an answer says what was compiled.
+    It decides no more than the sequence; the shape of an answer is that of compiled code.
     """
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
@@ -56,7 +56,7 @@ class BookPlan:
     fingerprint: str = ""
 
     @cached_property
-    def twins(self) -> dict[str, BookContract]:
+    def first_of_case(self) -> dict[str, BookContract]:
         """{name of a contract: the first contract with the same case}."""
         first, table = dict[str, BookContract](), dict[str, BookContract]()
         for contract in self.book.contracts:
@@ -65,25 +65,25 @@ class BookPlan:
         return table
 
     @cached_property
-    def alike(self) -> dict[str, list[BookContract]]:
+    def similar(self) -> dict[str, list[BookContract]]:
         """{likeness: contracts}, twins once."""
         groups = dict[str, list[BookContract]]()
         for contract in self.book.contracts:
-            if self.twins[contract.name] is contract:
-                groups.setdefault(self.likenesses[contract.name], []).append(contract)
+            if self.first_of_case[contract.name] is contract:
+                groups.setdefault(self.similarity_keys[contract.name], []).append(contract)
         return groups
 
     @cached_property
-    def likenesses(self) -> dict[str, str]:
+    def similarity_keys(self) -> dict[str, str]:
         """{name of a contract: its likeness}."""
-        return {contract.name: likeness(contract) for contract in self.book.contracts}
+        return {contract.name: similarity_key(contract) for contract in self.book.contracts}
 
     @cached_property
     def judged(self) -> set[str]:
         """The names of the contracts whose derivatives are judged in any case."""
         share, names = self.book.tasks.judge, set[str]()
-        for contracts in self.alike.values():
-            count = max(math.ceil(share * len(contracts)), LEAST_JUDGED) if share else 0
+        for contracts in self.similar.values():
+            count = max(math.ceil(share * len(contracts)), MIN_JUDGED) if share else 0
             names |= {contract.name for contract in contracts[:count]}
         return names
 
@@ -94,16 +94,18 @@ class BookPlan:
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
             by_contract = 1 + stresses
-        return by_contract * sum(map(len, self.alike.values()))
+        return by_contract * sum(map(len, self.similar.values()))
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
         """All whose orders some contracts need, twins once, in sequence: the judged ones of those
         that are alike, and then the others."""
-        twins = {self.twins[contract.name].name for contract in contracts}
-        kinds = {self.likenesses[name] for name in twins}
-        groups = [x for kind, alike in sorted(self.alike.items()) if kind in kinds for x in alike]
+        first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
+        kinds = {self.similarity_keys[name] for name in first_of_case}
+        groups = [
+            x for kind, similar in sorted(self.similar.items()) if kind in kinds for x in similar
+        ]
         return [x for x in groups if x.name in self.judged] + [
-            x for x in groups if x.name in twins and x.name not in self.judged
+            x for x in groups if x.name in first_of_case and x.name not in self.judged
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
@@ -111,20 +113,20 @@ class BookPlan:
 
         Where a bump refuted a derivative of one, those of all that are alike are judged.
         """
-        twin = self.twins[contract.name]
+        twin = self.first_of_case[contract.name]
         if twin.name in self.judged or not self.book.tasks.judge:
             return self._base(twin, twin.name in self.judged)
-        refuted = self._refuted(self.likenesses[twin.name], read)
+        refuted = self._refuted(self.similarity_keys[twin.name], read)
         return None if refuted is None else self._base(twin, refuted)
 
     def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
         if kind not in self._verdicts:
-            judged = [x for x in self.alike[kind] if x.name in self.judged]
+            judged = [x for x in self.similar[kind] if x.name in self.judged]
             answers = [read(name_of(self._base(x, True).pack())) for x in judged]
-            whole = [answer for answer in answers if answer is not None]
-            if len(whole) < len(judged):
+            complete = [answer for answer in answers if answer is not None]
+            if len(complete) < len(judged):
                 return None
-            deltas = [delta for answer in whole for delta in answer.points[0].deltas]
+            deltas = [delta for answer in complete for delta in answer.points[0].deltas]
             self._verdicts[kind] = any(delta.trusted is False for delta in deltas)
         return self._verdicts[kind]
 

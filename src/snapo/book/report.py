@@ -10,7 +10,7 @@ from snapo.report.quantity import decimals, measured, number, seconds
 from snapo.report.rows import Column, WithError, table
 
 BASE = "base"
-MOST = 40  # rows of a table of stresses, and bars of a picture
+MAX_ROWS = 40  # rows of a table of stresses, and bars of a picture
 
 
 class StressRow(NamedTuple):
@@ -99,8 +99,8 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     if not rows:
         blocks: list[Block] = [Missing("No stress has a value for every contract.")]
         return Section("stresses", "Stresses", "Stresses", blocks)
-    shown = rows if len(rows) <= MOST else [*rows[: MOST // 2], *rows[-MOST // 2 :]]
-    digits = decimals([row.change.value for row in shown], 5)
+    displayed = rows if len(rows) <= MAX_ROWS else [*rows[: MAX_ROWS // 2], *rows[-MAX_ROWS // 2 :]]
+    digits = decimals([row.change.value for row in displayed], 5)
     bars = [
         charts.LadderBar(
             row.name,
@@ -109,13 +109,13 @@ def _stresses(result: Mapping[str, Any]) -> Section:
             row.change.error,
             False,
         )
-        for row in shown
+        for row in displayed
     ]
     alt = "; ".join(f"{bar.name} {bar.text}" for bar in bars)
     svg = draw("stress-bars", alt, lambda axes: charts.ladder(axes, bars), 40 + 26 * len(bars))
     caption = "The change of the book's value under every stress, the worst first"
-    if len(shown) < len(rows):
-        caption += f"; of {len(rows):,} the {MOST // 2} worst and the {MOST // 2} best"
+    if len(displayed) < len(rows):
+        caption += f"; of {len(rows):,} the {MAX_ROWS // 2} worst and the {MAX_ROWS // 2} best"
     columns = [
         Column("Stress", "name"),
         Column("Value", "value"),
@@ -123,7 +123,7 @@ def _stresses(result: Mapping[str, Any]) -> Section:
         Column("Explained by derivatives", "explained", sign=True),
         Column("Unexplained", "unexplained", sign=True),
     ]
-    if any(row.explained is None for row in shown):
+    if any(row.explained is None for row in displayed):
         columns = columns[:3]
     text = Text(
         "A policy that was trained once for its contract decides under the stress too; guide and "
@@ -131,7 +131,7 @@ def _stresses(result: Mapping[str, Any]) -> Section:
         "base: to first order.",
         caveat=True,
     )
-    blocks = [Chart(svg, caption + "."), table(shown, columns), text]
+    blocks = [Chart(svg, caption + "."), table(displayed, columns), text]
     return Section("stresses", "Stresses", "Stresses", blocks)
 
 
@@ -157,8 +157,8 @@ def _groups(result: Mapping[str, Any]) -> Section:
 
 
 def _worst(sums: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
-    known = [row for row in sums[1:] if row["change"] is not None]
-    return min(known, key=lambda row: row["change"], default=None)
+    stored = [row for row in sums[1:] if row["change"] is not None]
+    return min(stored, key=lambda row: row["change"], default=None)
 
 
 class DeltaRow(NamedTuple):
@@ -187,7 +187,9 @@ def _deltas(result: Mapping[str, Any]) -> Section:
     few = rows[:400]
     caption = "Derivatives of the book's value with decisions held, summed over contracts"
     blocks: list[Block] = [
-        table(few, columns, caption, by_row=True, folded="" if len(few) <= MOST else "all inputs")
+        table(
+            few, columns, caption, by_row=True, folded="" if len(few) <= MAX_ROWS else "all inputs"
+        )
     ]
     return Section("deltas", "Derivatives", "Derivatives", blocks)
 

@@ -19,7 +19,7 @@ from .folder import REPORT, RESULT, BookFolder
 from .order import BookOrder, OrderAnswer, name_of, opened
 from .plan import BookPlan, digest
 from .work import answer
-from .workers import Lost, Place, answers
+from .workers import Lost, WorkerPool, answers
 
 EVERY = 5.0  # seconds between two lines of progress
 
@@ -32,7 +32,7 @@ class Shard(NamedTuple):
 
 
 class Driver:
-    """The orders of some contracts, one after the other, and what became of them.
+    """The orders of some contracts, in sequence, and their answers.
 
     - `lost`: {order: the reason}, of those that no worker answered.
     """
@@ -40,7 +40,7 @@ class Driver:
     def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
         self.plan, self.folder = plan, folder
         self.waiting = deque(plan.needed(contracts))
-        self.ready: deque[BookOrder] = deque()
+        self.further_orders: deque[BookOrder] = deque()
         self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
         self.lost: dict[str, str] = {}
         self.computed = self.reused = 0
@@ -53,17 +53,17 @@ class Driver:
                 return None
             data = order.pack()
             name = name_of(data)
-            known = self.folder.read(name)
-            if known is None:
+            stored = self.folder.read(name)
+            if stored is None:
                 self.flight[name] = order, contract
                 return data
             self.reused += 1
             if contract is not None:
-                self._add_further(order, known[0])
+                self._add_further(order, stored[0])
 
     def _next(self) -> tuple[BookOrder | None, BookContract | None]:
-        if self.ready:
-            return self.ready.popleft(), None
+        if self.further_orders:
+            return self.further_orders.popleft(), None
         for i, contract in enumerate(self.waiting):
             order = self.plan.base(contract, self._read)
             if order is not None:
@@ -79,7 +79,7 @@ class Driver:
 
     def _add_further(self, base: BookOrder, answer: OrderAnswer) -> None:
         if answer.points[0].status == "ok":
-            self.ready.extend(self.plan.further(base, answer.policy))
+            self.further_orders.extend(self.plan.further(base, answer.policy))
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
         """Keeps an answer. **Raises:** `OSError` where the disk is full."""
@@ -87,8 +87,8 @@ class Driver:
         order, contract = self.flight.pop(name)
         if not isinstance(result, Lost):
             try:
-                whole, _ = opened(result)
-                known = OrderAnswer.unpack(whole)
+                complete, _ = opened(result)
+                stored = OrderAnswer.unpack(complete)
             except ValueError as error:
                 result = Lost(f"its answer cannot be read: {error}")
         if isinstance(result, Lost):
@@ -97,13 +97,13 @@ class Driver:
         self.folder.write(name, result)
         self.computed += 1
         if contract is not None:
-            self._add_further(order, known)
+            self._add_further(order, stored)
 
 
 def run_book(
     path: Path,
     progress: ProgressCallback,
-    places: Sequence[Place],
+    worker_pools: Sequence[WorkerPool],
     *,
     out: Path | None = None,
     shard: Shard | None = None,
@@ -111,7 +111,7 @@ def run_book(
 ) -> dict[str, Any]:
     """Values a book into the folder `out`, by default `run` next to its file.
 
-    - `places`: where its orders are computed; `shard`: only a part of its contracts.
+    - `worker_pools`: where its orders are computed; `shard`: only a part of its contracts.
     - `resume`: answers that the folder has are not computed again.
 
     Returns the content of result.json. Where interrupted, or on a full disk, answers that have been
@@ -124,19 +124,19 @@ def run_book(
     folder.begin(_record(book), keep=resume or shard is not None)
     contracts = plan.needed(book.contracts)
     if shard is not None:
-        ends = (len(contracts) * n // shard.count for n in (shard.number - 1, shard.number))
-        contracts = contracts[slice(*ends)]
+        slice_ends = (len(contracts) * n // shard.count for n in (shard.number - 1, shard.number))
+        contracts = contracts[slice(*slice_ends)]
     driver = Driver(plan, contracts, folder)
-    _compute(driver, places, progress, began)
+    _compute(driver, worker_pools, progress, began)
     seconds = time.perf_counter() - began
     cost = {
         "orders": {"computed": driver.computed, "reused": driver.reused, "lost": len(driver.lost)},
         "seconds": {"orders": seconds, "total": seconds},
-        "workers": len(places),
+        "workers": len(worker_pools),
         "versions": versions(),
         "run": str(folder.path),
     }
-    if shard is not None and not _whole(plan, folder):
+    if shard is not None and not _is_complete(plan, folder):
         return {
             "kind": "book",
             "status": "ok" if not driver.lost else "failed",
@@ -144,7 +144,7 @@ def run_book(
             "shard": list(shard),
             **cost,
         }
-    return finished(plan, folder, driver.lost, cost, began)
+    return write_results(plan, folder, driver.lost, cost, began)
 
 
 def plan_of(book: Book) -> BookPlan:
@@ -152,7 +152,7 @@ def plan_of(book: Book) -> BookPlan:
     return BookPlan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
 
 
-def finished(
+def write_results(
     plan: BookPlan, folder: BookFolder, lost: Mapping[str, str], cost: dict[str, Any], began: float
 ) -> dict[str, Any]:
     """Writes the tables, result.json and the report; returns the content of result.json."""
@@ -169,14 +169,14 @@ def finished(
 
 
 def _compute(
-    driver: Driver, places: Sequence[Place], progress: ProgressCallback, began: float
+    driver: Driver, worker_pools: Sequence[WorkerPool], progress: ProgressCallback, began: float
 ) -> None:
-    told, size = time.perf_counter(), driver.plan.size
+    reported_at, size = time.perf_counter(), driver.plan.size
     try:
-        for order, result in answers(driver.next_order, answer, places):
+        for order, result in answers(driver.next_order, answer, worker_pools):
             driver.take(order, result)
-            if (now := time.perf_counter()) - told > EVERY:
-                told = now
+            if (now := time.perf_counter()) - reported_at > EVERY:
+                reported_at = now
                 done = driver.computed + driver.reused + len(driver.lost)
                 progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
     except OSError as error:
@@ -186,7 +186,7 @@ def _compute(
         raise CaseError(str(driver.folder.path), "", None, message) from None
 
 
-def _whole(plan: BookPlan, folder: BookFolder) -> bool:
+def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
     """Whether every order of the book has an answer."""
     driver = Driver(plan, plan.book.contracts, folder)
     return driver.next_order() is None and not driver.waiting

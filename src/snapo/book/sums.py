@@ -91,18 +91,18 @@ LEVELS = (0.95, 0.99)
 def risks(total: BookTotal, stresses: Sequence[str]) -> list[Risk]:
     """At every level of `LEVELS` that has at least one stress beyond it."""
     changes = {stress: total.at(stress) for stress in stresses}
-    known = {stress: x for stress, x in changes.items() if x is not None}
-    if len(known) < len(changes):
+    stored = {stress: x for stress, x in changes.items() if x is not None}
+    if len(stored) < len(changes):
         return []
-    worst = sorted(known, key=lambda stress: known[stress].change)
+    worst = sorted(stored, key=lambda stress: stored[stress].change)
     rows = []
     for level in LEVELS:
-        beyond = round(len(worst) * (1 - level), 9)
-        if beyond < 1:
+        tail_size = round(len(worst) * (1 - level), 9)
+        if tail_size < 1:
             continue
-        tail = worst[: int(beyond)]
+        tail = worst[: int(tail_size)]
         mean, error = total.mean_change(tail)
-        at = known[tail[-1]]
+        at = stored[tail[-1]]
         rows.append(Risk(level, -at.change, at.change_error, -mean, error))
     return rows
 

@@ -1,6 +1,6 @@
 """The answer to an order: a contract trained and valued, then valued under stresses.
 
-It is a function of the order's bytes alone: the same on every machine with the same versions and
+It depends on nothing but the order's bytes: the same on every machine with the same versions and
 processors of one kind. Code compiled for one contract serves all of the same form in a process.
 """
 
@@ -44,12 +44,11 @@ from .file import StressMove
 from .order import BATCHES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
 from .workers import OTHER
 
-LARGE = 1 << 30  # bytes of memory at which a worker drops what it compiled
+LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
 def answer(data: bytes) -> bytes:
-    """The answer to an order, with its cost. A mistake in a case, and numbers that are not finite,
-    are answers too."""
+    """The answer to an order, with its cost. A mistake in a case and non-finite numbers are answers too."""
     order, started = BookOrder.unpack(data), time.process_time()
     if not _same_bits(order):
         return OTHER
@@ -84,7 +83,7 @@ def _memory() -> float:
 
 
 def _keep_small() -> None:
-    """A worker that has grown large drops what it compiled; the disk has it still."""
+    """A worker that has grown large drops its compiled code, which the disk still has."""
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         if pages * resource.getpagesize() > LARGE:
@@ -228,7 +227,7 @@ def _point(
     controls = problem.simulator.control_variates()
     shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
     if not np.isfinite(shares).all():
-        return _failed("too many paths are not finite")
+        return _failed("too many paths are non-finite")
     shares = batched(shares)
     result = statistics.of_shares(shares)
     return BookPoint("ok", "", result.value, result.standard_error, shares, changes, deltas)

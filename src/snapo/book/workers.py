@@ -20,7 +20,7 @@ Work = Callable[[bytes], bytes]
 
 
 class Submits(Protocol):
-    """An executor, as far as it is used."""
+    """The methods of an executor that a book uses."""
 
     def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
 
@@ -28,7 +28,7 @@ class Submits(Protocol):
 
 
 @dataclass(frozen=True)
-class Place:
+class WorkerPool:
     """Where orders are computed.
 
     - `make`: a new executor, at the beginning and where one broke.
@@ -50,8 +50,8 @@ class Lost(NamedTuple):
 class _Worker:
     """An executor that is made again where it broke."""
 
-    def __init__(self, place: Place):
-        self.place, self.busy = place, 0
+    def __init__(self, pool: WorkerPool):
+        self.pool, self.busy = pool, 0
         self.executor: Executor | Submits | None = None
 
     def submit(self, work: Work, order: bytes) -> "Future[bytes]":
@@ -61,7 +61,7 @@ class _Worker:
                 return self.executor.submit(work, order)
             except (BrokenProcessPool, RuntimeError):
                 self.stop()
-        self.executor = self.place.make()
+        self.executor = self.pool.make()
         return self.executor.submit(work, order)
 
     def stop(self) -> None:
@@ -75,22 +75,22 @@ Flight = dict["Future[bytes]", tuple[_Worker, bytes]]
 
 
 def answers(
-    next_order: Callable[[], bytes | None], work: Work, places: Sequence[Place]
+    next_order: Callable[[], bytes | None], work: Work, worker_pools: Sequence[WorkerPool]
 ) -> Iterator[tuple[bytes, bytes | Lost]]:
-    """(order, answer) as they come; `work` is a function of the order's bytes alone.
+    """(order, answer) as they come; `work` depends on nothing but the order's bytes.
 
     - `next_order`: the next order, None where there is none until another answer has come.
 
     An order that is lost three times is answered by `Lost`; one that was in the queue of a process
     when another one broke it has lost nothing.
     """
-    workers = [_Worker(place) for place in places]
-    again: deque[bytes] = deque()
+    workers = [_Worker(pool) for pool in worker_pools]
+    repeated: deque[bytes] = deque()
     losses, refusals = Counter[bytes](), Counter[bytes]()
     flight: Flight = {}
 
     def order_to_give() -> bytes | None:
-        return again.popleft() if again else next_order()
+        return repeated.popleft() if repeated else next_order()
 
     try:
         while True:
@@ -104,15 +104,15 @@ def answers(
             for future in [future for future in flight if future in done]:
                 worker, order = flight.pop(future)
                 worker.busy -= 1
-                result, count, most = _result(future), losses, LOSSES
+                result, count, maximum = _result(future), losses, LOSSES
                 if result == OTHER:
                     result = Lost("no worker has the processor that the book names")
-                    count, most = refusals, REFUSALS
+                    count, maximum = refusals, REFUSALS
                 if isinstance(result, Lost):
                     count[order] += worker not in blamed
                     blamed.add(worker)
-                    if count[order] < most:
-                        again.append(order)
+                    if count[order] < maximum:
+                        repeated.append(order)
                         continue
                 yield order, result
     finally:
@@ -120,14 +120,14 @@ def answers(
             future.cancel()
         for worker in workers:
             worker.stop()
-            worker.place.close()
+            worker.pool.close()
 
 
 def _fill(
     workers: Sequence[_Worker], next_order: Callable[[], bytes | None], work: Work, flight: Flight
 ) -> None:
     """Gives every worker as many orders as it may have, one after the other."""
-    while idle := [worker for worker in workers if worker.busy < worker.place.waiting]:
+    while idle := [worker for worker in workers if worker.busy < worker.pool.waiting]:
         for worker in sorted(idle, key=lambda worker: worker.busy):
             if (order := next_order()) is None:
                 return
