@@ -27,61 +27,7 @@ from .dates import ordinals, rising_dates
 from .error import CaseError
 from .given import CaseInput
 from .plausible import Plausible
-from .table import LARGEST, TOO_LARGE, CaseTable, TableContext
-
-
-class Range(NamedTuple):
-    """The numbers from `low` to `high`; its text is in messages and in the documentation.
-
-    - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
-    - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: of one of its numbers.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    endpoints: str = "[]"
-    note: str = ""
-    noun: str = "a number"
-
-    def contains(self, number: float) -> bool:
-        """Whether a number is in the range; no NaN is."""
-        above = self.low < number if self.endpoints[0] == "(" else self.low <= number
-        return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
-
-    @property
-    def closed(self) -> tuple[float, float]:
-        """The smallest and the largest number of the range."""
-        low, high = self.low, self.high
-        low = float(np.nextafter(low, math.inf)) if self.endpoints[0] == "(" else low
-        return low, float(np.nextafter(high, -math.inf)) if self.endpoints[1] == ")" else high
-
-    def __str__(self) -> str:
-        low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
-        if self.low == -math.inf and self.high == math.inf:
-            text = self.noun
-        elif self.low == -math.inf:
-            text = f"{self.noun} {'below' if self.endpoints[1] == ')' else 'of at most'} {high}"
-        elif self.high == math.inf:
-            text = f"{self.noun} {'above' if self.endpoints[0] == '(' else 'of at least'} {low}"
-        elif self.endpoints == "()":
-            text = f"{self.noun} between {low} and {high}"
-        elif self.endpoints == "[)":
-            text = f"{self.noun} from {low} up to but not {high}"
-        elif self.endpoints == "(]":
-            text = f"{self.noun} above {low}, at most {high}"
-        else:
-            text = f"{self.noun} from {low} to {high}"
-        return text + self.note
-
-    def json(self) -> dict[str, Any]:
-        """The range as keys of a JSON schema."""
-        keys = (
-            ("exclusiveMinimum" if self.endpoints[0] == "(" else "minimum", self.low),
-            ("exclusiveMaximum" if self.endpoints[1] == ")" else "maximum", self.high),
-        )
-        return {"type": "number"} | {key: end for key, end in keys if math.isfinite(end)}
-
+from .table import LARGEST, TOO_LARGE, CaseTable, Range, TableContext
 
 ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="()")
 FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")

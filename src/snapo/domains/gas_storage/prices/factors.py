@@ -4,7 +4,7 @@ The common part of all Gaussian factor prices comes first; each kind adds its pa
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -199,8 +199,8 @@ class MultiFactorTable(CaseTable):
     """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
 
     kind: Literal["multi-factor"]
-    factors: Annotated[list[Any], Field(min_length=1)] = Field(
-        description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
+    factors: list[Any] = Field(
+        min_length=1, description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
     )
     correlation: list[list[float]] | None = Field(
         None, description="a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]"
