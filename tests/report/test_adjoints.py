@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.report.evidence import history
-from snapo.report.folder import RunFiles
+from snapo.report.folder import RunFiles, RunResult
 
 
 def run(growth, **result):
@@ -12,7 +12,7 @@ def run(growth, **result):
     norms = [f"{norm:.6g}" for norm in np.geomspace(growth, 1.0, 10)]
     steps = [str(step) for step in range(10)]
     adjoints = {"step": steps, "usual": norms, "largest": norms, "angle": norms}
-    return RunFiles(result, {}, {}, (), {}, {"step": steps, "best": steps}, adjoints)
+    return RunFiles(RunResult(**result), {}, {}, (), {}, {"step": steps, "best": steps}, adjoints)
 
 
 @pytest.mark.parametrize(

@@ -66,14 +66,13 @@ def notes(run: RunFiles) -> list[Text]:
     """Sentences that a reader of the value must know: paths left out, ruin, unused controls."""
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
-        for item in run.result.get("notes") or ()
+        for item in run.result.notes
     ]
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
     """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
-    norm = finite(run.result.get("policy_gradient_norm"))
-    noise = finite(run.result.get("policy_gradient_noise"))
+    norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None:
         return []
     available = "" if noise is None else f"; noise of {number(noise)} is taken off"
@@ -88,7 +87,7 @@ def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried")
 def spent(run: RunFiles) -> dict[str, float]:
     """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
     of itself."""
-    available = run.get("seconds") or run.result.get("seconds") or {}
+    available = run.get("seconds") or run.result.seconds
     table = {name: item for name, item in available.items() if finite(item) is not None}
     page = table.pop("report", 0.0)
     return table | {"total": table["total"] - page} if "total" in table else table
@@ -105,11 +104,11 @@ def times(run: RunFiles) -> list[Facts]:
 
 def made_with(run: RunFiles) -> Table | Missing:
     """Engine, paths, seed and versions."""
-    engine = run.get("engine") or run.result.get("engine")
+    engine = run.get("engine") or run.result.engine
     name = engine.get("name") if isinstance(engine, dict) else engine
     reason = engine.get("reason") if isinstance(engine, dict) else None
-    paths = run.get("paths") or run.result.get("paths") or {}
-    seed = run.get("seed", run.result.get("seed"))
+    paths = run.get("paths") or run.result.paths
+    seed = run.get("seed", run.result.seed)
     rows = [("Engine", f"{name}: {reason}" if reason else name)] if name else []
     roles = run.get("solution.roles", {})
     rows += [(f"Paths of the {role}", text) for role, text in roles.items()]
@@ -172,7 +171,7 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     columns = (run.column("adjoints", name) for name in names)
     usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
     summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
-    window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
+    window, clip, keep = run.result.window, run.result.clip, run.result.keep
     if window is not None:
         summary += f" Training went back through windows of {window} steps."
     if clip is not None:
@@ -202,9 +201,9 @@ def _parts(run: RunFiles) -> Table:
     rows = [
         (
             readable(name),
-            verdict(state.get("state") == "done", "done", str(state.get("state"))),
-            str(state.get("note") or ""),
-            seconds(state.get("seconds")),
+            verdict(state.state == "done", "done", state.state),
+            state.note,
+            seconds(state.seconds),
         )
         for name, state in run.parts.items()
     ]

@@ -21,8 +21,8 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
         return Missing(none)
     if state is None:
         return Missing(f"This run stopped before its part “{part}”.")
-    if state.get("note"):
-        return Missing(f"The part “{part}” {state.get('state', 'failed')}: {state['note']}.")
+    if state.note:
+        return Missing(f"The part “{part}” {state.state}: {state.note}.")
     return Missing(f"The part “{part}” has nothing to show.")
 
 

@@ -11,6 +11,7 @@ from snapo.case.error import CaseError
 from snapo.problem.code.version import reading_once
 from snapo.report.checksums import changed_files, checksum, stamps, written_since
 from snapo.report.evidence import seeds
+from snapo.report.folder import RunResult
 from snapo.report.page import Page, render
 from snapo.solver.bound import Penalty
 from snapo.solver.solution import POLICY, SOLUTION
@@ -234,17 +235,16 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
-    if notes := [*result.get("notes", ()), *record.get("about", {}).get("notes", ())]:
+    head = RunResult.of(result)
+    if notes := [*head.notes, *record.get("about", {}).get("notes", ())]:
         result["notes"] = list(dict.fromkeys(notes))
     seconds = {name: state["seconds"] for name, state in states.items()}
     seconds = record.get("beside", {}) | seconds
-    result["seconds"] = {
-        **result.get("seconds", {}), **seconds, "total": sum(seconds.values())
-    }  # fmt: skip
+    result["seconds"] = {**head.seconds, **seconds, "total": sum(seconds.values())}
     failed = {name: state["note"] for name, state in states.items() if state["state"] != DONE}
     broken = [name for name in failed if states[name]["state"] == FAILED]
     todo = [part.name for part in run.study.parts if part.name not in states]
-    status = result.get("status", "ok")
+    status = head.status or "ok"
     if failed:
         # Parts are skipped because of a failed one, of which the study may know more.
         why = "" if status in GOOD else f": {status}"

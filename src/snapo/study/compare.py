@@ -9,6 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files
+from snapo.report.folder import RunResult
 from snapo.solver import checkpoint, statistics
 from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.solution import SOLUTION, Solution
@@ -129,7 +130,8 @@ def compare(first: Path, second: Path) -> Comparison:
             )
             raise CaseError(str(run / run_folder.RESULT), "", None, message)
     results = [_result(run) for run in (first, second)]
-    values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
+    values = [result.value for result in results]
+    errors = [result.standard_error for result in results]
     groups, why = _groups(first, second)
     error = _difference_error(groups, errors)
     difference = _less(values[1], values[0])
@@ -147,20 +149,17 @@ def compare(first: Path, second: Path) -> Comparison:
     )
 
 
-STANDARD_ERROR = "standard_error"
-
-
 def _less(value: float | None, other: float | None) -> float | None:
     return None if value is None or other is None else value - other
 
 
-def _result(run: Path) -> dict[str, Any]:
+def _result(run: Path) -> RunResult:
     file = run / run_folder.RESULT
     table = run_folder.read_table(file)
     if table is None:
         message = "the run has no result yet; `snapo solve --resume` goes on with it"
         raise CaseError(str(file), "", None, message)
-    return table
+    return RunResult.of(table)
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:

@@ -22,6 +22,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.carry.save import PolicyFileError, described, read_arrays
 from snapo.problem.policy import Policy, load_policy, trainable
+from snapo.report.folder import RunResult
 from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -127,7 +128,7 @@ def _of_run(run: Path, kind: str) -> float | None:
     if record["parts"].get(TRAINING.name, {}).get("state") != "done":
         raise no_policy(run, record)
     run_folder.check_whole(run, record, (POLICY,))
-    return finite((run_folder.read_table(run / run_folder.RESULT) or {}).get("value"))
+    return RunResult.read(run).value
 
 
 def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
@@ -270,13 +271,14 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 
     def report(run: StudyRun) -> Mapping[str, Any]:
         results, start = dict(result(run)), run.get("began_with")
-        if not start or results.get("value") is None:
+        head = RunResult.of(results)
+        if not start or head.value is None:
             return results
         gain = run.get("start_gain") or {}
         sentence = describe(start, gain)
         return results | {
             "start": {**start, **gain},
-            "notes": [*results.get("notes", ()), sentence],
+            "notes": [*head.notes, sentence],
         }
 
     return report

@@ -27,13 +27,14 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
+from snapo.report.folder import RESULT, read_table
 from snapo.solver.provenance import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
 from snapo.solver.tables import write_text
 
 from .study import Part
 
-RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
+RUN, CASE, PARTS = "run.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
@@ -275,15 +276,6 @@ def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, An
 def read_part(out: Path, part: Part) -> dict[str, Any] | None:
     """The tables of a part that was done before; None where its file is not there or damaged."""
     return read_table(out / PARTS / part.file)
-
-
-def read_table(file: Path) -> dict[str, Any] | None:
-    """The object in a JSON file; None where it is not there or damaged."""
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) else None
 
 
 def plain_json(value: Any) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
+from snapo.report.folder import RunResult
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -38,7 +39,7 @@ class Trained(NamedTuple):
     seed: int
     study: Study
     folder: Any
-    result: Mapping[str, Any]
+    result: RunResult
 
 
 class SeedRow(NamedTuple):
@@ -147,8 +148,8 @@ def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     return shares if np.isfinite(value) else np.full_like(shares, np.nan)
 
 
-def _within(result: Mapping[str, Any]) -> bool:
-    return all(item.get("met") != "not met" for item in result.get("limits") or ())
+def _within(result: RunResult) -> bool:
+    return all(item["met"] != "not met" for item in result.limits)
 
 
 def _best(values: np.ndarray, within: Sequence[bool]) -> int:
@@ -171,9 +172,9 @@ def _row(
         behind and behind.value,
         behind and behind.standard_error,
         within,
-        str(result.get("status", "")),
-        str(result.get("convergence", "")),
-        float((result.get("seconds") or {}).get("total", 0.0)),
+        result.status,
+        result.convergence,
+        result.seconds["total"],
         f"seeds/{item.seed}",
     )
 
@@ -283,7 +284,7 @@ def _trained(
 
     report("begins")
     result = carried_out(replace(one, study=study), requested.resume, report, began)
-    return Trained(seed, one.study, one.out, result)
+    return Trained(seed, one.study, one.out, RunResult.of(result))
 
 
 def _check_same(out: Path, one: Prepared) -> None:
@@ -320,7 +321,7 @@ def _with_table(study: Study, comparison: SeedComparison) -> Study:
         summary, table = dict(study.result(run)), run.get("by_seed")
         if not table:
             return summary
-        return summary | {"seeds": table, "notes": [describe(table), *summary.get("notes", ())]}
+        return summary | {"seeds": table, "notes": [describe(table), *RunResult.of(summary).notes]}
 
     return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
 

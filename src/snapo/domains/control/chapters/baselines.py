@@ -79,11 +79,11 @@ def plant_of(run: StudyRun) -> Plant:
 
 def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     """A ladder of rewards, and what the policy earns more than each rule."""
-    value = run.result.get("value")
+    value = run.result.value
     rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
     if not rules or value is None:
         return [why_missing(run, "rivals")]
-    bars = [Bar("trained policy", value, run.result.get("standard_error"), strong=True)]
+    bars = [Bar("trained policy", value, run.result.standard_error, strong=True)]
     bars += [Bar(rule.name, rule.value) for rule in rules]
     if result.optimum is not None:
         bars.append(Bar("optimum, in closed form", result.optimum))

@@ -97,7 +97,7 @@ def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]
 def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, str]]:
     facts = []
     if (gap := finite(result.smoothing_gap)) is not None:
-        value = finite(run.result.get("value"))
+        value = run.result.value
         share = f" ({percent(gap / abs(value), 2)})" if value else ""
         facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
     facts += evidence.gradient(run)

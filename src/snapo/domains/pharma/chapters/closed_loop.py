@@ -254,13 +254,13 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     caption = f"On the same {batches} fresh batches, exact limits"
     clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
-        Text(str(run.result.get("verdict", ""))),
+        Text(run.result.verdict),
         Table(head, rows, caption),
         Table([], [("Gain above three standard errors", clear)], "", 2),
     ]
     if result.rules:
         blocks += _rules(result.rules)
-    if (run.result.get("references") or {}).get("goal") is not None:
+    if run.result.references.get("goal") is not None:
         blocks.append(_goal(result))
     blocks += [_course(x) for x in result.recipe if len(x.time) > 1]
     once = [x for x in result.recipe if len(x.time) == 1]

@@ -104,10 +104,10 @@ def reservations(fit: ParameterFit) -> str:
 def headline(run: RunFiles) -> Section:
     """Probability of all limits, and the table of attributes at the set point."""
     title = "Quality at the set point"
-    value, error = finite(run.result.get("value")), finite(run.result.get("standard_error"))
+    value, error = run.result.value, run.result.standard_error
     blocks: list[Block] = []
     if value is None:
-        state = run.result.get("status") or "unknown"
+        state = run.result.status or "unknown"
         blocks.append(Missing(f"There is no probability in this run (status: {state})."))
     else:
         blocks.append(
@@ -128,8 +128,8 @@ def headline(run: RunFiles) -> Section:
 
 
 def _note(run: RunFiles) -> str:
-    if run.result.get("verdict"):
-        return f"{run.result['verdict']} ± one standard error of the sample, in percentage points."
+    if run.result.verdict:
+        return f"{run.result.verdict} ± one standard error of the sample, in percentage points."
     who = "of the trained policy" if CLOSED_LOOP.of(run) else "of the recipe as given"
     return (
         f"{who}, over the batch-to-batch variation that the case states; ± one standard error of "
@@ -139,7 +139,7 @@ def _note(run: RunFiles) -> str:
 
 def marks(run: RunFiles) -> list[Mark]:
     """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
-    rows, state = checks(run), str(run.result.get("status") or "ok")
+    rows, state = checks(run), run.result.status or "ok"
     failed = [name for name, valid, _ in rows if not valid]
     verdicts = []
     if failed:
@@ -268,7 +268,7 @@ def show(run: RunFiles, result: Making) -> list[Block]:
 
 def _remarks(run: RunFiles, case: Statement) -> list[str]:
     """Remarks that the run itself makes: parts that failed, and a coarser mesh."""
-    texts = [f"{name} failed: {x['note']}" for name, x in run.parts.items() if x.get("note")]
+    texts = [f"{name} failed: {x.note}" for name, x in run.parts.items() if x.note]
     mesh, steps = STATISTICS_MESH.of(run), _steps(run, case)
     if mesh is not None and mesh.steps != steps:
         texts.append(
