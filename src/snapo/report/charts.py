@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from snapo.problem.scenarios import BLOCKS
 from snapo.solver.statistics import critical
 
 from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Standard errors to either side for 95 %, of a value and of a sensitivity from 32 blocks.
-INTERVAL, BLOCK_INTERVAL = critical(), critical(BLOCKS - 1)
+INTERVAL = critical()
 
 
 @dataclass(frozen=True)

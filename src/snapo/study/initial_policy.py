@@ -287,9 +287,9 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
     """What training began with, and by how much it came further."""
     text = f"Training began with the policy of {start['policy']}"
-    if start.get("value") is not None:
+    if start["value"] is not None:
         text += f", whose value there is {number(start['value'])}"
-    if not gain or gain.get("before") is None:
+    if not gain or gain["before"] is None:
         return f"{text}."
     before = _with_error(gain["before"], gain["before_error"])
     more = _with_error(gain["value"], gain["standard_error"])

@@ -7,7 +7,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
-from snapo.report.folder import LEFT_OUT, PLANNED
+from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
@@ -75,16 +75,16 @@ def trained(
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
     first = {key: result.pop(key) for key in head}
     if left := room(first["value"], first["standard_error"], run.get("bound"), exact):
-        result |= _with_room(result, left)
+        result |= _with_room(RunResult.of(result), left)
     if beaten := _beaten(advantages):
-        result |= {"notes": [*result.get("notes", ()), beaten], "verdict": beaten}
+        result |= {"notes": [*RunResult.of(result).notes, beaten], "verdict": beaten}
     return first | {"references": dict(references or {})} | result
 
 
-def _with_room(result: Mapping[str, Any], left: Room) -> dict[str, Any]:
+def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
     """Word and notes where it is known how much can be gained; next to a bound none asks for
     more steps."""
-    notes, word = result.get("notes", ()), result.get("convergence", "")
+    notes, word = result.notes, result.convergence
     if left.near:
         notes = without_advice(notes)
         word = CONVERGED if word in UNDECIDED else word

@@ -151,13 +151,6 @@ class GivenFactors(FactorPrices):
             lower + lower.T + jnp.eye(size),
         )
 
-    def correlation_matrix(self) -> np.ndarray:
-        """The full matrix [F, F] of the correlations given."""
-        size = self.noise_size
-        lower = np.zeros((size, size))
-        lower[np.tril_indices(size, -1)] = self.correlation.values
-        return lower + lower.T + np.eye(size)
-
 
 def read_factors(
     section: TableContext,

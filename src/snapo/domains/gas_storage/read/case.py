@@ -113,12 +113,6 @@ def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
     quotes[period] = price
 
 
-def month_days(year: int, month: int) -> list[datetime.date]:
-    """All days of a month."""
-    count = calendar.monthrange(year, month)[1]
-    return [datetime.date(year, month, day) for day in range(1, count + 1)]
-
-
 def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.ndarray]:
     """The rates of all nodes, and their days since the valuation date."""
     starts = rate.starts
