@@ -19,7 +19,7 @@ import numpy as np
 from .dialect import AmbiguousFormat, Dialect, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .given import SheetCell
-from .table import LARGEST, TOO_LARGE, TableContext, not_utf8
+from .table import LARGEST, TOO_LARGE, Range, TableContext, not_utf8
 
 PARQUET = "Parquet needs the package pyarrow: pip install 'snapo[parquet]'"
 FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
@@ -139,7 +139,8 @@ class Row:
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
     ) -> float:
         """A finite number within [low, high]; `allowed`: the same as text."""
-        text, allowed = self.cells[column], allowed or within(low, high)
+        text, noun = self.cells[column], "a finite number" if low == -high == -math.inf else ""
+        allowed = allowed or str(Range(low, high, noun=noun))
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
             raise self.error(column, f"allowed is {allowed}, written like 12.5")
@@ -191,13 +192,21 @@ class Row:
             return self.cells[column]
 
 
-def within(low: float, high: float) -> str:
-    """The text of a range: "a number of at least 0"."""
-    if low == -math.inf:
-        return "a finite number"
-    if high == math.inf:
-        return f"a number of at least {low:g}"
-    return f"a number from {low:g} to {high:g}"
+def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
+    """[n] proleptic Gregorian day numbers, int64."""
+    return np.array([day.toordinal() for day in days], np.int64)
+
+
+def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.date]:
+    """The dates of all rows, each after the one before."""
+    dates: list[datetime.date] = []
+    for row in rows:
+        date = row.day(column)
+        if dates and date <= dates[-1]:
+            message = f"dates must rise, and the row before has {dates[-1].isoformat()}"
+            raise row.error(column, message)
+        dates.append(date)
+    return dates
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:

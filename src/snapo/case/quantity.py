@@ -22,8 +22,7 @@ from pydantic import BaseModel, Field, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
-from .csv import FileReference, Row, read_rows
-from .dates import ordinals, rising_dates
+from .csv import FileReference, Row, ordinals, read_rows, rising_dates
 from .error import CaseError
 from .given import CaseInput
 from .plausible import Plausible

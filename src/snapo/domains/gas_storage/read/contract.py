@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.case.csv import FileReference, read_rows
-from snapo.case.dates import ordinals
+from snapo.case.csv import FileReference, ordinals, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.plausible import more

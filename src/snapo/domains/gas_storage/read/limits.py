@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from snapo.case.csv import DAY, FileReference, Row, read_rows
-from snapo.case.dates import ordinals
+from snapo.case.csv import DAY, FileReference, Row, ordinals, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
