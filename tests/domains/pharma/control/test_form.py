@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import fields, is_dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,7 +28,7 @@ def reactor(by: float = 1.0, **rules) -> PharmaCase:
     """A reactor in closed loop, whose numbers are `by` times as large; `rules`: see `drawn`."""
     data = tomllib.loads(small(CASE + LOOP))
     for *path, key in NUMBERS:
-        table = data
+        table: Any = data
         for part in path:
             table = table[part]
         number, unit = table[key].split(" ", 1)
