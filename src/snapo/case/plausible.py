@@ -23,7 +23,15 @@ import numpy as np
 
 from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
-from .given import Copies, FilePosition, QuantityKey, SheetCell
+from .given import (
+    Converted,
+    Copies,
+    FilePosition,
+    KeyedUnit,
+    NoPosition,
+    QuantityKey,
+    SheetCell,
+)
 from .table import TableContext
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -203,8 +211,12 @@ def in_words(position: FilePosition) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
     if isinstance(position, Copies):
         return in_words(position.positions[0])
-    if isinstance(position, QuantityKey):
+    if isinstance(position, Converted):
+        return in_words(position.position)
+    if isinstance(position, QuantityKey | KeyedUnit):
         return in_words(position.path)
+    if isinstance(position, NoPosition):
+        return ""
     if position is None or isinstance(position, SheetCell):
         return str(position or "")
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in position)

@@ -18,7 +18,7 @@ from snapo.solver import statistics
 from snapo.study.study import Recalculated, Study
 
 from .files import Files, Key
-from .positions import ChangedCase, InputPositions, tables
+from .positions import ChangedCase, InputPositions
 from .terms import described, handles
 
 OWN = ("title", "name", "label")  # keys by which the row of a table names itself
@@ -72,6 +72,18 @@ def _family(table: Any) -> bool:
 Tried = Callable[[Files], Any]
 LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
 MAX_KEYS, MAX_WORDS = 60, 12
+
+
+def tables(table: Mapping[str, Any], path: Key) -> Iterator[tuple[Key, Mapping[str, Any]]]:
+    """Every table, those in tables and those in rows of tables."""
+    yield path, table
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from tables(value, (*path, key))
+        elif isinstance(value, list):
+            for i, item in enumerate(value):
+                if isinstance(item, Mapping):
+                    yield from tables(item, (*path, key, i))
 
 
 class MenuChoice(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.csv import Row
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, NoPosition
 from snapo.case.quantity import (
     FRACTION,
     NOT_NEGATIVE,
@@ -142,5 +142,7 @@ def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) ->
     """Several numbers that change in time as one input, index [T, len(parts)]."""
     labels = [f"{n} {label}".strip() for n, x in zip(names, parts) for label in x.labels]
     numbers = replace(stacked(name, parts), labels=tuple(labels))
-    complete = len(set(numbers.positions)) == len(labels)  # several may share a file, or have none
-    return numbers if complete else replace(numbers, positions=())
+    if len(set(numbers.positions)) == len(labels):
+        return numbers
+    reason = "several of these numbers are one in the files of the case"
+    return replace(numbers, positions=(NoPosition(reason),) * len(labels))

@@ -7,7 +7,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.closed_loop import KeptShares, better, rates
-from snapo.domains.pharma.control.stages import decided, staged
+from snapo.domains.pharma.control.staging import decided, staged
 from snapo.problem.scenarios import Pseudo
 
 
@@ -26,12 +26,14 @@ def control(held=(), **changes):
 def test_stages_are_where_something_is_decided_or_measured():
     """The reactor runs before the first decision; what has no time runs after the last one."""
     case = control()
-    assert [unit.name for unit in staged(case)] == ["crystalliser"]
+    assert case.control is not None
+    assert [unit.name for unit in staged(case.units, case.control)] == ["crystalliser"]
     reactor = {"of": "reactor.temperature", "low": "303 K", "high": "323 K"}
     wash = {"of": "filter.wash_ratio", "low": 1, "high": 4}
     more = control(manipulated=[reactor, wash])
-    assert [unit.name for unit in staged(more)] == ["reactor", "crystalliser"]
-    assert decided(more, staged(more)[0]) == (0,) and decided(more, None) == (1,)
+    parts = more.units, more.control
+    assert [unit.name for unit in staged(*parts)] == ["reactor", "crystalliser"]
+    assert decided(*parts, "reactor") == (0,) and decided(*parts, "") == (1,)
 
 
 def test_what_is_measured_must_be_known_in_time():

@@ -154,8 +154,7 @@ def _volatility(section: TableContext, row: Row) -> CaseInput:
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
         file = FileReference(section, "file", text)
-        moving = IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
-        return replace(moving, positions=())  # in a file that only another file names
+        return IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
     return IN_CELL.from_rows("", [row], ("",))
 
 

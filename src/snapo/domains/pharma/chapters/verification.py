@@ -66,14 +66,14 @@ def balances(process: Process, inputs=None) -> list[Balance]:
     streams, ledgers, _ = process.either(
         "balances", make, process.nominal_inputs(inputs), of=lambda result: result[2]
     )
-    fed, results = sources(case), []
+    fed, results = sources(case.flowsheet), []
     for unit in case.units:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
         if out:
             into = [streams[name] for name in fed[unit.name]]
             results += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
     into = [streams[feed.name] for feed in case.feeds]
-    out = [streams[name] for name in leaving(case)]
+    out = [streams[name] for name in leaving(case.flowsheet)]
     return results + unit_balances(process, "process", into, out, list(ledgers.values()))
 
 

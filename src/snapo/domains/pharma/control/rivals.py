@@ -11,6 +11,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from ..flowsheet.case import PharmaCase
+from ..units.operation import timed
 from .records import PI, Control, ControlRule
 from .rules import LoopConnection, Loops
 from .stages import Stage
@@ -90,9 +91,10 @@ def connected(
     connections, loops = [], []
     for item in rule.loops:
         stage = next(s for s in stages if item.of in s.decided)
-        if stage.unit is None:
+        unit = next((unit for unit in timed(case.units) if unit.name == stage.name), None)
+        if unit is None:
             raise ValueError(f"rule {rule.name!r}: what is decided once has no loop")
-        seconds = float(stage.unit.duration.used()) / stage.horizon
+        seconds = float(unit.duration.used()) / stage.horizon
         position = stage.decided.index(item.of)
         applied = 2 + len(control.measurements) + item.of
         both = [item.outer] if item.inner is None else [item.outer, item.inner]

@@ -24,9 +24,9 @@ def history_length(sensors: Sequence[Measurement], interval: float) -> int:
     return math.ceil(longest / interval * (1 + 1e-9)) + 2 if longest else 0
 
 
-def initial_history(values, sensors: Sequence[Measurement], interval: float) -> Float[Array, "M L"]:
+def initial_history(values, length: int) -> Float[Array, "M L"]:
     """The past at a unit's start: its first readings [M]."""
-    return jnp.tile(jnp.asarray(values)[:, None], (1, history_length(sensors, interval)))
+    return jnp.tile(jnp.asarray(values)[:, None], (1, length))
 
 
 def shifted(values, past) -> Float[Array, "M L"]:

@@ -1,6 +1,6 @@
 """The differences from batch to batch of a closed loop: which numbers, and how they are drawn."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,8 @@ from ..flowsheet.case import PharmaCase
 from ..quality.records import Distribution
 
 
-class Varied(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Varied:
     """[V] the differences from batch to batch: the uncertain numbers, and after them the process
     parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
 

@@ -38,6 +38,21 @@ class Connection:
 
 
 @dataclass(frozen=True, eq=False)
+class Flowsheet:
+    """All that material flows through, and how time is integrated.
+
+    - `units`: in the order in which material flows. `measures`: names of those that are asked for.
+    """
+
+    network: FlowNetwork
+    feeds: tuple[Feed, ...]
+    units: tuple[Unit, ...]
+    connections: tuple[Connection, ...]
+    numerics: Numerics
+    measures: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class PharmaCase:
     """A whole case; `units` are in the order in which material flows.
 
@@ -74,3 +89,12 @@ class PharmaCase:
     parts: tuple[str, ...] = ()
 
     kind = "pharma"
+
+    @property
+    def flowsheet(self) -> Flowsheet:
+        """With the measures that attributes, and an optimisation, name."""
+        terms = () if self.optimise is None else self.optimise.terms + self.optimise.per
+        names = [attribute.measure for attribute in self.attributes]
+        names += [term.of for term in terms if term.entry is None]
+        parts = self.network, self.feeds, self.units, self.connections, self.numerics
+        return Flowsheet(*parts, tuple(dict.fromkeys(names)))

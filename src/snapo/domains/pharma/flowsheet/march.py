@@ -25,8 +25,9 @@ from snapo.problem.smooth import Exact
 from ..given import Entry
 from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
-from .case import PharmaCase
+from .case import Flowsheet, PharmaCase
 from .flow import flow, problem_of
+from .form import Form
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
@@ -86,6 +87,9 @@ class Batches(Protocol):
     @property
     def case(self) -> PharmaCase: ...
 
+    @property
+    def form(self) -> Form[Flowsheet]: ...
+
     def nominal_inputs(self) -> dict[str, Any]: ...
 
     def shifted(self, changes: Any, entries: Sequence[Entry], inputs: Any) -> dict: ...
@@ -104,7 +108,7 @@ class Marches:
         self.process, self.entries, self.by = process, tuple(entries), tuple(by)
         self.legs: dict[str, _Leg] = {}
         with jax.enable_x64(True):
-            for unit in timed(process.case.units):
+            for unit in timed(process.form.record.units):
                 self.legs[unit.name] = self._leg(unit)
         self.leave = jax.jit(jax.vmap(self._leave, in_axes=(0, 0, 0, None)))
 
@@ -139,7 +143,8 @@ class Marches:
 
     def _leave(self, draw, endpoints, d_ends, inputs):
         def attributes(numbers, bounds):
-            result = flow(self.process.case, self._given(numbers, draw, inputs), endpoints=bounds)
+            given = self._given(numbers, draw, inputs)
+            result = flow(self.process.form.record, given, endpoints=bounds)
             return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
@@ -153,7 +158,7 @@ class Marches:
         def start(numbers, draw, endpoints, inputs):
             """y, and all numbers that a step reads."""
             problem = problem_of(
-                self.process.case, unit, self._given(numbers, draw, inputs), endpoints
+                self.process.form.record, unit, self._given(numbers, draw, inputs), endpoints
             )
             numerics = self.process.case.numerics
             advance, made["steps"] = mesh_march(problem, numerics, numerics.held.get(unit.name))

@@ -17,8 +17,9 @@ from snapo.engine import Unsupported
 from ..derivatives.mode import of_method
 from ..given import Entry
 from ..progress import say
-from .case import PharmaCase
+from .case import Flowsheet, PharmaCase
 from .flow import Flow, entry_words, flow
+from .form import Form
 from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
@@ -62,13 +63,15 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs.
+    - `case`: as it was given, with the steps that it needs. `form`: of its flowsheet, which is all
+      that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
     """
 
     def __init__(self, case: PharmaCase):
         self.case = case = with_steps(case)
+        self.form: Form[Flowsheet] = Form.of(case.flowsheet, case.held)
         self.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
         self.names = tuple(attribute.name for attribute in case.attributes)
         self.parameters = tuple(parameter.name for parameter in case.parameters)
@@ -102,7 +105,7 @@ class Process:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
         numerics = replace(self.case.numerics, along=along, own_steps=nominal_steps)
-        return flow(replace(self.case, numerics=numerics), inputs, record)
+        return flow(replace(self.form.record, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
@@ -173,7 +176,7 @@ class Process:
         """The first loop without a steady state, as text; "" where all have one."""
         for name, loop in loops.items():
             if not loop.converged:
-                text = entry_words(self.case, name)[int(loop.worst)]
+                text = entry_words(self.form.record, name)[int(loop.worst)]
                 size = f"by {loop.change:.2g} of itself"
                 size = size if np.isfinite(loop.change) else "without end"
                 return (

@@ -104,7 +104,7 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
     made: dict[str, Any] = {}
 
     def nominal(inputs):
-        problem = problem_of(case, unit, inputs, {})
+        problem = problem_of(case.flowsheet, unit, inputs, {})
         made["event"] = problem.event is not None
         if made["event"]:
             return None
@@ -139,7 +139,7 @@ def _doubtful(case: PharmaCase, unit: Timed) -> bool:
 
 def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
     """The attributes of the nominal batch on so many steps."""
-    finer = replace(case, numerics=replace(case.numerics, steps=steps))
+    finer = replace(case.flowsheet, numerics=replace(case.numerics, steps=steps))
 
     def nominal(inputs):
         measures = flow(finer, inputs).measures

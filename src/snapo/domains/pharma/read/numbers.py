@@ -1,7 +1,7 @@
 """From the raw value of a key to numbers in the domain's units: quantities, lists, profiles."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, Protocol
 
@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, FilePosition, QuantityKey
+from snapo.case.given import CaseInput, FilePosition, KeyedUnit, QuantityKey
 from snapo.case.quantity import Range, choice
 from snapo.case.table import LARGEST, TOO_LARGE, CaseTable, TableContext, keys_of, nearest, parse
 
@@ -148,12 +148,21 @@ def position(section: TableContext, key: str, unit: str) -> FilePosition:
 
 
 def positions(section: TableContext, key: str, raw: Any, unit: str) -> tuple[FilePosition, ...]:
-    """Those of a list; () where it has one unit for all, and that is not the domain's."""
+    """Those of a list, which may have one unit for all."""
     if not isinstance(raw, dict):
         return tuple(position(section, f"{key}[{i}]", unit) for i in range(len(raw)))
-    if conversion(raw["unit"], unit) != Conversion(1.0, 0.0):
-        return ()
-    return tuple(position(section, f"{key}.value[{i}]", "1") for i in range(len(raw["value"])))
+    same = conversion(raw["unit"], unit) == Conversion(1.0, 0.0)
+    units = {} if same else {f"{key}.unit": unit or "1"}
+    return with_units(section, f"{key}.value", len(raw["value"]), units)
+
+
+def with_units(
+    section: TableContext, key: str, count: int, units: Mapping[str, str]
+) -> tuple[FilePosition, ...]:
+    """Those of a list of numbers that are written together with the keys of their units."""
+    path = *section.keys, *keys_of(key)
+    written = tuple(((*section.keys, *keys_of(name)), unit) for name, unit in units.items())
+    return tuple(KeyedUnit((*path, i), written) if written else (*path, i) for i in range(count))
 
 
 def single(

@@ -28,7 +28,7 @@ from ..flowsheet.stream import clear
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
 from ..read.fields import TextKey
-from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, positions
+from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, with_units
 from ..read.quantities import UnitError, conversion
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -84,10 +84,10 @@ class Liquid(TableRecord):
             raise read.section.error("antoine", table.antoine, message)
         zero = ZERO_CELSIUS if table.scale == "degC" else 0
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"
-        where = positions(read.section, "antoine", table.antoine, "1")
+        units = {} if scale == 1 and zero == 0 else {"unit": "Pa", "scale": "K"}
         antoine = case_input(
             name, numbers, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation",
-            positions=where if scale == 1 and zero == 0 else (),
+            positions=with_units(read.section, "antoine", 3, units),
         )  # fmt: skip
         return cls(antoine=antoine, **values(cls, read))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 
-from ...control.stages import staged
+from ...control.staging import staged
 from ...flowsheet.case import Connection, PharmaCase
 from ...flowsheet.feed import Feed
 from ...flowsheet.order import ancestors, groups, settled
@@ -25,7 +25,7 @@ def check_decided(case: PharmaCase) -> None:
     by_name = {unit.name: unit for unit in case.units}
     before = ancestors(case.units, case.connections)
     over_time = timed(case.units)
-    needed = set().union(*(before[unit.name] for unit in staged(case)))
+    needed = set().union(*(before[unit.name] for unit in staged(case.units, control)))
     for i, item in enumerate(control.manipulated):
         name = item.input.partition(".")[0]
         unit = by_name.get(name)

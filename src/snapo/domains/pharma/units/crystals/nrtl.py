@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, FilePosition, NoPosition
 from snapo.case.quantity import quantity_of
 
 from ...flowsheet.network import GAS_CONSTANT
@@ -35,7 +35,7 @@ from ...read.declared import (
     values,
 )
 from ...read.fields import Texts
-from ...read.numbers import POSITIVE, SHARE, case_input, listed
+from ...read.numbers import POSITIVE, SHARE, case_input, listed, position
 from ...read.reader import Reader
 
 ROUNDS = 60  # of bisection: to round-off
@@ -146,7 +146,9 @@ class Mixture(TableRecord):
             value = np.array([constant(read, "solute", table.solute, which)])
             quantity = quantity_of(cls.table.model_fields[key])
             text = quantity.meaning if quantity else ""
-            return case_input(f"{read.name}.{key}", value, ("",), unit, np.array(0), text)
+            where = (position(read.section, key, unit),)
+            name = f"{read.name}.{key}"
+            return case_input(name, value, ("",), unit, np.array(0), text, positions=where)
 
         solute = parameter("molar_mass", "kg/kmol", "MW")
         names = ["solute", *table.solvents]
@@ -159,10 +161,14 @@ class Mixture(TableRecord):
             if len(rows) != count or any(len(row) != count for row in rows):
                 raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
             numbers = np.array(rows, float)[apart]
-            where = tuple((*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart))
+            where: tuple[FilePosition, ...] = tuple(
+                (*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart)
+            )
+            if raw is None:
+                where = (NoPosition(f"the case has no {key}, which is then 0"),) * len(numbers)
             return case_input(
                 f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL",
-                positions=() if raw is None else where,
+                positions=where,
             )  # fmt: skip
 
         melting = parameter("melting", "K", "Tm"), parameter("fusion", "J/mol", "Hfus")
