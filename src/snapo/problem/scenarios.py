@@ -8,7 +8,7 @@ threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian b
 Steps are counted in a calendar that simulators share: one whose `first_step` is 30 draws for its
 step t the noise of the calendar's step 30 + t, and path p is the same world in all of them. Where
 the state at the start is no function of the noise of the steps before, a simulator counts from its
-own start. `Scenarios.world` says which of them share their paths.
+own start. `Scenarios.world` is equal for those that share their paths.
 """
 
 import abc
@@ -122,8 +122,8 @@ class Sobol(Scenarios):
 
     Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
     scrambles. The bridge is built per component over equal steps: its leading coefficients take
-    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random. It leads
-    from the start of the calendar to the simulator's last step, so that paths depend on that.
+    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random. It
+    spans the calendar up to the simulator's last step, so that paths depend on that.
     """
 
     seed: int = 0

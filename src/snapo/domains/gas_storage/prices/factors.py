@@ -79,7 +79,7 @@ class FactorPrices(FactorPrice, PriceProcess):
         rows = self.schedule(numbers)
         slow = numbers.loading * (np.arange(self.noise_size) != self.fast_factor)
         variance = jnp.einsum("ti,tij,tj->t", slow, self.covariance(numbers), slow)
-        # Of every day before the first date, what a unit of its shock leaves there.
+        # The share of every earlier day's shock that is left on the first date.
         age = self.delivery.age[:, None]
         left = jnp.exp(-numbers.mean_reversion * jnp.maximum(age, 0.0)) * (age >= 0)
         before = jnp.einsum("nf,fg->fng", left, rows.steps.next_shock[0])
