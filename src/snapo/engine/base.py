@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
-from snapo.problem.noise import Draws, Stored
+from snapo.problem.noise import Counter, Draws, Stored
 from snapo.problem.noise.counter import only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -356,6 +356,11 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
     """There are paths, and noise for each of their steps: else a kernel would read past an end."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
+    if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
+        raise ValueError(
+            f"engine: the draws give `initial` the noise of {draws.before} steps, and "
+            f"initial_noise_size is {simulator.initial_noise_size}, no multiple of that."
+        )
     if isinstance(draws, Stored):
         shapes = {
             "step_noise": (simulator.horizon, draws.size, simulator.noise_size),

@@ -6,7 +6,7 @@ ranges evenly, each with a schedule of its own. Afterwards the policy decides in
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -184,6 +184,7 @@ class Members(Around):
 
     inner: ObservedMember
     points: np.ndarray
+    initial_steps: ClassVar[int] = 0  # pyright: ignore[reportIncompatibleMethodOverride]
 
     def __init__(self, local: ObservedMember, points: np.ndarray):
         self.inner, self.points = local, points

@@ -59,6 +59,10 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
+    - `first_step`: the number of its first step in the calendar by which scenarios count, 0 by
+      default. `initial_steps`: the noise that `initial` receives is that of the calendar's first so
+      many steps, one after another, of which it uses those before `first_step`. Where they are
+      fewer, it is drawn by itself, and steps are counted from the simulator's own start.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
     """
@@ -67,6 +71,8 @@ class Simulator(eqx.Module):
     action: eqx.AbstractVar[Actions]
     noise_size: eqx.AbstractVar[int]
     initial_noise_size: ClassVar[int] = 0
+    first_step: ClassVar[int] = 0
+    initial_steps: ClassVar[int] = 0
     fully_observed: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any):
@@ -178,6 +184,14 @@ class Around(Simulator):
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.inner.initial_noise_size
+
+    @property
+    def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.first_step
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.initial_steps
 
     def prepare(self, inputs):
         return self.inner.prepare(inputs)

@@ -96,6 +96,7 @@ class FunctionSetup:
     wrt: tuple[str, ...]
     counter: bool
     antithetic: bool
+    before: int
 
 
 class Functions:

@@ -124,6 +124,14 @@ class StorageSimulator(Simulator):
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.process.initial_noise_size
 
+    @property
+    def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return int(self.day[0]) if self.horizon else 0
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_steps
+
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices = self.process.prepare(inputs)
         last = jax.tree.map(lambda leaf: leaf[-1], prices.steps)

@@ -41,6 +41,15 @@ class StorageStep(NamedTuple):
     slow_variance: Array
 
 
+class StorageConstants(NamedTuple):
+    """The core's `FactorConstants`, and `before` [F, n F]: the factors on the first date as a sum
+    of the noise of the n days before; its covariance is that of `first_shock`."""
+
+    first_shock: Array
+    size: Array
+    before: Array
+
+
 class FactorPrices(FactorPrice, PriceProcess):
     """Correlated mean-reverting factors around the forward curve; see the core's `FactorPrice`."""
 
@@ -57,12 +66,31 @@ class FactorPrices(FactorPrice, PriceProcess):
     def gaps(self) -> Gaps:
         return self.delivery.gaps
 
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.delivery.before
+
+    @property
+    def initial_noise_size(self) -> int:
+        return max(self.initial_steps, 1) * self.noise_size
+
     def prepare(self, inputs) -> Schedule:
         numbers = self.parameters(inputs)
         rows = self.schedule(numbers)
         slow = numbers.loading * (np.arange(self.noise_size) != self.fast_factor)
         variance = jnp.einsum("ti,tij,tj->t", slow, self.covariance(numbers), slow)
-        return Schedule(rows.constants, StorageStep(**rows.steps._asdict(), slow_variance=variance))
+        # The share of every earlier day's shock that is left on the first date.
+        age = self.delivery.age[:, None]
+        left = jnp.exp(-numbers.mean_reversion * jnp.maximum(age, 0.0)) * (age >= 0)
+        before = jnp.einsum("nf,fg->fng", left, rows.steps.next_shock[0])
+        before = before.reshape(self.noise_size, self.initial_noise_size)
+        return Schedule(
+            StorageConstants(**rows.constants._asdict(), before=before),
+            StorageStep(**rows.steps._asdict(), slow_variance=variance),
+        )
+
+    def initial(self, constants, noise):
+        return constants.before @ noise
 
     def state_at(self, constants, now, spot):
         loading = now.loading[self.fast_factor]
