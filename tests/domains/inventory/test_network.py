@@ -6,11 +6,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.inventory.references.serial import serial_line
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.rules import echelon_rule
 from snapo.domains.inventory.read.network import read_network
-from snapo.domains.inventory.references.serial import serial_line
 from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.smooth import Exact, Smooth

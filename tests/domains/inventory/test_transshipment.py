@@ -7,12 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.inventory.references.pooling import one_newsvendor, pooled_stores
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.rules import ENDLESS, echelon_rule
 from snapo.domains.inventory.network.transshipment import in_pieces
 from snapo.domains.inventory.read.network import read_network
-from snapo.domains.inventory.references.pooling import one_newsvendor, pooled_stores
 from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.smooth import Exact, Smooth

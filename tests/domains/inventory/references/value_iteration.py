@@ -2,7 +2,7 @@
 
 Exact up to its tolerance and the two limits given: relative value iteration on the stock and the
 orders on their way, with MacQueen's bounds (1966) around the average cost. Demand is lost or
-delivered later where there is no stock; for the timing see `item.simulator`.
+delivered later where there is no stock; timing as in `snapo.domains.inventory.item.simulator`.
 """
 
 from typing import NamedTuple
