@@ -14,9 +14,9 @@ from snapo.problem.problem import prepare
 from snapo.problem.simulator import Simulator, probe
 
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.form import Form
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.stiffness import with_stiff_steps
+from ..given import Form
 from .policy import Feedback
 from .sensors import history_length
 from .stages import Stage

@@ -24,12 +24,11 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..given import Entry
+from ..given import Entry, Form
 from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
 from .case import Flowsheet, PharmaCase
 from .flow import flow, problem_of
-from .form import Form
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
@@ -156,8 +155,8 @@ class Marches:
 
     def _leave(self, draw, endpoints, d_ends, inputs):
         def attributes(numbers, bounds):
-            given = self._given(numbers, draw, inputs)
-            result = flow(self.process.form.record, given, endpoints=bounds)
+            moved = self._given(numbers, draw, inputs)
+            result = flow(self.process.form.record, moved, endpoints=bounds)
             return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
