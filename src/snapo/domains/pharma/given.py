@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 
-Record = TypeVar("Record")
+Formed = TypeVar("Formed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +69,14 @@ def fixed(array: np.ndarray) -> Array:
 
 
 @dataclass(frozen=True)
-class Form(Generic[Record]):
+class Form(Generic[Formed]):
     """A formed `record`, compared by all that is in it."""
 
-    record: Record = field(compare=False, repr=False)
+    record: Formed = field(compare=False, repr=False)
     parts: Hashable = field(repr=False)
 
     @classmethod
-    def of(cls, record: Record, held: Collection[str] = ()) -> Self:
+    def of(cls, record: Formed, held: Collection[str] = ()) -> Self:
         """The form of a record of a case; `held`: names of numbers that are no inputs."""
         formed = _formed(record, held)
         return cls(formed, _parts(formed))
