@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.case.given import Converted, NoPosition
+from snapo.case.given import ConvertedNumber, NoPosition
 from snapo.domains.pension.quantities import AMOUNT
 from snapo.live.files import read_files, readable
 from snapo.live.positions import InputPositions
@@ -239,9 +239,9 @@ def test_an_annual_rate_is_written_so_that_the_same_continuous_one_is_read(tmp_p
 def test_an_inverse_is_exact_where_a_float_is_and_else_next_to_it():
     """Of annual rates of 0 to 3 %, and of what is paid in a step of a third of a year."""
     numbers = np.random.default_rng(0).uniform(0.0, 0.03, 200)
-    annual = Converted(None, np.log1p, np.expm1)
+    annual = ConvertedNumber(None, np.log1p, np.expm1)
     assert all(np.log1p(annual.inverse(x)) == x for x in [0.0, *numbers])
-    thirds = Converted(None, lambda x: x / 3, lambda x: 3 * x)
+    thirds = ConvertedNumber(None, lambda x: x / 3, lambda x: 3 * x)
     read = np.array([thirds.inverse(x) / 3 for x in numbers])
     assert 0.5 < np.mean(read == numbers) < 1 and (np.abs(read - numbers) <= np.spacing(read)).all()
     assert all(thirds.inverse(x) / 3 == x for x in read)

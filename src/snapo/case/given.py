@@ -55,7 +55,7 @@ class KeyedUnit(NamedTuple):
     units: tuple[tuple[tuple[str | int, ...], str], ...]
 
 
-class Converted(NamedTuple):
+class ConvertedNumber(NamedTuple):
     """The position of a number that a case reads as another one: an annual rate as a continuous
     one.
 
@@ -88,7 +88,7 @@ FilePosition = (
     | Copies
     | QuantityKey
     | KeyedUnit
-    | Converted
+    | ConvertedNumber
     | NoPosition
     | tuple[str | int, ...]
     | None

@@ -24,7 +24,7 @@ import numpy as np
 from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
 from .given import (
-    Converted,
+    ConvertedNumber,
     Copies,
     FilePosition,
     KeyedUnit,
@@ -211,7 +211,7 @@ def in_words(position: FilePosition) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
     if isinstance(position, Copies):
         return in_words(position.positions[0])
-    if isinstance(position, Converted):
+    if isinstance(position, ConvertedNumber):
         return in_words(position.position)
     if isinstance(position, QuantityKey | KeyedUnit):
         return in_words(position.path)

@@ -15,7 +15,7 @@ from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import (
     CaseInput,
-    Converted,
+    ConvertedNumber,
     Copies,
     FilePosition,
     KeyedUnit,
@@ -144,7 +144,7 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
 
 def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPosition, float]]:
     """Where a number is written, and what."""
-    if isinstance(position, Converted):
+    if isinstance(position, ConvertedNumber):
         yield from _plain(position.position, position.inverse(number))
     elif isinstance(position, Copies):
         for copy in position.positions:
@@ -156,11 +156,9 @@ def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPositio
 def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
     """What is read once `with_numbers` has written these: where a case converts a number, the next
     one that a float in its files becomes."""
+    pairs = zip(entry.positions, numbers.ravel().tolist())
     return np.array(
-        [
-            position.read(position.inverse(number)) if isinstance(position, Converted) else number
-            for position, number in zip(entry.positions, numbers.ravel().tolist())
-        ]
+        [at.read(at.inverse(x)) if isinstance(at, ConvertedNumber) else x for at, x in pairs]
     )
 
 

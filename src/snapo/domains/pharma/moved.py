@@ -18,11 +18,10 @@ from snapo.study.study import LiveTable
 from .chapters.capability import BATCHES
 from .derivatives.jacobian import matrix
 from .flowsheet.case import PharmaCase
-from .flowsheet.form import Form
 from .flowsheet.inputs import pharma_inputs
 from .flowsheet.process import Process
 from .flowsheet.stiffness import with_stiff_steps
-from .given import every_entry
+from .given import Form, every_entry
 from .quality import batches
 from .quality.capability import Capability, from_values
 from .quality.limits import AttributeLimits

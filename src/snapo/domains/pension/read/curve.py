@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
-from snapo.case.given import CaseInput, Converted
+from snapo.case.given import CaseInput, ConvertedNumber
 from snapo.case.quantity import Range
 from snapo.case.table import nearest, parse
 
@@ -149,7 +149,7 @@ def quotes(
 
 def _continuous(annual: CaseInput) -> CaseInput:
     """Annual rates as continuous ones."""
-    located = tuple(Converted(position, np.log1p, np.expm1) for position in annual.positions)
+    located = tuple(ConvertedNumber(position, np.log1p, np.expm1) for position in annual.positions)
     return replace(annual, values=np.log1p(annual.values), positions=located)
 
 

@@ -8,7 +8,7 @@ from operator import mul
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
-from snapo.case.given import CaseInput, Converted
+from snapo.case.given import CaseInput, ConvertedNumber
 from snapo.case.quantity import ANY
 from snapo.case.table import TableContext
 
@@ -120,7 +120,7 @@ def read_cash_flows(
         cost,
         unit=f"{money}/step",
         values=cost.values * grid.step,
-        positions=tuple(Converted(x, in_step, in_year) for x in cost.positions),
+        positions=tuple(ConvertedNumber(x, in_step, in_year) for x in cost.positions),
     )
     payroll = replace(table.salary, unit=f"{money}/year")
     return CashFlows(

@@ -14,9 +14,9 @@ from snapo.problem.problem import prepare
 from snapo.problem.simulator import Simulator, probe
 
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.form import Form
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.stiffness import with_stiff_steps
+from ..given import Form
 from .policy import Feedback
 from .sensors import history_length
 from .stages import Stage
@@ -48,7 +48,7 @@ def closed_loop(
         raise ValueError("closed_loop: the case has no [control].")
     case = with_stiff_steps(case)
     stages = stages_of(case)
-    moves = [Move(before, after) for before, after in pairwise(stages)]
+    moves = [NextStage(before, after) for before, after in pairwise(stages)]
     simulator = Chain(stages, moves) if moves else stages[0]
     result = pharma_inputs(case)
     for name, value in (inputs or {}).items():
@@ -78,7 +78,7 @@ def stages_of(case: PharmaCase) -> list[Stage]:
 
 
 @dataclass(frozen=True)
-class Move:
+class NextStage:
     """From the end of one stage to the beginning of the next."""
 
     before: Stage

@@ -6,6 +6,7 @@ those by numbers that act on it.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
 import equinox as eqx
@@ -17,22 +18,33 @@ from jaxtyping import Float
 
 from snapo.engine import Native
 from snapo.problem.actions import Box
+from snapo.problem.code.version import ProgramText, text
 from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..given import Entry
+from ..given import Entry, Form
 from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
 from .case import Flowsheet, PharmaCase
 from .flow import flow, problem_of
-from .form import Form
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
 # The same for all batches, or not, or with derivatives.
 BatchKind = Literal["shared", "drawn", "moving"]
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """A step as it was traced, whose numbers are arguments: two of one text compute the same."""
+
+    text: ProgramText
+    function: Callable = field(compare=False, repr=False)
+
+    def __call__(self, y, now, *numbers):
+        return self.function(y, now, *numbers)
 
 
 class March(Simulator):
@@ -43,7 +55,7 @@ class March(Simulator):
     """
 
     horizon: int = eqx.field(static=True)
-    advance: Callable = eqx.field(static=True)
+    advance: StepProgram = eqx.field(static=True)
     kinds: tuple[BatchKind, ...] = eqx.field(static=True)
     action = Box(-np.inf, np.inf)
     noise_size = 0
@@ -143,8 +155,8 @@ class Marches:
 
     def _leave(self, draw, endpoints, d_ends, inputs):
         def attributes(numbers, bounds):
-            given = self._given(numbers, draw, inputs)
-            result = flow(self.process.form.record, given, endpoints=bounds)
+            moved = self._given(numbers, draw, inputs)
+            result = flow(self.process.form.record, moved, endpoints=bounds)
             return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
@@ -163,7 +175,10 @@ class Marches:
             numerics = self.process.case.numerics
             advance, made["steps"] = mesh_march(problem, numerics, numerics.held.get(unit.name))
             now = {name: jnp.asarray(step[0]) for name, step in made["steps"].items()}
-            made["advance"], held = jax.closure_convert(advance, problem.start, now)
+            advance, held = jax.closure_convert(advance, problem.start, now)
+            if "advance" not in made:  # this runs again in every program of the leg
+                version = text(advance, problem.start, now, *held)
+                made["advance"] = StepProgram(version, advance)
             return [problem.start, *held]
 
         shapes, reached = self._reached(start)

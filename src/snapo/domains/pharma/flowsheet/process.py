@@ -15,11 +15,10 @@ from jaxtyping import Array, Float
 from snapo.engine import Unsupported
 
 from ..derivatives.mode import of_method
-from ..given import Entry
+from ..given import Entry, Form
 from ..progress import say
 from .case import Flowsheet, PharmaCase
 from .flow import Flow, entry_words, flow
-from .form import Form
 from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
