@@ -205,7 +205,7 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
-        raise reference.error(f"allowed is the name of a {kinds} file beside the case")
+        raise reference.error(f"allowed is the name of a {kinds} file in the folder of the case")
     folder = reference.section.file.parent.resolve()
     path = folder / name
     try:
@@ -213,7 +213,7 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # the last: links in a circle
         raise reference.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
-        raise reference.error("a file that a case names must lie beside the case")
+        raise reference.error("a file that a case names must be in the folder of the case")
     if not exists:
         present = [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
         hint = f" (there are {', '.join(present)})" if present else ""

@@ -13,7 +13,7 @@ PartNames = list[Annotated[str, Field(min_length=1)]]
 
 def names_of_parts(example: str) -> Any:
     """The field `parts: Names` of a domain's table `[report]`."""
-    message = f'names of parts such as ["{example}"]; what they need is done too'
+    message = f'names of parts such as ["{example}"]; the parts that they need are run too'
     return Field([], description=message)
 
 

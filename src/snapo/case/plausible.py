@@ -186,7 +186,7 @@ def around(values: np.ndarray) -> np.ndarray:
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
-    """Position, name and number of the entry, in the unit of the trade and as it is written."""
+    """Position, name and value of the entry, in the display unit and as written in the file."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
     position = in_words(entry.positions[row]) if entry.positions else ""

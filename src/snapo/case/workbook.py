@@ -27,7 +27,7 @@ TEXT = "TOML"  # the word next to a value that is written as TOML
 
 
 class Unreadable(ValueError):
-    """A key or a value of a sheet that no case has: what is wrong with it."""
+    """A key or a value of a sheet that no case can have; the message is the reason."""
 
 
 def lines(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:

@@ -109,7 +109,7 @@ def _add_certify(commands) -> None:
         "--penalty",
         choices=PENALTIES,
         default="value",
-        help="on hindsight: none, a fitted value function, or one scaled by descent on the bound",
+        help="for foresight: none, a fitted value function, or one scaled by descent on the bound",
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto")
     _add_simulator(certify)

@@ -1,4 +1,4 @@
-"""One policy for a range of inputs: it sees them, in addition to what it observes.
+"""One policy for a range of inputs, which it observes in addition to the state.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
 ranges evenly, each with a schedule of its own. Afterwards the policy decides in any member.

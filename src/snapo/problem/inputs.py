@@ -65,7 +65,7 @@ class Input(eqx.Module):
                 f"Input: {len(self.labels)} labels for {self.value.size} numbers; give each one."
             )
         if not np.all(np.isfinite(self.value)):
-            raise ValueError("Input: a value is not finite; every input must be a finite number.")
+            raise ValueError("Input: a value is NaN or infinite; it must be a finite number.")
 
     def names(self) -> tuple[str, ...]:
         """One label per entry in C order."""

@@ -100,13 +100,12 @@ def problem_of(
     seed: int = 0,
     needs: bool = True,
 ) -> Problem:
-    """The problem that a caller means: the one given, or that of a simulator with all that belongs
-    to it.
+    """The problem that a caller means: the one passed, or that of a simulator with its inputs.
 
-    **Arguments:** `sources`: where no scenarios are given; `needs`: an objective.
+    **Arguments:** `sources`: used without `scenarios`; `needs`: whether an objective is needed.
 
-    **Raises:** `ValueError` where a `Problem` has any of it as well, for what is neither, and for
-    sizes, scenarios or constraints that are none.
+    **Raises:** `ValueError` where a `Problem` comes with one of these too, where the first argument
+    is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
     """
     if isinstance(problem, type):
         name = problem.__name__

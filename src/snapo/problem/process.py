@@ -100,7 +100,8 @@ class Factors(NamedTuple):
 
 
 class FactorConstants(NamedTuple):
-    """`first_shock` [F, F] leads to the first time, `size` [F] is a factor's typical size."""
+    """`first_shock` [F, F]: the shock up to the first time; `size` [F]: typical size of a
+    factor."""
 
     first_shock: Float[Array, "F F"]
     size: Float[Array, " F"]
@@ -117,10 +118,10 @@ class FactorStep(NamedTuple):
 
 
 class Gaps(eqx.Module):
-    """The different intervals between times, the first of which begins today.
+    """The distinct intervals between successive times, the first of which begins today.
 
-    - `length` [n]: of each; `none`: whether it is 0.
-    - `which` [T]: the interval that leads to each time.
+    - `length` [n] of each interval; `none`: whether it is 0.
+    - `which` [T]: index of the interval that ends at each time.
     """
 
     length: Float[np.ndarray, " n"]

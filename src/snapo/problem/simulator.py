@@ -79,10 +79,10 @@ class Simulator(eqx.Module):
         """Turns inputs into the schedule. `inputs` holds plain arrays instead of every `Input`."""
 
     def prepared_apart(self) -> tuple["Simulator", Callable[[Schedule], Schedule]]:
-        """A simulator that prepares a part of the schedule, and what adds the rest to it.
+        """A simulator that prepares a part of the schedule, and a function that adds the rest.
 
-        The rest are arrays of this simulator that `prepare` hands on unchanged, such as a fitted
-        guide: the compiled `prepare` of the part serves before the guide is fitted, and after.
+        The rest are arrays of this simulator that `prepare` passes on unchanged, such as a fitted
+        guide: the compiled `prepare` of the part serves both before and after the guide is fitted.
         """
         return self, lambda schedule: schedule
 
@@ -138,7 +138,7 @@ class Simulator(eqx.Module):
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` that reports what is missing where it sets what is no field."""
+    """An `__init__` whose error explains the fix when it sets an attribute that is no field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:

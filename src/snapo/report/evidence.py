@@ -158,9 +158,9 @@ def _adjoints(run: RunFiles) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
-        "it was last in doubt whether the whole horizon can be differentiated, or of the trained "
-        "policy where the case says how to go back: the parts of the state are root mean squares "
+        f"Norm of the adjoint before every step, on {PATHS} paths of training, when training last "
+        "had to decide whether the whole horizon can be differentiated, or for the trained policy "
+        "where the case sets clip, window or keep: the parts of the state are root mean squares "
         "over these paths. All are in adjoints.csv."
     )
     return [Chart(svg, caption), Text(_growth(run, leaves))]

@@ -136,7 +136,7 @@ MISTAKES = {
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "a value or a file, not both"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
     "file": (PLACE, '"demand.csv"', '"demands.csv"', "there is no such file", "(there are demand.csv)"),
-    "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must lie beside the case"),
+    "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must be in the folder of the case"),
     "key": (PLACE, "words = ", "word = ", "inputs.stock.word", "the nearest known key is words"),
     "table": (PLACE, "[training]", "[trainings]", "trainings", "the nearest known key is training"),
     "move": (PLACE, "move = 1 ", "move = 0 ", "inputs.stock.move: got 0; allowed is a number other"),

@@ -31,9 +31,9 @@ class Choice(Actions):
     `scale`: scores count in units of temperature times `scale`.
 
     Scores are counted from their mean, and their root mean square is kept below a level: at the
-    usual temperature of the first steps an option keeps a part of the weight, however long all
-    steps have said "not this one". Without, the slope of its weight would vanish with it, and a
-    state in which it is the best one could not bring it back.
+    usual temperature of the first steps an option keeps a part of the weight, however long the
+    gradients have been against it. Otherwise the slope of its weight would vanish with the weight,
+    and states in which the option is the best one could not bring it back.
 
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]
@@ -78,7 +78,7 @@ class Choice(Actions):
         guess off before, `guess + weight * (cash - guess)`, that does not depend on the choice.
         """
         uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
-        # The last option takes what rounding leaves over.
+        # The last option takes the remainder of the rounding.
         below = jnp.concatenate([uniform < upper[:-1], jnp.ones(1, bool)]).astype(action.dtype)
         option = below - jnp.concatenate([jnp.zeros(1, action.dtype), below[:-1]])
         probability = option @ action

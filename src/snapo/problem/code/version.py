@@ -1,8 +1,8 @@
 """The version of a user's code: a number for all that it reads, such as globals and closures.
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
-of one is therefore in `following(version)`: JAX then keeps apart what was traced under other
-versions, in functions that the user compiles too. snapo's own code has no version.
+of one is therefore in `following(version)`: JAX then does not reuse a trace of another version, in
+functions that the user compiles too. snapo's own code has no version.
 
 Programs as text: two traces that read the same things are the same text.
 """
@@ -163,7 +163,7 @@ def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> 
 
 
 class _Kept:
-    """What was found last, by what it was found for; safe between threads."""
+    """The latest results by their keys; thread-safe."""
 
     def __init__(self):
         self._found: OrderedDict[Hashable, Any] = OrderedDict()
@@ -190,7 +190,7 @@ def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
             made = repr(trace())
     except Exception as error:  # the call itself will report it
         made = type(error).__name__
-    # The print of a program is without what hand-written derivatives read.
+    # The printed program does not show the values that hand-written derivatives read.
     read = repr(content) if "custom_" in made else ""
     return blake2b((made + read).encode()).digest()
 
@@ -200,7 +200,7 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _kind(leaf: Any) -> Hashable:
-    """An array's shape and type, as it is an argument; anything else itself."""
+    """Shape and dtype of an array, which is an argument; any other leaf itself."""
     return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
 
 

@@ -115,7 +115,7 @@ def only(normals: Float[Array, " 1"]) -> Float[Array, ""]:
 
 
 def numbers(value: Any) -> Any:
-    """A parameter as it is stored: lists are arrays, not trees of numbers."""
+    """A parameter in stored form: lists become arrays, not trees of numbers."""
     return np.asarray(value, np.float64) if isinstance(value, list | tuple) else value
 
 

@@ -75,7 +75,7 @@ class Markov(Noise):
 
 
 class Empirical(Noise):
-    """One row of a history, by chance: `values` [n], or [n, K] whose rows stay together.
+    """One row of a history, drawn at random: `values` [n], or [n, K] whose rows stay together.
 
     Rows are in the order of their first number, so that antithetic paths see high and low ones. The
     derivative with respect to the history's numbers is pathwise: every draw is one of them.

@@ -44,7 +44,7 @@ class Drawn(Noise):
 
     @classmethod
     def of(cls, probability: Float[Array, " K"]) -> "Drawn":
-        """The probabilities of 0 … K - 1; the last takes what they leave of 1."""
+        """The probabilities of 0 … K - 1; the last one also gets the remainder to 1."""
         below = jnp.cumsum(probability)
         above = jnp.cumsum(probability[::-1])[::-1] - probability
         # From the nearer end: the other has lost the digits of a tail.

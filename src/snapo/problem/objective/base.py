@@ -229,7 +229,7 @@ class Weighted(Objective):
 
     @property
     def as_cost(self) -> "Weighted":
-        """Minus what a weight of -1 makes of it, term by term."""
+        """The same objective of a cost: every term with the sign of its weight reversed."""
         other = object.__new__(Weighted)
         terms = tuple((f, item.as_cost if f > 0 else item.as_gain) for f, item in self.terms)
         object.__setattr__(other, "terms", terms)

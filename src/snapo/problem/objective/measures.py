@@ -142,9 +142,9 @@ class Entropic(_Risk):
 class ExpectedUtility(ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
-    Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
-    has no derivative. Training leads away from it: a path of ruin has the weight of the path for
-    which a unit more is worth most.
+    Ruin is an outcome with the worst utility: with one such path the value is minus infinity and
+    has no derivative. Training moves away from it: a path of ruin has the weight of the path with
+    the largest marginal utility.
     """
 
     utility: "CRRA"

@@ -80,9 +80,9 @@ NEEDED = (
 class Plain(Policy):
     """An `eqx.Module` where a policy goes; `solve` makes it of whatever module it is given.
 
-    - `raw`: whether it is called as `network(observation)`: its numbers are unbounded, and are
-      squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and
-      what it gives lies in the set.
+    - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
+      squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its
+      outputs lie in the set.
     """
 
     module: Any
