@@ -5,12 +5,12 @@
 
 Both training and sensitivities use these functions.
 
-The adjoint over the paths that are finite: one bad path must not cost a whole run.
+The adjoint uses only the finite paths: one bad path must not cost a whole run.
 
 A path is bad where a total that the objective uses, or the path's own adjoint, is non-finite. Bad
-paths are counted wherever they are left out, and of all paths at most `DROPPED` may be: what is
-left out may be what matters. A path of ruin, whose total is finite, is never left out: it has the
-utility that it has, minus infinity.
+paths are left out and counted, and may be at most the share `DROPPED` of all paths, since those
+left out may be the important ones. A path of ruin, whose total is finite, is never left out: its
+utility is minus infinity.
 """
 
 from collections.abc import Iterable, Mapping

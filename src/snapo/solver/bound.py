@@ -1,5 +1,4 @@
-"""A bound from above: what the best decisions of each path would earn with perfect foresight,
-penalised.
+"""An upper bound: the penalised earnings of the best decisions with perfect foresight, by path.
 
     value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
 
@@ -59,9 +58,9 @@ class Bound:
 
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
     - `gap`: upper less lower, paired path by path.
-    - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
+    - `penalty`, `words`: kind and meaning of the penalty; `scale`: of its parts.
     - `sure`: the certainty equivalents of lower and upper, where the objective is a utility.
-    - `few`: whether a few paths that gain much by foresight decide the gap, whose interval is wider
+    - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
       then.
     """
 
@@ -88,9 +87,9 @@ class Bound:
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
-        """The bound of a policy whose value is known better from more paths: that, and the gap.
+        """The bound of a policy whose value is known from more paths: that value plus the gap.
 
-        An upper bound on few paths of its own may lie below that value by chance.
+        The upper bound on its few paths may lie below that value because of sampling error.
         """
         if not np.isfinite(error):
             return self
@@ -272,7 +271,7 @@ def _moved(scale: np.ndarray, i: int, by: float) -> np.ndarray:
 
 def _check(gap: np.ndarray, size: float) -> None:
     if not np.all(np.isfinite(gap)):
-        raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is not finite.")
+        raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is non-finite.")
     if gap.min() < -1e-6 * size:
         path = int(np.argmin(gap))
         message = "the inner problem earns less than the policy"

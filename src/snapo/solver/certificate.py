@@ -276,8 +276,8 @@ class _Along:
     def _bump(
         self, label: str, gradient, scale: float, keep: np.ndarray, extrapolated: bool = False
     ) -> Bump:
-        """The paths to `keep`; extrapolated to a step of zero from the step and half of it, since
-        what grows with every day bends by more than the tolerance within a step."""
+        """The bump on the paths to `keep`; extrapolated to a step of zero from the step and half of
+        it, since the curvature of a state that grows daily exceeds the tolerance within a step."""
         low, centre, high = (float(x[keep].sum()) for x in (self.low, self.centre, self.high))
         adjoint = float(np.sum(gradient[self.name] * self.direction))
         step = self.step

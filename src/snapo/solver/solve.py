@@ -191,7 +191,7 @@ def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
         return simulator_mistakes(problem.simulator, problem.inputs)
     if isinstance(problem, Simulator):
         return simulator_mistakes(problem, inputs)
-    return Findings("", (), "")  # `problem_of` says what it is
+    return Findings("", (), "")  # `problem_of` names the mistake
 
 
 def _refused(findings: Findings) -> tuple[str, ...]:

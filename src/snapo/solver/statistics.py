@@ -1,11 +1,10 @@
-"""Every standard error of the package: independent groups, and how far an estimate may be off.
+"""Standard errors of the package, from independent groups of paths.
 
 Paths are independent in groups only: an antithetic pair is one draw, and so is a Sobol scramble
-(`Scenarios.groups`). Numbers [N] of paths become `shares`, one of each group, whose mean is the
-estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran,
-Sampling Techniques, 1977, section 6.3), what is no mean by its influence function. Numbers that
-are found block by block become an `Estimate`, by a jackknife that leaves out each block
-(`by_block`). Intervals are Student's.
+(`Scenarios.groups`). Values [N] of paths become `shares`, one for each group, whose mean is the
+estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran, Sampling
+Techniques, 1977, section 6.3), other statistics by their influence function. Results computed block
+by block become an `Estimate`, by a jackknife over the blocks (`by_block`). Intervals are Student's.
 """
 
 from decimal import Decimal
@@ -247,10 +246,10 @@ def proportion(count, of: int):
 def controlled(
     result: np.ndarray, controls: list[np.ndarray]
 ) -> tuple[np.ndarray, list[int], Sampled]:
-    """Shares [G] less what controls of mean zero explain by regression, and the estimate of it.
+    """Shares [G] less their regression on controls of mean zero, and the estimate of their mean.
 
-    A control whose own mean is not zero, beyond chance in a million, is not used: it would take
-    a part of the value away with the noise. The numbers of those are given.
+    A control whose mean differs from zero, with a p-value below one in a million, is not used: it
+    would remove a part of the value with the noise. The indices of such controls are returned.
     """
     false = []
     for i, control in enumerate(controls):

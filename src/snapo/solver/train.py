@@ -288,7 +288,7 @@ def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and grows(measured.total)
-        # Nor is a share of the adjoints kept back where training leaves what was wild by itself.
+        # Nor is `keep` lowered where training leaves the wild region by itself.
         if wild and training.keep == "auto" and not fell_for_good(norms):
             progress = replace(progress, keep=share_kept(measured.total))
     if auto and (leapt or wild or (progress.clip is not None and due(step))):
@@ -330,8 +330,8 @@ def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
     training = loop.training
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= FIRST:
-        # The first steps were led by chaos: back to the average of the first few of them, and
-        # slowly up again. At the full rate a critic that is not yet fitted leads to where no action
+        # Chaos dominated the first steps: training returns to the average of the first few of them,
+        # and raises the rate slowly again. At the full rate an unfitted critic ends where no action
         # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)

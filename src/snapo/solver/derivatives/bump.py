@@ -36,7 +36,7 @@ NEGLIGIBLE = 2e-5  # of the value: a smaller reaction to one percent of an input
 CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
 THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
 MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not looked at
-SIGNIFICANT = 4.0  # standard errors between the sides: of twenty inputs none by chance
+SIGNIFICANT = 4.0  # standard errors between the sides: no false alarm among twenty inputs
 # Of the gap between the sides, at half the move: a kink leaves 1/2, a bend 1/4, a jump all of it.
 CORNER, JUMP = 0.375, 0.75
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
@@ -238,7 +238,7 @@ class _Bumper:
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
-        `at_values` by default rebuilds what it can; `mirrored`: for one side only, see `opposite`.
+        `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
@@ -293,11 +293,12 @@ class _Bumper:
 
 
 def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
-    """The problem at `values`, on the other side of `more`, with what was built from the inputs
-    mirrored: 2 x - y for a number that is x here and y there. None where it has another form.
+    """The problem at `values`, on the other side of `more`, with all that depends on the inputs
+    mirrored: 2 x - y for a number that is x in `problem` and y in `more`. None where `more` has a
+    different structure.
 
-    A build takes longer than a few paths. What is mirrored is off by its curvature, which moves a
-    value near its top by far less.
+    Building a problem takes longer than a few paths. Mirroring neglects curvature, whose effect on
+    a value near its maximum is far smaller.
     """
     here, there = (jax.tree.flatten(item.simulator) for item in (problem, more))
     if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):

@@ -95,7 +95,7 @@ class DerivativePass(NamedTuple):
         scale = count / max(1, count - invalid.sum())
         available = all(np.isfinite(weight).all() for weight in plan.total.values())
         if not available or dropped > DROPPED * (count + dropped):
-            # Under ruin there is no derivative; nor is there one of what is left of many.
+            # No derivative exists under ruin, nor is one reported where many paths were left out.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - invalid)
         sums, segments = self._carried(passes), self._carried(further)

@@ -2,8 +2,8 @@
 
 With M the change of a derivative along the coordinates and H the curvature of the value, a policy
 whose value is short of the best by g has a derivative that is off by at most sqrt(2 g kappa), where
-kappa = M (-H)^-1 M' (Cauchy and Schwarz). The coordinates are few: kappa is at least what random
-moves of ALL weights show, as the squared change of the derivative over twice the loss.
+kappa = M (-H)^-1 M' (Cauchy and Schwarz). The coordinates are few: kappa is at least the squared
+change of the derivative over twice the loss under random moves of ALL weights.
 """
 
 from collections.abc import Mapping

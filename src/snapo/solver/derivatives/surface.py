@@ -1,15 +1,15 @@
 """The value around a trained policy, as a quadratic surface in a few coordinates.
 
-The EXACT simulator is valued on fixed paths at a few dozen places around the policy. The surface
-V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is slightly
-higher, and H measures by how much a wrong policy would cost. Both go into the interval of every
-derivative, and the policy at the top is a candidate for the one that is reported.
+The EXACT simulator is valued on fixed paths at a few dozen points around the policy. The fitted
+surface V = G z + z H z / 2 has its maximum near the policy: there the value is slightly higher, and
+H measures the loss of a suboptimal policy. Both enter the interval of every derivative, and the
+policy at the maximum is a candidate for the reported one.
 
-A few coordinates of a policy, along which its value is looked at: directions of its numbers.
+The coordinates are a few directions in the space of the policy's parameters.
 
 For a network they are a shift and a gain of every raw output of its last layer, which move all
-decisions together; for many outputs a common gain, what the second half of training changed, and
-a few mixtures of the shifts. A rule with few numbers has one coordinate for each.
+decisions together; for many outputs a common gain, the change in the second half of training, and a
+few mixtures of the shifts. A rule with few parameters has one coordinate for each.
 """
 
 from collections.abc import Callable

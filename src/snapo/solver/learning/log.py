@@ -24,7 +24,7 @@ from .starts import describe
 
 
 def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
-    """With the adjoints of the trained rule, where a user said how to go back and nothing else
+    """With the adjoints of the trained rule, where a user set window, clip or keep and nothing else
     measured them."""
     values = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
     if progress.growth is not None or not any(values):

@@ -241,8 +241,8 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 
 def _spread(progress: Progress) -> float:
-    """Between the last two of several starts, beyond what the better one has gained since: as much
-    as that the other one would have gained too, unless it is in another optimum."""
+    """The difference of the last two starts, less the gain of the better one since: the other would
+    have gained as much too, unless it is in another optimum."""
     values = progress.last_two
     if not values or not np.isfinite([*values, progress.best_value]).all():
         return 0.0

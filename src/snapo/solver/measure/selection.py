@@ -1,10 +1,10 @@
 """The policy that is reported: of those that a training leaves, and the rule that it began with.
 
 The values of a training's history are compared on the same few paths again and again, so that the
-highest is high by chance. The final choice is made once, on fresh paths that nothing else uses,
+highest is biased upwards. The final choice is made once, on fresh paths that nothing else uses,
 with differences paired and the control variates regressed out of them. The starting rule stays
-unless another is significantly better: training must not make a good rule worse. The paths
-of the reported value choose nothing.
+unless another is significantly better: training must not make a good rule worse. The paths of the
+reported value choose nothing.
 
 How a policy is measured: how many paths each of its numbers has.
 """
@@ -117,9 +117,9 @@ class Selection(NamedTuple):
 
     - `kind`: "start", "newest" (the average at the end of training), "highest" (of the validation)
       or "top of the surface" (see `derivatives.surface`); `policy`: the policy itself.
-    - `gain`, `error`: of the best candidate over the starting rule, paired; not a number where they
-      were not compared.
-    - `search`: what the top of the surface gains over the newest policy, and its standard error.
+    - `gain`, `error`: of the best candidate over the starting rule, paired; NaN where they were not
+      compared.
+    - `search`: gain of the top of the surface over the newest policy, and its standard error.
     """
 
     kind: str

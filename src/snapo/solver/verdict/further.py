@@ -86,10 +86,10 @@ MATTERS = 0.001  # of the size: the gain of a gradient step of the length of the
 
 
 class Further(NamedTuple):
-    """What as many steps again would bring.
+    """The expected gain of as many further steps.
 
     - `late`, `late_error`: the gain of the last part of the training, on the same paths.
-    - `times`: by how much that is multiplied; `size`: what counts as all.
+    - `times`: its multiplier; `size`: the scale of the gains.
     """
 
     late: float
@@ -99,7 +99,7 @@ class Further(NamedTuple):
 
     @property
     def more(self) -> float:
-        """What as many steps again would bring."""
+        """The expected gain of as many further steps."""
         return self.times * self.late
 
     @property
@@ -201,7 +201,7 @@ def _below_bound(bounds) -> Room | None:
     error = upper["standard_error"] or 0.0
     return Room(
         share,
-        f"{_at_most(share)}: no policy is worth more than {upper['value']:,.6g} ± {error:,.2g}.",
+        f"{_at_most(share)}: no policy has a value above {upper['value']:,.6g} ± {error:,.2g}.",
     )
 
 
