@@ -60,9 +60,7 @@ class Dialect:
         one, mark, two, year = match.groups()
         first = "day" if mark == "." else self.first
         if first is None:
-            raise AmbiguousFormat(
-                cell, "day and month are ambiguous; a date is written YYYY-MM-DD"
-            )
+            raise AmbiguousFormat(cell, "day and month are ambiguous; a date is written YYYY-MM-DD")
         day, month = (one, two) if first == "day" else (two, one)
         return f"{year}-{int(month):02}-{int(day):02}"
 

@@ -27,7 +27,7 @@ from . import run_folder
 
 MAX_DRAWN, MAX_LINES = 400, 4  # rows and columns of a chart
 LEFT = ("seconds",)
-NAME = "name"  # of that of records in a table of tables
+NAME = "name"  # column for the name of a record in a table of tables
 ROW = "row"  # the header of the first column, where rows have no label of their own
 SINGLE = ("what", "value")
 DEEPEST = 8

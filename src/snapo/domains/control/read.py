@@ -38,7 +38,7 @@ from .tables import (
 )
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
-WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
+WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
     Plausible(0.0, 1e3, "a speed of turning is in radians a second", unit="rad/s", by_size=True),
@@ -242,7 +242,7 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if isinstance(read, UniformStart) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
     if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):
-        message = "allowed are numbers above 0; a first state without spread is { at = 1 }"
+        message = "allowed are numbers above 0; an initial state without spread is { at = 1 }"
         raise CaseError(name, f"{where}.deviation", value["deviation"], message)
     return numbers
 

@@ -95,7 +95,7 @@ def estimation_cost(
     shocks: Float[np.ndarray, "*T n n"],
     errors: Float[np.ndarray, "n n"],
 ) -> float:
-    """The mean cost that is added by errors of measurement.
+    """The additional mean cost of measurement noise.
 
     `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of errors;
     all of them normal.

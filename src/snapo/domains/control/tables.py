@@ -18,7 +18,7 @@ PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
 def _whole_number(low: int, high: int, note: str) -> Any:
-    """A key for a whole number from `low` to `high`, or none; its text says so."""
+    """A key for a whole number from `low` to `high`, or none; with its description."""
     return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
 
 
@@ -42,7 +42,7 @@ class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
     hidden: Widths | None = Field(
-        None, description="a list of widths, [32, 32], or left out: then it follows the problem"
+        None, description="a list of widths, [32, 32]; by default chosen from the problem"
     )
     memory: Literal["GRU", "Recent"] | None = Field(
         None,
@@ -54,7 +54,7 @@ class ControlPolicyTable(CaseTable):
 
 
 class PlantTable(CaseTable):
-    """`[plant]`: what every plant has in addition to its parameters."""
+    """`[plant]`: the keys of every plant in addition to its parameters."""
 
     type: str
     horizon: int | None = _whole_number(1, 100_000, " of steps")

@@ -20,7 +20,7 @@ for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
 
 
 def kinds() -> dict[str, type[Demand]]:
-    """Every known kind of demand under its name in `[demand]`."""
+    """{name in `[demand]`: kind of demand}, for all kinds."""
     return dict(KINDS)
 
 

@@ -109,7 +109,7 @@ class SupplyNetwork:
 
     @cached_property
     def linked(self) -> np.ndarray:
-        """[n, n]: 1 where what one place does may have an effect on the other."""
+        """[n, n]: 1 where decisions of one place may have an effect on the other."""
         supplies = self.supplies + self.supplies.T + np.eye(len(self.sites))
         for pool in self.pools:
             supplies[np.ix_(pool.sites, pool.sites)] = 1.0

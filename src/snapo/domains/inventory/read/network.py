@@ -208,9 +208,9 @@ def _pools(
             message = f"the places with customers are {', '.join(sell)}"
             raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
-            raise section.error("between", table.between, "each place is there once")
+            raise section.error("between", table.between, "a place is listed once")
         if table.one_way and len(table.between) != 2:
-            message = "one way leads from the first to the second of two places"
+            message = "with one_way there are two places, the first of which sends to the second"
             raise section.error("one_way", True, message)
         sites = tuple(names.index(name) for name in table.between)
         pool = Pool(sites if table.one_way else tuple(sorted(sites)), table.one_way,

@@ -61,7 +61,7 @@ class Reservoir(snapo.Simulator):
         outputs = {"cash": cash, "release": release, "spill": left - water}
         return {"water": water, "log_price": log_price}, outputs
 
-    # At the end, water left is worth something per hm3.
+    # At the end, the remaining water has a value per hm3.
     def terminal(self, constants, state, smooth):
         return {"cash": constants["end_value"] * state["water"]}
 
