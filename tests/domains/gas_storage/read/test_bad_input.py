@@ -249,7 +249,7 @@ MISTAKES = {
         ["market.forward_curve", "'../curve.csv'", "beside"],
     ),
     "absolute file": (
-        "case.toml", '"curve.csv"', '"/etc/curve.csv"', ["market.forward_curve", "in the folder of the case"]
+        "case.toml", '"curve.csv"', '"/etc/curve.csv"', ["market.forward_curve", "in the folder"]
     ),
 }  # fmt: skip
 

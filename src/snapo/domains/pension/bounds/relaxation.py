@@ -56,12 +56,12 @@ class Deflated(NamedTuple):
 
 
 class FundRelaxation:
-    """See `snapo.Relaxation`; prices of risk and y are fitted on paths of their own.
+    """See `snapo.Relaxation`; prices of risk and y are fitted on separate paths.
 
     `policy` makes these paths; no decision matters there.
     """
 
-    terms, description = 1, "the surprises of the assets at fitted prices of risk"
+    terms, description = 1, "the innovations of the assets at fitted prices of risk"
 
     def __init__(self, problem: Problem, policy: Policy, paths: int = PATHS):
         simulator = problem.simulator
@@ -76,7 +76,7 @@ class FundRelaxation:
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         if not scale.all():
-            raise ValueError('nothing limits a fund\'s assets in hindsight: take --penalty "value"')
+            raise ValueError('with foresight a fund has no limit: take --penalty "value"')
         with jax.enable_x64(True):
             available = self._paths(rollout, draws), self._extremes(rollout)
             value, money = self._split(self.price, *available)

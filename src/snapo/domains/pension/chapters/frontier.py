@@ -113,7 +113,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
 
 
 def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
-    """The candidate that is worth most; the first of equals."""
+    """The candidate with the highest value; the first of equals."""
     values = np.array([value_of(goal, item.totals) for item in candidates])
     return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 
@@ -142,7 +142,7 @@ def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -
         paths=max(values.paths, 2 * round(TAIL / (1 - frontier.level) / 2)),
         warmup=min(values.warmup, frontier.steps // 8),
         temperature_start=values.temperature_end,
-        exploration=0.0,  # the policy has explored already
+        exploration=0.0,  # the policy is trained already
         validation_every=max(1, frontier.steps // CHECKS),
     )
     problem = replace(setup.problem, objective=goal)

@@ -47,7 +47,7 @@ RECOVERY = (
 FUNDING = (
     "Every basis discounts the same expected payments at annual rates of the curve plus its"
     " margin; mortality is that of the case on all of them. The payments of the recovery plan are"
-    " level, at the end of each year, and worth the deficit on technical provisions."
+    " level, at the end of each year, with the deficit on technical provisions as their value."
 )
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
 

@@ -201,7 +201,7 @@ class Buckets:
 
 
 def _real(run: PensionRun, result: TodayTables) -> Table:
-    """+1 bp of all rates: what pays prices, what pays money, and both."""
+    """+1 bp of all rates: real assets, nominal assets, and both."""
     parts = []
     for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
         for side in ("assets", "liability"):

@@ -1,4 +1,4 @@
-"""Who gets the return of a fund of pots, and the solidarity reserve at the end of a year.
+"""How a fund of pots shares its return, and the solidarity reserve at the end of a year.
 
     protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
     of the reserve         = S Rc: a pot with x = 0
@@ -15,13 +15,13 @@ toedelingsregels zo vormgeven dat er op voorhand geen herverdelingseffecten tuss
 plaatsvinden in de solidaire premieregeling?" (29 June 2023, updated 7 November 2023), step 1: V RH
 is credited to a pot, on the whole of V; R is the return of the protection portfolio or of
 zero-coupon bonds, Rc that of cash, x the share of interest rates that is hedged. Its formula of RH
-is an image that could not be read: RH = x R + (1 - x) Rc follows from these words, and from
+is an image that could not be read: RH = x R + (1 - x) Rc follows from this text, and from
 Pensioenwet, art. 10a (5), which forbids redistribution beforehand between pots, and between them
 and the reserve (DNB, factsheet "Toedelingsregels in de solidaire premieregeling", 29 June 2023).
 
 The reserve has an exposure of one; a loss that it cannot bear falls on the pots, in proportion to
-their exposures. All functions hand on the whole sum of money: pots and reserve after them add up to
-those before and the return.
+their exposures. All functions conserve money: pots and reserve after them add up to those before
+plus the return.
 """
 
 from collections.abc import Callable
@@ -100,8 +100,8 @@ def closed(
     rules: Reserve,
     smooth: Constraints,
 ) -> ClosedPots:
-    """The end of a year: the reserve takes its share of the excess return `gained` in it, gives
-    back what it holds beyond its largest size, and restores pensions.
+    """The end of a year: the reserve takes its share of the excess return `gained` in it, returns
+    the excess over its maximum size, and restores pensions.
 
     **Arguments:**
 

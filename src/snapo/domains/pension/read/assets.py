@@ -66,7 +66,7 @@ def read_assets(
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
-            raise rows[_cash(classes)].error(column_name, "cash takes what the others leave")
+            raise rows[_cash(classes)].error(column_name, "cash is the rest of the other classes")
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
@@ -197,8 +197,8 @@ def _groups(
 ) -> tuple[AssetGroup, ...]:
     """Groups in the order in which they appear; limits may be in any of a group's rows.
 
-    Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
-    may weigh.
+    Without limits a group has a weight from 0 to 1, or the sum of its classes' limits where a class
+    may be short.
     """
     short, groups = bool((low < 0).any()), []
     minimum, maximum = (-FARTHEST, FARTHEST) if short else (0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Cells of the tables: optional ones, words, names and times."""
+"""Cells of the tables: optional ones, keywords, names and times."""
 
 import math
 from collections.abc import Sequence

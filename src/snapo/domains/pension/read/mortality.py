@@ -23,7 +23,7 @@ FORMULA = replace(RATIO, meaning="a number of the formula of mortality rises by 
 LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
-OLD = 110  # a table that ends here or later is used as it is, and so is one that ends at `HALF`
+OLD = 110  # a table that ends here or later, or at a probability of `HALF`, is used unchanged
 HALF = 0.5  # a death probability at which nearly all are dead soon
 FEWEST = 10  # ages of a table that can be closed
 

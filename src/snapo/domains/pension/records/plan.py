@@ -133,7 +133,7 @@ class Liability:
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual
-      rates of today's curve, term by term, and what it is there in continuous rates is held.
+      rates of today's curve, term by term, and the resulting continuous spreads are held.
     - `loading`: for expenses, index []: reserves are 1 + `loading` times the value of the payments.
     - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
       curve; basis "fixed" then takes `rate` as real), "capped" payments that follow them within

@@ -44,8 +44,8 @@ def correlated(parts: Sequence[float], correlation: float) -> float:
 
 
 def equity_loss(rules: Rules, held: dict[str, float]) -> float:
-    """S2 of the market values {group: money} of shares and property; what falls in a group that is
-    sold short loses nothing, and makes up for no other."""
+    """S2 of the market values {group: money} of shares and property; a group that is sold short has
+    no loss, and its gain offsets no other loss."""
     names = ("developed", "emerging", "unlisted", "unlisted-property")
     parts = [rules.falls[name] * max(held.get(name, 0.0), 0.0) for name in names]
     return correlated(parts, rules.correlations["equity"])
