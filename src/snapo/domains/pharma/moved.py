@@ -1,4 +1,4 @@
-"""A process without a policy, calculated at other inputs: what the live page shows of it.
+"""A process without a policy, calculated at other inputs for the live page.
 
 Every number is that of a run of the moved case, to the bits: the same functions on the same draws.
 """

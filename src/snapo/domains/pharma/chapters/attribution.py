@@ -100,7 +100,7 @@ def measure(run: StudyRun) -> Attributions:
 
 
 def show(run: RunFiles, result: Attributions) -> list[Block]:
-    """Which unit moves what, and every path."""
+    """The attributes that each unit affects, and every path."""
     if not result.paths:
         return [Missing("There is no attribution.")]
     rows = [(x.attribute, x.parameter, " → ".join(x.units), number(x.value)) for x in result.paths]

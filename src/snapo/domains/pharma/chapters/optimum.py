@@ -64,7 +64,7 @@ class DecisionResult:
 
 @dataclass(frozen=True)
 class LimitResult:
-    """A limit of an attribute; `value`: what the goal gains by one unit more room."""
+    """A limit of an attribute; `worth`: the gain of the goal per unit of additional room."""
 
     attribute: str
     unit: str
@@ -97,7 +97,7 @@ class KeptChance:
 
 @dataclass(frozen=True)
 class BestRecipe:
-    """The answer to `[optimise]`; `chance`: before and after; `ends`: of every start."""
+    """The answer to `[optimise]`; `chance` before and after; `ends` of every start."""
 
     sense: Literal["maximise", "minimise"]
     terms: tuple[GoalTerm, ...]
@@ -281,7 +281,7 @@ def _facts(result: BestRecipe) -> Facts:
     ]
     for name, probability in zip(("as given", "best recipe"), result.chance):
         error = plus_minus(100 * probability.error, 1)
-        facts.append((f"Chance of all limits, {name}", percent(probability.probability), error))
+        facts.append((f"All limits kept, {name}", percent(probability.probability), error))
     return Facts(facts)
 
 

@@ -1,4 +1,4 @@
-"""What moves what: the matrix as heat map in three forms, the ranking, tornados."""
+"""The sensitivity matrix as heat map in three forms, the ranking, tornados."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -37,9 +37,9 @@ class Balance:
     balance of a unit that takes more than there is stays open.
 
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
-    where they use it (of mass: what molar masses of few digits leave over); "solvent": kg with
-    anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
-    heat, `inflow` with what reactions release.
+    where they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
+    and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent heat, `inflow`
+    with the heat of reaction.
     """
 
     unit: str
@@ -186,7 +186,7 @@ def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
     names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
     caption = (
         "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
-        "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
+        "reactions, below 0 where they use a species; of mass, the error of rounded molar masses"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 

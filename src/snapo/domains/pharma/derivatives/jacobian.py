@@ -8,8 +8,8 @@ from ..flowsheet.process import Process
 from ..given import Entry
 from .mode import DERIVATIVES, Mode
 
-# One adjoint pass in forward tangents, both beside the run that they share: measured on the process
-# of `snapo new pharma`. Of a unit with so many states that derivatives go step by step it is more.
+# Cost of an adjoint pass in forward tangents, both without the run that they share: measured on the
+# process of `snapo new pharma`. It is higher for a unit with many states.
 ADJOINT_COST = 1.1
 
 

@@ -33,7 +33,7 @@ class Connection:
 
     @property
     def stream(self) -> str:
-        """The name of what flows: "unit.outlet", or that of a feed."""
+        """The name of the stream: "unit.outlet", or that of a feed."""
         return f"{self.source}.{self.outlet}" if self.outlet else self.source
 
 

@@ -69,7 +69,7 @@ def flow(
 def problem_of(
     case: PharmaCase, unit: Timed, inputs: dict[str, Any], endpoints: Mapping[str, Array]
 ) -> Dynamics:
-    """A unit's initial value problem, once the timed units before it have come to their ends."""
+    """A unit's initial value problem, given the `endpoints` of the timed units before it."""
     before = case.units[: [item.name for item in case.units].index(unit.name)]
     streams = _through(case, before, inputs, False, endpoints).streams
     values = tuple(streams[name] for name in sources(case)[unit.name])
@@ -94,7 +94,7 @@ def through(
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """The `streams` with those that a group makes; a loop's come to their steady state first."""
+    """The `streams` with those of the outlets of a group; a loop is solved for its steady state."""
     loops = {}
     if group.torn:
         torn, loops[group.loop] = _torn(case, group, streams, inputs)

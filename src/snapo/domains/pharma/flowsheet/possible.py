@@ -1,11 +1,11 @@
-"""Values that a measure cannot have: what the equations give where their assumptions end."""
+"""Impossible values of a measure, which equations give where their assumptions fail."""
 
 import math
 
 from .case import PharmaCase
 
 AT_LARGEST = 0.01  # of the crystals' volume in the largest cell, out of which none can grow
-ROUND_OFF = 1e-9  # in the domain's unit: what round-off may take from a number that is zero
+ROUND_OFF = 1e-9  # in the domain's unit: round-off that makes a zero negative
 
 
 def smallest(measure: str) -> float:

@@ -1,10 +1,10 @@
 """Where the design space ends, with an interval, along the lines of its map.
 
 Every point of the map has the same draws. Between two points the distance of each draw from each
-limit is taken to be straight, so that the share of the draws that keep all limits is known at any
-place on a line, to second order in the map's spacing. The boundary is where that share falls
-below what is required. A place belongs to its 95 % interval where the interval of the share there
-(Wilson's) holds what is required: the test of a share, inverted (Casella and Berger, Statistical
+limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
+position on a line, to second order in the map's spacing. The boundary is where that share falls
+below the required one. A position belongs to its 95 % interval where Wilson's interval of the share
+there contains the required one: the test of a share, inverted (Casella and Berger, Statistical
 Inference, section 9.2).
 """
 

@@ -85,7 +85,7 @@ def _givens(case: PharmaCase):
 
 
 def normals(case: PharmaCase, n: int, seed: int) -> np.ndarray:
-    """[n, V] standard normals behind `all_draws`, correlated as the uncertainty says."""
+    """[n, V] standard normals behind `all_draws`, with the correlation of the uncertainty."""
     size = len(all_entries(case))
     uniform = np.random.Generator(np.random.Philox(key=seed)).random((n, size))
     # Half of the generator's last digit keeps the inverse normal away from minus infinity.

@@ -152,7 +152,7 @@ def _together(
 
 
 def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:
-    """(share, attribute that fails, sure, possible) of every way; all are looked at together."""
+    """(share, attribute that fails, certain, possible) of every way; searched together."""
     count, within, times = search
     observed = [{0.0: (True, -1, True, True)} for _ in ways]
 

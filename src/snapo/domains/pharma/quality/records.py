@@ -54,8 +54,9 @@ class Attribute:
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
       attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None where there is none. `citation`: the source of the limit
-      (guideline, version, table), or that it is the user's own; never empty where one is set.
-    - `margin`: what counts as a small difference in `unit`, above 0: smooth indicators' width.
+      (guideline, version, table), or a note that the user set it; never empty where there is a
+      limit.
+    - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.
     """
 
     name: str
@@ -77,8 +78,8 @@ class Uncertainty:
 
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
-    - `between`: [U] whether it differs between batches (a feed), or is one number that is not known
-      (a rate constant); () where only what changes within a batch differs between them.
+    - `between`: [U] True for a number that differs between batches (a feed), False for one unknown
+      number (a rate constant); () where batches differ only by changes within them.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """

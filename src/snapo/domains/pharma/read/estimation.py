@@ -115,7 +115,7 @@ def _experiment(
         if time > end * (1 + ROUND_OFF):
             message = (
                 f"{unit} ends at {end:.10g} s in this experiment, and after that there is nothing "
-                f"to compare with; a longer batch says so by {endpoints[unit][0]} in its `settings`"
+                f"to compare with; for a longer batch set {endpoints[unit][0]} in its `settings`"
             )
             raise row.error("time", message)
     values = np.array([_cell(row, "value", available[row.cells["state"]], ANY) for row in rows])

@@ -117,7 +117,7 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with all that is known of them; used in order unless `index` says else.
+    """Numbers of a case with their metadata; used in order unless there is an `index`.
 
     `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """

@@ -133,8 +133,8 @@ def every_measure(network: FlowNetwork, units: Sequence[Unit]) -> dict[str, str]
 
 
 def share_of(measure: str, unit: str, network: FlowNetwork, units: Sequence[Unit]) -> float:
-    """By what a measure is multiplied to be a share on the basis that `unit` names: that of a yield
-    or of an impurity follows from molar masses.
+    """The factor from a measure to a share on the basis that `unit` names: for a yield or an
+    impurity it follows from molar masses.
 
     **Raises:** `UnitError` where it is not known.
     """
@@ -202,7 +202,7 @@ def _margin(low: float | None, high: float | None) -> float:
 def read_uncertainty(
     file, raw: list[dict], correlations: list[dict], numbers: EntryNumbers, notes, fit: FittedRows
 ) -> Uncertainty:
-    """`[[uncertainty]]` and `[[correlations]]`, and after them what was fitted to data."""
+    """`[[uncertainty]]` and `[[correlations]]`, followed by the numbers fitted to data."""
     which: list[Entry] = []
     spreads, when, between = [], [], []
     for i, correlation in enumerate(raw):

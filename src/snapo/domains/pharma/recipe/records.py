@@ -30,7 +30,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Term:
-    """`weight` times a measure, or times a number of the case, in the owner's `unit`.
+    """`weight` times a measure, or times a number of the case, in the user's `unit`.
 
     - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `CaseInput`'s values, None
       for a measure. `scale`: case's unit = `scale` times the domain's (0 is 0 in both).

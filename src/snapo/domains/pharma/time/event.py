@@ -42,7 +42,7 @@ def saturation_share(
     for _ in range(ROUNDS):
         points = left + (right - left) * fixed(PARTS)
         below = jax.lax.stop_gradient(distance(points, at_rest)) <= 0
-        # The last point lies below by choice of the bracket, also where round-off says otherwise.
+        # The last point lies below by choice of the bracket, even if round-off suggests otherwise.
         first = jnp.clip(jnp.argmax(below), 1, len(PARTS) - 1)
         first = jnp.where(jnp.any(below), first, len(PARTS) - 1)
         left, right = points[first - 1], points[first]

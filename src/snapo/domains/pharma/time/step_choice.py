@@ -46,7 +46,7 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
         factor = SAFETY * jnp.maximum(size, 1e-12) ** (-1 / ORDER)
         factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, MINIMUM, MAXIMUM), MINIMUM)
         requested = factor * (to - share)
-        # A step cut short at a node says little about the one after it.
+        # A step cut short at a node has little information about the next one.
         width = jnp.where(valid & (to == node), jnp.maximum(requested, width), requested)
         norms = [jnp.max(jnp.sum(jnp.abs(jacobian), axis)) for axis in (0, 1)]
         fastest = jnp.where(valid, jnp.maximum(fastest, jnp.minimum(*norms)), fastest)

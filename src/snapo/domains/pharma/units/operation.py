@@ -1,4 +1,4 @@
-"""A unit operation: one object with its whole behaviour, from its table to the report's words.
+"""A unit operation: one object with all of its behaviour, from its table to its report.
 
 A new one is one file with one class, of which `registry` has the list. Every `CaseInput` of a unit
 is named "unit.field" ("reactor.temperature"), the unit being the object's own `name`; labels say

@@ -49,7 +49,7 @@ class Thickener(Instant):
         return ["crystals, with a share of the liquor: thick; the rest of it: liquor"]
 
     def deliver(self, network, inlets, inputs):
-        """Its measure: kg of crystals per m3 of what is thick."""
+        """Its measure: kg of crystals per m3 of the underflow."""
         feed, share = inlets[0], use(inputs, self.underflow)
         thick = feed.replace(
             species=feed.species * share,

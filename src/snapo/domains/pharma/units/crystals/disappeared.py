@@ -15,7 +15,7 @@ REMEDY = 'by moments none disappears; take method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
-    """Of a `track` by moments and the `rates` along it: what is gone, as text; "" where little is.
+    """Crystals that dissolve along a `track` by moments with its `rates`, as text; "" if few do.
 
     Of the crystals at the start those are the smallest below which two in a hundred lie, if
     their sizes are lognormal with the track's first moments.

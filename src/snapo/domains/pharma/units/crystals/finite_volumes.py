@@ -4,8 +4,8 @@ n_t + (G n)_L = 0 with births B at the smallest size, n(L, t) crystals per m3 an
 followed is the number of crystals in each cell of a fixed grid; between cells they pass at
 n G, n being the density on the side from which they come, by slopes with a limiter: of second
 order where n is smooth, and (almost) without new extremes where it is not. Crystals that dissolve
-shrink, and below the smallest size they are gone. None grows out of the largest cell: what
-gathers there is reported, and is a grid too short.
+shrink, and vanish below the smallest size. None grows out of the largest cell: crystals that
+accumulate there are reported, since the grid is too short.
 
 Moments take n constant within a cell, so the solute follows from the cells' own third moment, and
 mass closes whatever the grid.
@@ -26,8 +26,8 @@ NEGATIVE = 0.05  # of the largest density: so far below zero a time step was uns
 def by_finite_volumes(
     edges: np.ndarray, seed: Float[Array, " N"], fed: Float[Array, " N"] | None = None
 ) -> Population:
-    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed` and `fed`: what
-    is there at the start."""
+    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed` and `fed`: the
+    initial crystals."""
     edges = edges / SIZE
     powers = fixed(cell_powers(edges))
     width = fixed(np.diff(edges))
