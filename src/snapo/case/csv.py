@@ -64,8 +64,8 @@ def cell(value: Any) -> str:
 def write_table(frame: Any, file: Path | str) -> Path:
     """Writes a data frame (pandas, polars, pyarrow …) as a file that a case can name.
 
-    The file's suffix determines how: `.csv` or `.parquet`. Column names are those of the file; an
-    index is left out. Returns the path.
+    The file's suffix determines the format: `.csv` or `.parquet`. Column names are those of the
+    frame; an index is omitted. Returns the path.
 
     **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
     another ending, `TypeError` for an object that is no frame.

@@ -153,9 +153,9 @@ def check(
 
     **Arguments:**
 
-    - `problem`: a `Problem`; or a simulator, with its `inputs` after it, and `objective`,
-      `scenarios` and `constraints` by name.
-    - `scenarios`: standard normals when not given; `Supplied` where noise is something else.
+    - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
+      and `constraints` as keywords.
+    - `scenarios`: by default standard normals; `Supplied` for any other noise.
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
     simulator: Any = problem

@@ -99,11 +99,11 @@ class Clip:
 
     - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
       most this times the path's weight: it has the same meaning for any number of paths.
-    - `keep`: the share of the adjoint that goes on from one step to the one before it, 0 to 1. An
-      outcome k steps after a decision then counts keep^k in its derivative, as with a discount;
+    - `keep`: the share of the adjoint that is passed from one step to the previous one, 0 to 1. An
+      outcome k steps after a decision then counts keep^k in its derivative, like a discount factor;
       outputs of `terminal` count as part of the last step.
 
-    Totals, and all that a decision earns in its own step, are unchanged.
+    Totals, and the earnings of a decision in the same step, are unchanged.
 
     >>> snapo.Clip(keep=0.9)
     Clip(norm=inf, keep=0.9)
@@ -121,7 +121,7 @@ class Clip:
                 raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; allowed is {allowed}.")
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
-        """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
+        """[N, 2]: the bound of each path, from the largest of its weights, and `keep`."""
         sizes = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
         size = np.concatenate(sizes).max(0)
         # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
@@ -168,7 +168,7 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 class Engine(abc.ABC):
     """Simulates paths, and computes adjoints along the same paths.
 
-    `steady`: a path's totals have the same bits whatever else is recorded.
+    `steady`: the bits of a path's totals do not depend on what is recorded.
     """
 
     precision: str = "float32"
@@ -179,15 +179,15 @@ class Engine(abc.ABC):
         return np.dtype(self.precision)
 
     def numbers(self) -> AbstractContextManager:
-        """The context in which this engine's precision exists (JAX's switch is thread-local)."""
+        """The context that enables this engine's precision (JAX's switch is thread-local)."""
         return jax.enable_x64(True) if self.precision == "float64" else nullcontext()
 
     def leave(self, result: PyTree) -> PyTree:
-        """Float64 results become NumPy arrays: outside `numbers` JAX would truncate them."""
+        """Converts float64 results to NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
     def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
-        """This engine on a problem: its simulator and its schedule.
+        """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too.
         """
@@ -250,9 +250,9 @@ class Engine(abc.ABC):
         actions=None,
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
-        """`adjoint` of each part of the paths: of the first parts[0], of the next parts[1] …
+        """`adjoint` of each part of the paths: the first parts[0], the next parts[1] …
 
-        Derivatives have a leading axis of parts; there are none at the start.
+        Derivatives have a leading axis of parts; those with respect to initial states are omitted.
         """
         adjoints, first = [], 0
         for size in parts:
@@ -273,7 +273,7 @@ class Engine(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class BoundEngine:
-    """An engine with a simulator and its schedule; each call supplies the other arguments.
+    """An engine bound to a simulator and its schedule; each call supplies the other arguments.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
     """

@@ -18,7 +18,7 @@ NAMES = ("auto", "xla", "native")
 
 
 class Engines(NamedTuple):
-    """The engine that trains (float32) and the one that evaluates (float64), and why these."""
+    """The engines of training (float32) and evaluation (float64), and the reason for the choice."""
 
     train: Engine
     evaluate: Engine

@@ -31,15 +31,15 @@ class Family:
         snapo.evaluate(member, solution.policy)
         snapo.sensitivities(member, solution.policy)
 
-    The policy observes the inputs named, each from -1 at its lower to 1 at its upper bound, after
-    the simulator's own features. An objective that is no mean, such as a CVaR, is that of the paths
-    of all members together, so that training heeds the worst members most.
+    The policy observes these inputs, scaled from -1 at the lower to 1 at the upper bound, after the
+    features of the simulator. An objective that is not a mean, such as a CVaR, is that of the paths
+    of all members together, so that training gives the worst members most weight.
 
     **Arguments:**
 
     - `ranges`: {input: (low, high)}, numbers or arrays shaped like the input; an array's entries
       vary one by one.
-    - `members`: how many points of the ranges train (a number of Sobol's, filled evenly).
+    - `members`: the number of training points in the ranges (Sobol points).
     """
 
     problem: Problem
@@ -75,9 +75,9 @@ class Family:
         return replace(self.problem, simulator=Members(self._seen, points), inputs=self._others)
 
     def at(self, values: dict[str, Any]) -> Problem:
-        """The member where the inputs named have these values, others those of the problem.
+        """The member with these values of the inputs, the others as in the problem.
 
-        **Raises:** `ValueError` outside the ranges, where the policy has seen nothing.
+        **Raises:** `ValueError` outside the ranges, where the policy was not trained.
         """
         member = self.problem.at(values)
         for name, (low, high) in self.ranges.items():

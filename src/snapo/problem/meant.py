@@ -83,8 +83,8 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
 
 SAID_OBJECTIVE = "`objective`, "
 SAID = """
-    `problem` is a `Problem`; or a simulator, with its `inputs` after it, and {objective}`scenarios`
-    and `constraints` by name.
+    `problem` is a `Problem`, or a simulator followed by its `inputs`, with {objective}`scenarios`
+    and `constraints` as keywords.
     """
 
 

@@ -24,7 +24,7 @@ from .simulator import Schedule, State
 
 
 class Process(eqx.Module):
-    """One path of something that no decision moves. Subclass it and fill in every method.
+    """One path of an exogenous process. Subclass it and implement every method.
 
     **Attributes:**
 
@@ -54,11 +54,11 @@ class Process(eqx.Module):
 
     @abc.abstractmethod
     def level(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
-        """The quantity that decisions meet at this step: the spot price, in its unit."""
+        """The quantity on which decisions depend at this step: the spot price, in its unit."""
 
     @abc.abstractmethod
     def forward(self, constants: PyTree, now: PyTree) -> Float[Array, "..."]:
-        """The level of this step expected today; exact for a `martingale`."""
+        """The expectation of this step's level today; exact for a `martingale`."""
 
     @abc.abstractmethod
     def observe(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, " features"]:
@@ -70,13 +70,13 @@ class Process(eqx.Module):
 
     def weight(self, state: State) -> Float[Array, ""]:
         """The likelihood ratio of the path so far: the number 1, with the derivative of the log
-        probability of those draws that have none of their own, such as regimes. A simulator
-        multiplies every output by it."""
+        probability of draws without a pathwise derivative, such as regimes. A simulator multiplies
+        every output by it."""
         return jnp.ones(())
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of the inputs that set the probabilities of such draws: their derivative is right
-        only in the mean of many paths."""
+        """Names of the inputs of the probabilities of such draws: their derivative is correct only
+        in the mean of many paths."""
         return ()
 
     def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:

@@ -24,14 +24,14 @@ Total = Literal["sum", "max", "last"]
 
 
 class Schedule(eqx.Module):
-    """The numbers that all paths share, made once per call by `Simulator.prepare`.
+    """The numbers that all paths share, computed once per call by `Simulator.prepare`.
 
     **Arguments:**
 
     - `constants`: any tree of arrays that holds for the whole horizon.
     - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
 
-    Either may be left out where there is none.
+    Both are optional.
     """
 
     constants: PyTree = eqx.field(default_factory=dict)
@@ -39,10 +39,10 @@ class Schedule(eqx.Module):
 
 
 class Interface(NamedTuple):
-    """All that a policy has to fit.
+    """The properties to which a policy is fitted.
 
-    - `action`: the set in which its actions lie; `features`: the length of its observation.
-    - `stages`: of a `Chain`, the same for every stage by itself.
+    - `action`: the set of its actions; `features`: the length of its observation.
+    - `stages`: for a `Chain`, the same for every stage.
     """
 
     action: Actions
@@ -59,8 +59,8 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
-    - `fully_observed`: declared by an author who knows that the observation has all of the state
-      that matters to a decision; it is then not examined (`problem.unseen`).
+    - `fully_observed`: whether the observation is declared to contain all of the state that matters
+      to a decision; it is then not examined (`problem.unseen`).
     """
 
     horizon: eqx.AbstractVar[int]
@@ -87,7 +87,7 @@ class Simulator(eqx.Module):
         return self, lambda schedule: schedule
 
     def on_paths(self) -> "Simulator":
-        """This simulator as the engines roll it: without the arrays that only `prepare` reads."""
+        """This simulator as used by the engines: without the arrays that only `prepare` reads."""
         return self
 
     @abc.abstractmethod
@@ -111,7 +111,7 @@ class Simulator(eqx.Module):
         return {}
 
     def totals(self) -> Mapping[str, Total]:
-        """How an output's path total is made, by name: "sum" (where not named), "max" or "last"."""
+        """How outputs are totalled over a path, by name: "sum" (the default), "max" or "last"."""
         return {}
 
     def control_variates(self) -> tuple[str, ...]:
@@ -119,9 +119,9 @@ class Simulator(eqx.Module):
         return ()
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of inputs whose derivative on one path is no difference of that path: parameters of
-        draws in whole units, say, right in the mean of many. A certificate takes the mean's.
-        Parameters of `snapo.noise` are known without."""
+        """Names of inputs whose derivative is not that of a single path, but correct in the mean of
+        many, such as parameters of draws in whole units. A certificate compares the mean.
+        Parameters of `snapo.noise` need not be named."""
         return ()
 
     def state_scale(self, constants: PyTree) -> State | None:
@@ -133,7 +133,7 @@ class Simulator(eqx.Module):
         return {}
 
     def interface(self, schedule: Schedule) -> Interface:
-        """The set of actions and the number of features, for policies that are still to be made."""
+        """The action set and the number of features, from which policies are created."""
         return Interface(self.action, probe(self, schedule)[1].shape[0])
 
 

@@ -130,7 +130,7 @@ class Constraints(eqx.Module):
 
 
 class Smooth(Constraints):
-    """Constraints rounded at `temperature` (an array; zero gives the exact ones).
+    """Constraints smoothed at `temperature` (an array; zero gives the exact ones).
 
     >>> round(float(snapo.Smooth(0.1).minimum(1.0, 1.0, scale=2.0)), 6)  # below by 3/16 of 0.2
     0.9625
@@ -184,7 +184,7 @@ class Smooth(Constraints):
 
 
 class Exact(Constraints):
-    """The constraints as the contract writes them.
+    """The exact constraints, as in the contract.
 
     >>> float(snapo.Exact().clip(7.5, 0.0, 5.0))
     5.0

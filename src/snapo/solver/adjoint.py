@@ -55,7 +55,7 @@ def value_and_gradient(
 
     **Arguments:**
 
-    - `smooth`: through a hard decision the pathwise derivative is blind, so use
+    - `smooth`: pathwise derivatives ignore the jumps of discrete decisions, so use
       `Smooth(temperature)` for derivatives through the policy's reaction, or
     - `decisions="held"`: they are recorded first and then replayed; the policy's gradient is zero.
     - `engine`: by default XLA in float64.

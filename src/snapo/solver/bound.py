@@ -41,7 +41,7 @@ SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far
 
 
 class Between(NamedTuple):
-    """A mean, its standard error, and its 95 % interval (Student, independent groups of paths)."""
+    """A mean, its standard error and its 95 % interval (Student, independent groups of paths)."""
 
     value: float
     standard_error: float
@@ -76,7 +76,7 @@ class Bound:
 
     @property
     def says_little(self) -> str:
-        """Why the bound leaves open how good the policy is; empty where it does not."""
+        """Why the bound is not informative about the policy; empty if it is."""
         value = abs(self.lower.value)
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:
@@ -153,14 +153,15 @@ def bound(
 
     **Arguments:**
 
-    - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or of
-      stopping where `Stop` is the only decision.
+    - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or that
+      of stopping if `Stop` is the only decision.
     - `penalty`: "none" is perfect foresight; "value" the approximate value function itself;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
-    - `source`: scenarios, by default ones that nothing else uses.
+    - `source`: scenarios, by default ones that are used for nothing else.
 
-    **Raises:** `ValueError` where the objective is no mean over paths, where no relaxation is given
-    or known, or where the inner problem earns less than the policy on some path: then it is none.
+    **Raises:** `ValueError` if the objective is not a mean over paths, if no relaxation is
+    available, or if the inner problem earns less than the policy on some path, so that it is not
+    valid.
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
@@ -201,8 +202,8 @@ def nested_mean(
 ) -> np.ndarray:
     """[paths] the mean of `value` over nested draws, for an expectation without a closed form.
 
-    `value` takes standard normals [size, paths] and returns [..., paths]. Each path has draws of
-    its own, in antithetic pairs. The estimate is unbiased, so a penalty made with it still has
+    `value` takes standard normals [size, paths] and returns [..., paths]. Each path has separate
+    draws, in antithetic pairs. The estimate is unbiased, so a penalty computed with it still has
     mean zero; its noise only widens the bound (Andersen and Broadie 2004).
     """
     random = np.random.default_rng(seed)

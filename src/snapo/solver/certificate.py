@@ -27,17 +27,17 @@ NUDGE = 1e-3  # of each number: larger than any step, small against the number i
 
 
 class Bump(NamedTuple):
-    """One derivative from the adjoint and from differences on the same paths.
+    """One derivative from the adjoint and from finite differences on the same paths.
 
     - `direction`: the label bumped, or "random direction" over all of the input's entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
     - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
     - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
-    - `crossing`: the share of paths that meet a kink within the step; where the adjoint is
-      neither side, it and the differences are those of the other paths only. Where all paths meet
-      one, the adjoint has to lie between the sides.
-    - `judged`: whether it decides. Where all paths meet several kinks at once, an adjoint that is
-      right may lie outside of both sides; the same derivative nearby decides then.
+    - `crossing`: the share of paths with a kink within the step; if the adjoint equals neither
+      side, it and the differences are those of the other paths only. If all paths have a kink, the
+      adjoint has to lie between the sides.
+    - `judged`: whether it counts. If all paths have several kinks at once, a correct adjoint may
+      lie outside of both sides; the same derivative at a nearby point counts then.
     """
 
     input: str
@@ -53,7 +53,7 @@ class Bump(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The distance to the central difference, at a kink to the nearer one-sided one."""
+        """The distance from the central difference, at a kink from the nearer one-sided one."""
         if self.crossing == 1.0:
             low, high = sorted((self.up, self.down))
             return max(low - self.adjoint, self.adjoint - high, 0.0)
@@ -78,7 +78,7 @@ class Bump(NamedTuple):
 
 
 class Feasibility(NamedTuple):
-    """The smallest slack of one limit over all paths and steps, and where it was."""
+    """The smallest slack of one limit over all paths and steps, and its position."""
 
     limit: str
     worst: float
@@ -86,7 +86,7 @@ class Feasibility(NamedTuple):
     step: int
 
     def row(self, round_off: float) -> dict[str, Any]:
-        """The limit as a row of a table; kept, where it is violated by no more than round-off."""
+        """The limit as a row of a table; violations up to round-off count as kept."""
         return self._asdict() | {"passed": self.worst > -round_off}
 
 
@@ -172,15 +172,15 @@ def bump_check(
     every: bool = False,
     only: Collection[str] | None = None,
 ) -> list[Bump]:
-    """The adjoint against differences in float64, on the same paths.
+    """The adjoint against finite differences in float64, on the same paths.
 
     On the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the policy
     reacts; without, the exact simulator replays its recorded decisions.
     Every input, or those named by `only`, is bumped along one random direction of signs, or with
     `every` entry by entry.
-    Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
-    difference; along a direction in which different paths take different sides, it is neither,
-    and only the paths without a kink within the step are compared (see `Bump.crossing`).
+    Path weights are held, as in the adjoint. At a kink an adjoint equals one of the one-sided
+    differences; along a direction in which paths differ in the side, it equals neither, and only
+    the paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)

@@ -28,11 +28,11 @@ MAX_BYTES = 2**28  # of decisions that are kept
 
 
 class Value(NamedTuple):
-    """An estimate, its standard error, and how much the control variates explained.
+    """An estimate, its standard error, and the share explained by control variates.
 
-    - `control`: the share of the variance that they removed (0 without any).
-    - `dropped`: the paths left out, since they are non-finite.
-    - `refused`: controls whose mean is not zero, and which therefore were not used.
+    - `control`: the share of the variance removed by control variates (0 without any).
+    - `dropped`: the number of non-finite paths, which are left out.
+    - `refused`: controls with a nonzero mean, which were not used.
     """
 
     value: float
@@ -59,7 +59,7 @@ def evaluate(
 
     **Arguments:**
 
-    - `paths`: how many. `smooth`: `Smooth(temperature)` values the simulator of training.
+    - `paths`: their number. `smooth`: `Smooth(temperature)` for the simulator of training.
     - `engine`: by default XLA in float64.
     """
     totals = path_totals(problem, policy, paths, smooth=smooth, engine=engine)
@@ -261,7 +261,7 @@ def simulate(
 
     **Arguments:**
 
-    - `smooth`: `Smooth(temperature)` plays the simulator of training.
+    - `smooth`: `Smooth(temperature)` for the simulator of training.
     - `engine`: by default XLA in float64.
     """
     source = problem.sources.evaluation

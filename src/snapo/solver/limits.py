@@ -131,13 +131,12 @@ ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths 
 class LimitFound(NamedTuple):
     """A limit on fresh paths of the exact simulator.
 
-    - `name`, `level`: it; `value`, `standard_error`, `low`, `high`: the measure, 95 % interval.
-    - `price`, `price_error`: the shadow price, by which one unit more of the level changes the
-      objective (negative for a lower limit); zero where the limit does not bind: where training
-      gave it no multiplier, or the measure keeps a distance from the level. `multiplier`: the one
-      in training.
-    - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, by
-      less than a thousandth of one path's deviation, or by less than round-off.
+    - `name`, `level` of the limit; `value`, `standard_error`, `low`, `high` of the measure.
+    - `price`, `price_error`: the shadow price, the change of the objective per unit of the level
+      (negative for a lower limit); zero if the limit does not bind: if its multiplier in training
+      is zero, or the measure is far enough from the level. `multiplier`: the one in training.
+    - `met`: "met", "not met", or "met nearly": missed by less than the half width of the interval,
+      a thousandth of one path's deviation, or round-off.
     """
 
     name: str

@@ -41,7 +41,7 @@ HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
 @dataclass(frozen=True)
 class Solution:
-    """What `solve` found.
+    """The result of `solve`.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
     - `smoothing_gap`: exact less smooth value, on the first of the same paths, with its standard
@@ -160,7 +160,7 @@ class Solution:
         write_tables(file, tables)
 
     def lines(self) -> list[str]:
-        """The value and how it was found, in a few lines."""
+        """A summary of the value and the training, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
         if np.isfinite(self.smoothing_gap_error):
             gap = f"{gap} ± {self.smoothing_gap_error:,.2g}"
@@ -238,7 +238,7 @@ class Solution:
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        `like` is a policy of the same shape; without one the solution comes without its policy.
+        `like` is a policy of the same shape; without it the solution has no policy.
 
         **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
         policy: of another shape, with another activation, with another set of actions.

@@ -95,8 +95,8 @@ class Estimate(NamedTuple):
     def norm(self) -> tuple[float, float]:
         """The Euclidean norm, and the norm of the noise in it.
 
-        Noise adds the sum of the squared standard errors to the square of a norm: it is taken
-        off, and a norm that is within its noise may be zero.
+        Noise adds the sum of the squared standard errors to the square of a norm: it is subtracted,
+        and a norm below its noise may be zero.
         """
         noise = float(np.linalg.norm(self.standard_error))
         square = float(np.sum(self.value**2)) - noise**2

@@ -260,7 +260,7 @@ MISTAKES = (ValueError, KeyError, TypeError, AttributeError, IndexError, Recursi
 
 
 class PolicyFileError(ValueError):
-    """A policy that no file can describe, or a file that holds none."""
+    """A policy that cannot be written to a file, or a file without a valid policy."""
 
 
 def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:

@@ -34,9 +34,9 @@ class Noise(eqx.Module):
 
     **Attributes:**
 
-    - `size`: the number of standard normals that one draw takes.
-    - `separate`: whether draws are separate values (whole numbers, regimes), so that a parameter
-      that moves slightly moves no path, or a few by a whole value: see `Simulator.in_mean`.
+    - `size`: the number of standard normals of one draw.
+    - `separate`: whether draws are discrete (whole numbers, regimes), so that a small change of a
+      parameter changes no path, or a few by a whole value: see `Simulator.in_mean`.
 
     Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
     plain arrays. The derivative with respect to a parameter is that of `draw`: where a draw jumps,
@@ -56,7 +56,7 @@ class Noise(eqx.Module):
     separate: ClassVar[bool] = False
 
     def prepare(self) -> "Noise":
-        """The same noise with all that no path changes worked out, for `Simulator.prepare`."""
+        """The same noise with all precomputations that paths share, for `Simulator.prepare`."""
         return self
 
     @abc.abstractmethod

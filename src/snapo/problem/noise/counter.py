@@ -32,7 +32,7 @@ class Counter(eqx.Module):
         return self._normals(self.keys[INITIAL_STREAM], jnp.uint32(0), size, dtype)
 
     def steps(self, first, length: int):
-        """What the scan over time carries along: the number of the step."""
+        """Input of the scan over time: the number of the step."""
         return first.astype(jnp.uint32) + jnp.arange(length, dtype=jnp.uint32)
 
     def noise(self, step: UInt32[Array, ""], size: int, dtype) -> Float[Array, " size"]:

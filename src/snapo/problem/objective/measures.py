@@ -203,7 +203,7 @@ class CRRA:
         return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.risk_aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
-        """The certainty equivalent of this utility; infinite where there is none."""
+        """The certainty equivalent of this utility; infinite if there is none."""
         if self.risk_aversion == 1:
             return float(np.exp(utility)) - self.wealth
         power = (1 - self.risk_aversion) * utility
@@ -230,7 +230,7 @@ class Target(ByPath):
 
 @dataclass(frozen=True)
 class Probability(ByPath):
-    """The probability that x > threshold; its weights round the step over `width` (in x's unit).
+    """The probability that x > threshold; its weights smooth the step over `width` (in x's unit).
 
     The value is the exact frequency. The pathwise derivative of a step is zero, so the weights
     are those of a logistic step of this width.

@@ -21,16 +21,16 @@ from ..smooth import EXACT, Exact
 
 
 class Memory(Policy):
-    """A policy that remembers `memory` numbers, which are zeros before the first decision.
+    """A policy with a memory of `memory` numbers, which are zeros before the first decision.
 
-    A subclass states how many in `memory` and writes `decide`. Called as policies are, it takes
-    the observation followed by the memory, and gives the action followed by the next memory.
+    A subclass defines their number in `memory` and the method `decide`. When called, it takes the
+    observation followed by the memory, and returns the action followed by the next memory.
     """
 
     @property
     @abc.abstractmethod
     def memory(self) -> int:
-        """How many numbers it remembers."""
+        """The size of the memory."""
 
     @abc.abstractmethod
     def decide(
@@ -55,9 +55,9 @@ class GRU(Memory):
     """A recurrent network (gated recurrent unit, Cho et al. 2014) with `hidden` units.
 
     Its decision is linear in the observation and in its units, squashed into the action set.
-    `GRU(hidden=16)` is a recipe, as `MLP(hidden=…)` is: `solve` makes it for the simulator.
-    `hidden` by default: 16 units, and where more than eight numbers are decided, half the width of
-    an `MLP`.
+    `GRU(hidden=16)` is a recipe like `MLP(hidden=…)`: `solve` creates the network for the
+    simulator. Default of `hidden`: 16 units, and if more than eight numbers are decided, half the
+    width of an `MLP`.
     """
 
     gates: Network | None

@@ -21,8 +21,8 @@ SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leav
 class Interval(NamedTuple):
     """A derivative along a direction of an input: the value and the limits of its 95 % interval.
 
-    - `sampling`, `policy`: the half-width of the sampling error, and by how much the error of the
-      policy widens it. At a kink `low` and `high` also hold both one-sided derivatives.
+    - `sampling`, `policy`: the half-width due to the sampling error, and its increase due to the
+      error of the policy. At a kink `low` to `high` also contains both one-sided derivatives.
     """
 
     value: float
@@ -59,12 +59,12 @@ class Reported(NamedTuple):
     - `source`: "held" (decisions replayed), "through the policy" (a move of the exact simulator
       with the policy reacting), "range" (at a kink: between both one-sided derivatives) or "not
       known".
-    - `estimate`: by block; a number of which only the sum with its neighbours is known is NaN.
-    - `by`: the move of the input to which `whole` [B] belongs: the derivative along it by block.
-    - `unseen`: standard error of the policy's reaction that `estimate` leaves out, like the input.
+    - `estimate`: by block; NaN for numbers of which only the sum is known.
+    - `by`: a move of the input; `whole` [B]: the derivative along it by block.
+    - `unseen`: standard error of the policy's reaction that is not in `estimate`, like the input.
     - `slopes`: [n, *shape] of the estimate with respect to the coordinates of `curvature`;
       `others`: [K, *shape] changes in random directions of all weights, over sqrt(2 loss).
-    - `sides`: the one-sided derivatives along `by`, (less, more), of a kink; else None.
+    - `sides`: the one-sided derivatives along `by` at a kink, (less, more); else None.
     """
 
     source: str
@@ -118,7 +118,7 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """With this bound on the policy's gap, where it is the smaller one."""
+        """With this bound on the policy's gap, if it is smaller than the present one."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 

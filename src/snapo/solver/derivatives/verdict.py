@@ -56,7 +56,7 @@ class Verdict(NamedTuple):
 
     @property
     def two_sided(self) -> bool:
-        """Whether more and less of the input differ, by a corner or by curvature."""
+        """Whether the one-sided derivatives differ, because of a corner or of curvature."""
         return abs(self.up - self.down) > AGREE * self.side_error
 
     def row(self, name: str) -> tuple:

@@ -207,7 +207,7 @@ class Growth(NamedTuple):
         return self.times > TAME
 
     def describe(self) -> str:
-        """One sentence: by how much they grow, at which step and in which part of the state."""
+        """One sentence on their growth, with the step and the part of the state."""
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:

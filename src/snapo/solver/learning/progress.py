@@ -24,10 +24,10 @@ MAX_SLOWED = 3  # times that a run that broke goes on at a lower rate, if no rat
 class Record(NamedTuple):
     """One line of the training history; `exact` and `best` as of the last validation.
 
-    `window`: the length of the windows that the step went back through; 0: the whole horizon.
+    `window`: the length of the windows for backpropagation; 0: the whole horizon.
     `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
-    `clip`, `keep`: the bound on each path's own adjoint in the step (0: none), and the share of it
-    that went on at every step back.
+    `clip`, `keep`: the bound on each path's adjoint in the step (0: none), and the share of it that
+    is passed on at every backward step.
     """
 
     step: int
@@ -62,20 +62,18 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Progress:
-    """Everything that a stopped run needs to go on: the whole state of the loop.
+    """The complete state of the training loop, from which a stopped run can continue.
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
-    steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
-    `window`, `critic`: of training on windows, given or chosen.
-    `clip` is the bound in force, if there is one, and `keep` the share; `since` the step at which
-    the optimiser began, or restarted, its gradients having exploded. `growth`: the adjoints, where
-    they were measured.
-    `dual`: the prices of the problem's limits.
-    `raced`: the rounds in which starts fell out, where there were several.
-    `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
-    `redrawn`: the steps at which it restarted from other initial weights (see `verdict.constant`);
-    `unchanged`: the validations in a row in which every path earned the same.
-    `scale`: of the features that no decision moves, for which the first layer is trained.
+    steps / 2, steps: whenever a run stops, the first is from its second quarter, or its middle.
+    `window`, `critic`: of training on windows, specified or chosen. `clip` is the current bound, if
+    any, and `keep` the share; `since` the step at which the optimiser began, or restarted after
+    exploding gradients. `growth`: the adjoints, where they were measured. `dual`: the prices of the
+    problem's limits. `raced`: the rounds in which starts were dropped, if there were several.
+    `slowed`: the steps that failed, after each of which the rate is lower (see `train`). `redrawn`:
+    the steps at which it restarted from other initial weights (see `verdict.constant`);
+    `unchanged`: the validations in a row in which every path earned the same. `scale`: of the
+    features that no decision affects, for which the first layer is trained.
     """
 
     step: int
@@ -114,7 +112,7 @@ class Progress:
 
     @property
     def restarted(self) -> int:
-        """The last step after which training went on with a lower rate; 0: none."""
+        """The last step after which training continued with a lower rate; 0: none."""
         return self.slowed[-1] if self.slowed else 0
 
     def rate(self, training: TrainingPlan) -> float:
@@ -124,7 +122,7 @@ class Progress:
     @property
     def last_two(self) -> tuple[float, float] | None:
         """The exact values of the last two starts of a race at the same step, the better one first;
-        None without a race. Their distance shows how much of a value is the start's."""
+        None without a race. Their distance shows the effect of the start on the value."""
         if not self.raced:
             return None
         (_, better), (_, other) = self.raced[-1].values

@@ -46,19 +46,19 @@ EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a tr
 
 @dataclass(frozen=True)
 class Training:
-    """How a policy is trained; an "auto" is chosen when the problem is known.
+    """How a policy is trained; "auto" is chosen from the problem.
 
-    - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": they follow the
-      horizon and the size of the policy (below: where they are "auto").
+    - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": chosen from the
+      horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
-      decay to zero. "auto": 0.01, and where the steps are "auto" too, it follows them.
-    - `decay`: the share that a step takes off every trained number, times the rate (AdamW). "auto":
-      0, and where the steps are "auto" too, above 0 for more than eight decisions in one step.
+      decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
+    - `decay`: of weights, per step and times the rate (AdamW). "auto": 0, or if the steps are
+      "auto" too, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
-    - `average`: the averaged policy remembers about this share of the steps.
-    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
-      steps ("auto": every 50, in a short training at every quarter); after `patience` validations
-      without a new best the run stops (None: never).
+    - `average`: the policy is averaged over about this share of the steps.
+    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every
+      `validation_every` steps ("auto": every 50, in a short training at every quarter); after
+      `patience` validations without a new best the run stops (None: never).
     - `window`: backpropagate through windows of this many steps, after which a critic gives the
       continuation value (see `windows`); for means only.
     - `clip`: bound on each path's adjoint at every step (see `engine.Clip`); "auto" sets one only

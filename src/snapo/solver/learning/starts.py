@@ -67,8 +67,8 @@ class Imitating(Around):
 class Imitation(NamedTuple):
     """A policy that imitates a rule.
 
-    - `distance`: the root of the mean square by which its decisions differ from the rule's, a
-      component's range being 1 where it has one.
+    - `distance`: the root mean square difference of its decisions from those of the rule, in units
+      of the range of each component, if it has one.
     """
 
     policy: Policy
@@ -84,7 +84,7 @@ def imitate(
     training: Training | None = None,
     engine: EngineName = "auto",
 ) -> Imitation:
-    """Trains a policy to decide as `rule` does, in the states that the rule itself meets.
+    """Trains a policy to imitate `rule` in the states that the rule visits.
 
         begun = snapo.imitate(problem, snapo.BaseStock(12.0))
         solution = snapo.solve(problem, policy=begun.policy)

@@ -34,16 +34,16 @@ PAIR = 2  # coordinates that a surface has in any case
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How a policy is measured. Zero paths leave a number out.
+    """How a policy is measured. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
       through the smooth policy.
-    - `judge_paths`: at most, for bumps of every input, which the held derivatives are tested by.
-    - `search_paths`: at most, for the value around the policy, which gives the part of every
-      interval that is due to the policy.
-    - `selection_paths`: at most, for the final choice between the policies of a training and the
-      rule that it began with; never more than `paths`.
+    - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
+    - `search_paths`: maximum for the value around the policy, from which the part of every interval
+      due to the policy is computed.
+    - `selection_paths`: maximum for the final choice between the policies of a training and its
+      initial rule; never more than `paths`.
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
 
@@ -63,7 +63,7 @@ class Evaluation:
             count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 
     def sources(self, seed: int) -> Sources:
-        """Fresh scenarios for every role, those of the evaluation as requested here."""
+        """Fresh scenarios for every role, with the kind requested here for the evaluation."""
         fresh = Sources.of(None, seed)
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 

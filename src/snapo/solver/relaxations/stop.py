@@ -143,11 +143,10 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
 
 
 class Relaxation(Protocol):
-    """The inner problem of a simulator: best decisions of one path with perfect foresight,
-    penalised.
+    """The inner problem of a simulator: the best decisions with perfect foresight, penalised.
 
-    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
-    - `description`: the penalty in a phrase, for a report.
+    - `terms`: the number of scalable parts of the penalty; 0 without a penalty.
+    - `description`: a short description of the penalty, for a report.
     """
 
     @property
@@ -157,7 +156,7 @@ class Relaxation(Protocol):
     def description(self) -> str: ...
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the most that each path can add to the objective, or more; penalties subtracted.
+        """[N] an upper bound on the contribution of each path, with penalties subtracted.
 
         `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
         paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
