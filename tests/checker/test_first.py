@@ -203,7 +203,7 @@ def test_an_init_that_sets_what_is_no_field_says_what_is_missing():
         def __init__(self):
             self.rate = 0.5
 
-    with pytest.raises(TypeError, match="__init__ sets 'rate', which is no field"):
+    with pytest.raises(TypeError, match="__init__ sets 'rate', which is not a field"):
         Sets()
 
     class Declared(Plain):

@@ -127,7 +127,7 @@ def test_a_solution_and_check_say_what_is_not_told():
         (note,) = [each for each in snapo.solve(of, policy, **few).notes if said in each]
         assert ("policy with a memory" in note) == more and "decisions held" in note
     assert said in str(snapo.check(of, paths=4))
-    assert "does not tell" not in str(snapo.check(Plant(), INPUTS, paths=4))
+    assert "does not contain" not in str(snapo.check(Plant(), INPUTS, paths=4))
 
 
 @pytest.mark.prove

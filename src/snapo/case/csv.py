@@ -68,11 +68,11 @@ def write_table(frame: Any, file: Path | str) -> Path:
     frame; an index is omitted. Returns the path.
 
     **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
-    another ending, `TypeError` for an object that is no frame.
+    another ending, `TypeError` for an object that is not a frame.
 
     >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")
     Traceback (most recent call last):
-    TypeError: write_table: a dict is no data frame; give one of pandas, polars or pyarrow.
+    TypeError: write_table: a dict is not a data frame; use one of pandas, polars or pyarrow.
     """
     try:
         import narwhals as nw
@@ -83,7 +83,7 @@ def write_table(frame: Any, file: Path | str) -> Path:
         table = nw.from_native(frame, eager_only=True)
     except TypeError:
         message = (
-            f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
+            f"a {type(frame).__name__} is not a data frame; use one of pandas, polars or pyarrow."
         )
         raise TypeError(f"write_table: {message}") from None
     match file.suffix.lower():

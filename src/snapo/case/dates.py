@@ -35,7 +35,7 @@ def dated(
     """What was given under `key`, with its index [len(days)] on the rising dates `days`.
 
     A number in the file holds from its date on. Before the first date holds `before`, under a
-    label of its own and with a remark; without it the file must begin by the first of `days`.
+    separate label and with a remark; without it the file must begin by the first of `days`.
     """
     if not isinstance(inputs, str):
         return CaseInput(

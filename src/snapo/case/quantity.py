@@ -224,7 +224,7 @@ class KeyContext(NamedTuple):
 
 class _Values(dict):
     def __missing__(self, key: str) -> str:
-        return key  # it is wrong, and has a message of its own
+        return key  # it is wrong, and has a separate message
 
 
 ReadKey = Callable[[Any, KeyContext], Any]

@@ -135,7 +135,7 @@ NOTE = re.compile(r"(?:# )?([\w-]+) = [^#]*# (.+)")
 def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     """Writes the tables `data` of a case, and the CSV files in its folder, to a workbook.
 
-    Keys at the top are on the sheet "case", each table has a sheet of its own name, and each CSV
+    Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV
     one of its file's name. Comments of case.toml are notes next to the keys.
 
     **Raises:** `CaseError` where openpyxl is missing.

@@ -265,8 +265,8 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                     where,
                     f"Its derivative is exactly zero, but {factor * bump:.3g} more moves "
                     f"{outputs[k]}.",
-                    "A limit that does not bind yet is no mistake; an integer cast, rounding or a "
-                    "comparison is.",
+                    "A limit that does not bind yet is not a mistake; an integer cast, rounding "
+                    "or a comparison is.",
                 )
                 return True
     if any(pair.moves_decisions(bump) for pair in pairs):

@@ -85,7 +85,7 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--reference", action="store_true", help="compute the exact references as well"
     )
-    solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    solve.add_argument("--resume", action="store_true", help="continue an interrupted run")
     solve.add_argument(
         "--policy",
         metavar="RUN",

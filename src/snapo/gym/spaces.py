@@ -18,7 +18,7 @@ except ImportError as error:
         "snapo.gym needs Gymnasium, which is not installed: pip install 'snapo[gym]'."
     ) from error
 
-Space = Any  # of Gymnasium, which has no types of its own for all of them
+Space = Any  # of Gymnasium, which has no common type for them
 Elements = Any  # N of a space
 SpaceReader = Callable[[Elements], np.ndarray]  # to [N, size] of the set
 Writer = Callable[[np.ndarray], Elements]  # and back

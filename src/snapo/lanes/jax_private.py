@@ -28,7 +28,7 @@ CALLS = {
 }
 # The function inside `jnp.searchsorted`, or its own class, which is compiled as one operation.
 _SEARCHES = ("_searchsorted_scan_impl", "SearchSorted")
-# A primitive of a class of its own, with a list of its parts.
+# A primitive of a separate class, with a list of its parts.
 _OWN_CLASS = "call_hi_primitive"
 # Modules, and the names that are used of each.
 _NAMES = {

@@ -50,7 +50,7 @@ class Files:
     changed: frozenset[str] = frozenset()
 
     def leaves(self) -> Iterator[tuple[Key, Any]]:
-        """All values of the tables that are no tables, with the way to each."""
+        """All values of the tables that are not tables, with the path to each."""
         return _leaves(self.tables, ())
 
     def with_value(self, key: Key, value: Any) -> "Files":
@@ -66,7 +66,7 @@ class Files:
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """The case in a folder of its own: case.toml and its files; returns the file."""
+        """The case in a separate folder: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
         for case_file in case_files(self.folder):
             if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:

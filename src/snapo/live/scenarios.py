@@ -148,7 +148,7 @@ class SavedScenarios:
         """The case of a scenario, as a zip of its files."""
         case = self.folder_of(result) / CASE
         if not case.is_dir():
-            raise Refused("this scenario has no case of its own")
+            raise Refused("this scenario has no case")
         return zipped(case, result)
 
     def one(self, result: str) -> str:

@@ -109,7 +109,7 @@ class Downloads:
         page, _, n = at.partition("-")
         result = self.last(page, int(n))
         if result is None:
-            raise web.HTTPNotFound(text="These numbers are not shown any more.")
+            raise web.HTTPNotFound(text="These numbers are no longer shown.")
         return at, result
 
 
@@ -257,7 +257,7 @@ class Server:
         try:
             order = json.loads(text)
             if not isinstance(order, dict):
-                raise Refused("this is no order")
+                raise Refused("this is not an order")
             n = order.get("n", -1)
             n = n if isinstance(n, int) and not isinstance(n, bool) else -1
             match order.get("do"):
@@ -281,7 +281,7 @@ class Server:
                     self.scenarios.forget(str(order.get("id", "")))
                     await self._tell_all(self._kept())
                 case _:
-                    raise Refused("this is no order")
+                    raise Refused("this is not an order")
         except (Refused, ValueError, OverflowError, RecursionError) as error:
             label = str(error) if isinstance(error, Refused) else "this message cannot be read"
             await self._send(page, {"stage": "refused", "n": n, "message": label})

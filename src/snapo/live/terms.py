@@ -18,7 +18,7 @@ from snapo.solver.derivatives.verdict import plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import LEVEL, Estimate, critical
 
-MAX_DAYS = 62  # dates that are handles of their own; more of them are moved by month
+MAX_DAYS = 62  # dates with separate handles; more of them are moved by month
 MAX_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
 
@@ -215,7 +215,7 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
         if module and _of(str(frame.f_globals.get("__name__", "")), module)
     ]
     if not frames:
-        return f"snapo could not calculate this{at}, by a mistake of its own: {text}."
+        return f"snapo could not calculate this{at}, because of an internal error: {text}."
     code, line = frames[-1]
     position = f"{Path(code.co_filename).name}, line {line}, {code.co_name}"
     return f"Your simulator stopped{at} ({position}): {text}."

@@ -104,7 +104,7 @@ class Valuation(WhatIf):
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and its gain on the same paths.
 
-        It starts from the run's policy, which stays the one that the page values. `summary` hears
+        It starts from the run's policy, which the page continues to value. `summary` hears
         of the steps done and of all; an exception in it ends the training.
         """
         setup, policy = self._at(values, selected)[1], self.solution.policy

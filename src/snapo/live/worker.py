@@ -176,7 +176,7 @@ def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
 
 
 class Cancelled(Exception):
-    """The page does not want it any more."""
+    """The page no longer needs it."""
 
 
 def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:

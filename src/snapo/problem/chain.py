@@ -1,6 +1,6 @@
 """Stages with different state, horizon and outputs, as ONE simulator.
 
-A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map turns the
+A reactor followed by a crystalliser: each stage is a separate `Simulator`, and a map turns the
 final state of one into the initial state of the next.
 """
 

@@ -1,7 +1,7 @@
 """One policy for a range of inputs, which it observes in addition to the state.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
-ranges evenly, each with a schedule of its own. Afterwards the policy decides in any member.
+ranges evenly, each with a separate schedule. Afterwards the policy decides in any member.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The form of a case: all that code is compiled for. Its numbers are arguments of that code.
+"""The form of a case: all on which compiled code depends. Its numbers are arguments of that code.
 
 A simulator of a domain holds no case, but modules with fields of two sorts: static ones (kinds,
 rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:
@@ -34,7 +34,7 @@ class Use(eqx.Module):
 
     @classmethod
     def of(cls, name: str, size: int, index: Int[np.ndarray, "..."]) -> "Use":
-        """Of the input `name` with so many numbers, used at `index`."""
+        """Of the input `name` with this number of entries, used at `index`."""
         plain = size <= 1 or np.array_equal(index, np.arange(size))
         return cls(name, size, index.shape, None if plain else index)
 

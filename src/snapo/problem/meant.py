@@ -1,4 +1,4 @@
-"""The problem that a call means: a `Problem`, or a simulator with all that belongs to it.
+"""The problem of a call: a `Problem`, or a simulator with its inputs and the rest.
 
 Every public function of a problem takes either, in one order of arguments::
 
@@ -156,7 +156,7 @@ def _only_output(verb: str, names: list[str]) -> str:
     """The only output, when there is but one, and nothing shows that it should be small."""
     if len(names) != 1:
         raise ValueError(
-            f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "
+            f"{verb}: the simulator has the outputs {sorted(names)}; name the one to make as "
             'large as possible, such as objective="profit" or -Mean("cost").'
         )
     text = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
@@ -171,7 +171,7 @@ def _only_output(verb: str, names: list[str]) -> str:
 
 
 def _sizes(verb: str, simulator: Simulator) -> None:
-    """Refuses a horizon and numbers of normals that are no such numbers."""
+    """Refuses an invalid horizon and invalid numbers of normals."""
     for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         count(
             f"{verb}: {type(simulator).__name__}: {name}", getattr(simulator, name, None), minimum

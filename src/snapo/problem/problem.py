@@ -1,4 +1,4 @@
-"""A problem: all that `solve` needs to know, in one object that everything above takes."""
+"""A problem: all arguments of `solve` in one object, used by all packages above."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,7 +31,7 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
 
 
 def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
-    """The versions of all of a simulator's code; one of its own where it cannot be run."""
+    """The versions of all of a simulator's code; a unique one where it cannot be run."""
     try:
         schedule = prepare(simulator, inputs)
         versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)
@@ -230,8 +230,8 @@ class Problem:
         )
 
     def at_values(self, values: dict[str, Any]) -> "Problem":
-        """The problem at other values of the inputs named, with all that was computed from them
-        computed again; the policy of a solution can be valued there unchanged.
+        """The problem at other values of the inputs named, with everything that was computed from
+        them recomputed; the policy of a solution can be valued there unchanged.
 
         **Raises:** `KeyError` for a name that is not an input.
         """

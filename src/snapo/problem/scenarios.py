@@ -3,7 +3,7 @@
 Path p is therefore the same whatever the number of paths, chunks, devices or windows, and
 nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
 threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian bridge, and
-`Supplied` holds numbers of one's own.
+`Supplied` holds user-supplied numbers.
 """
 
 import abc

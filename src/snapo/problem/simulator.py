@@ -138,7 +138,7 @@ class Simulator(eqx.Module):
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` whose error explains the fix when it sets an attribute that is no field."""
+    """An `__init__` whose error explains the fix when it sets an attribute that is not a field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:
@@ -149,9 +149,9 @@ def _explained(init: Callable[..., None]) -> Callable[..., None]:
             if not name or name in {field.name for field in fields(self)}:
                 raise
             raise TypeError(
-                f"{type(self).__name__}: __init__ sets {name!r}, which is no field. Declare it in "
-                f"the class, with its type: `{name}: float`; a field has no value of its own "
-                "where __init__ sets it."
+                f"{type(self).__name__}: __init__ sets {name!r}, which is not a field. Declare it "
+                f"in the class, with its type, `{name}: float`, and without a default, since "
+                "__init__ sets it."
             ) from error
 
     return explained

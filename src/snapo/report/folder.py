@@ -151,7 +151,7 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
 
 
 def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
-    """{part: its files that were changed}; result.json has an entry of its own."""
+    """{part: its files that were changed}; result.json has a separate entry."""
     states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
     if "result" in record:
         states[RESULT] = {RESULT: record["result"]}

@@ -276,7 +276,7 @@ def _check(gap: np.ndarray, size: float) -> None:
     if gap.min() < -1e-6 * size:
         path = int(np.argmin(gap))
         message = "the inner problem earns less than the policy"
-        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): it is no relaxation.")
+        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): not a relaxation.")
 
 
 def _between(values: np.ndarray, groups: np.ndarray) -> Between:

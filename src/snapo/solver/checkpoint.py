@@ -1,4 +1,4 @@
-"""What a killed run resumes from: one file, written whole or not at all, and never executed."""
+"""The checkpoint of a run: one file, written atomically, and never executed."""
 
 from collections.abc import Mapping
 from dataclasses import replace

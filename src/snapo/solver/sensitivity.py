@@ -3,7 +3,7 @@
 Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
 recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
 jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, the one that training uses. The reported one is the held one, unless
+through the policy's reaction, as used in training. The reported one is the held one, unless
 a bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
 error of the policy (`derivatives.margin`).
 """
@@ -345,7 +345,7 @@ def second_order(
     paths: int = 4096,
     smooth: Smooth | Exact | None = None,
 ) -> list[dict[str, np.ndarray]]:
-    """How the held derivatives change along chosen directions of the inputs (forward over reverse).
+    """The change of held derivatives along directions of the inputs (forward over reverse).
 
     The decisions respond through the smooth policy: with only held decisions, a value that is
     linear in prices has no second derivative. A direction is {input: array}, zero where not named.

@@ -3,7 +3,7 @@
 `train` is a plain loop. Adam with warm-up and cosine decay climbs; the temperature of the
 constraints is annealed; the parameters are averaged; the averaged policy is validated on the
 EXACT simulator and the best one is kept. Fresh scenarios every step are a function of seed and
-step, so a run that stops goes on bit for bit from its `Progress`.
+step, so a stopped run continues bit for bit from its `Progress`.
 """
 
 import math
@@ -85,11 +85,11 @@ def train(
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
-    With `until` it stops after that step, validated, and can go on from there. A training that does
-    nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    With `until` it stops after that step, validated, and can be continued from there. A training
+    that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
     It stops early where a callback returns True. On Ctrl-C they are called once more, and the
-    interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
+    interrupt is passed on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
     plan = resolve_auto(training, remembering(problem, progress.policy), progress.policy)

@@ -113,7 +113,7 @@ def solve(
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
-    `KeyboardInterrupt` goes on to the caller.
+    `KeyboardInterrupt` is passed on to the caller.
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """

@@ -49,7 +49,7 @@ class Comparison:
     - `values`, `errors`: of the two; None where a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
-    - `settings`: all that decides the numbers and differs.
+    - `settings`: everything that affects the numbers and differs.
     - `sensitivities`: those of inputs that both have, the largest differences first.
     """
 
@@ -158,7 +158,7 @@ def _result(run: Path) -> dict[str, Any]:
     file = run / run_folder.RESULT
     table = run_folder.read_table(file)
     if table is None:
-        message = "the run has no result yet; `snapo solve --resume` goes on with it"
+        message = "the run has no result yet; `snapo solve --resume` continues it"
         raise CaseError(str(file), "", None, message)
     return table
 
@@ -187,7 +187,7 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
     """Reported derivatives that differ, by the difference that they make for the input's own move.
-    Those that are not known in one of the runs are left out."""
+    Those that are unknown in one of the runs are left out."""
     try:
         one, other = (Solution.load(run).sensitivities for run in (first, second))
     except checkpoint.CheckpointError:

@@ -107,7 +107,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     try:
         content = file.read_bytes()
         if not content.startswith(ZIP):
-            raise ValueError("this is no .npz file")
+            raise ValueError("this is not an .npz file")
         arrays, header = read_arrays(file)
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None

@@ -1,4 +1,4 @@
-"""A run prepared: its folder, all that decides its numbers, and its study.
+"""A prepared run: its folder, everything that affects its numbers, and its study.
 
 The case is new, or it is read again from the copy in the folder of its run.
 """
@@ -80,7 +80,7 @@ def use_every_core() -> None:
 class Wanted(NamedTuple):
     """The options of `snapo solve` other than the case.
 
-    - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
+    - `engine`, `reference`: as in `Options`; `resume`: continue the existing run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
     """
@@ -115,7 +115,7 @@ def output_folder(loaded: Loaded, out: Path | None) -> Path:
         message = "this cannot be the name of a folder: its links go in a circle"
         raise CaseError(str(out), "", None, message) from None
     if same:
-        message = "this is the folder of the case; a run has a folder of its own"
+        message = "this is the folder of the case; a run needs a separate folder"
         raise CaseError("--out", "", Unquoted(str(out)), message)
     run_folder.check_writable(out)
     return out

@@ -123,7 +123,7 @@ def _setup(study: Study) -> Setup:
 
 
 def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
-    """The problem on scenarios of its own for the comparison, where they can be drawn."""
+    """The problem on separate scenarios for the comparison, if they can be drawn."""
     problem, sources = setup.problem, setup.problem.sources
     others: Scenarios = sources.evaluation
     fresh = isinstance(others, Pseudo | Sobol)
@@ -179,7 +179,7 @@ def _row(
 
 
 def describe(result: Mapping[str, Any]) -> str:
-    """What choosing the best of several does to the value that is reported."""
+    """The effect of choosing the best of several on the reported value."""
     from snapo.report.quantity import decimals, finite, number
 
     rows, best = result["rows"], result["best"]

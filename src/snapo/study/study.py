@@ -30,7 +30,7 @@ class Setup(NamedTuple):
 
     `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
     None: training begins from `policy` itself.
-    `case`: the one that was made ready, where the problem's simulator does not hold it.
+    `case`: the prepared one, where the problem's simulator does not hold it.
     """
 
     problem: Problem
@@ -175,7 +175,7 @@ class Study:
 class StudyRun:
     """A study while it runs: the results that its parts read, and the folder that they write.
 
-    - `folder`: of the run; `resume`: whether to go on from its checkpoint.
+    - `folder`: of the run; `resume`: whether to continue from its checkpoint.
     - `progress`: takes one line of progress.
     - `results`: the tables of all finished parts by key, as they come back from JSON.
     - `troubles`: errors of writing files.

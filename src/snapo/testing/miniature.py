@@ -38,7 +38,7 @@ class Miniature(NamedTuple):
         return commands.CaseRequest(folder / CASE, self.assignments, self.simulator)
 
     def write(self, folder: Path) -> commands.CaseRequest:
-        """The template, or the case of its own, in `folder`/case."""
+        """The template, or the given case, in `folder`/case."""
         if self.texts is None:
             commands.new(self.kind, folder / CASE, self.size)
         else:

@@ -143,7 +143,7 @@ def _recipe(table: ControlPolicyTable, name: str) -> Policy:
     if table.memory is None:
         return MLP(hidden=hidden)
     if hidden is not None and len(hidden) != 1:
-        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or left out'
+        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or no value'
         raise CaseError(name, "policy.hidden", list(hidden), message)
     return GRU(hidden=None if hidden is None else hidden[0])
 

@@ -119,7 +119,7 @@ def solved(plant: Plant, values: Mapping[str, Any]) -> Riccati | None:
 
 
 def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
-    """The largest mean reward that any rule can have; None where it is not known."""
+    """The largest mean reward of any rule; None where it is unknown."""
     result = solved(plant, values)
     if result is None:
         return None

@@ -46,7 +46,7 @@ class ControlPolicyTable(CaseTable):
     )
     memory: Literal["GRU", "Recent"] | None = Field(
         None,
-        description='"GRU" (a recurrent network) or "Recent" (the last observations), or left out',
+        description='"GRU" (a recurrent network), "Recent" (the last observations) or left out',
     )
     steps: int | None = _whole_number(
         2, 1000, 'with memory = "Recent", of observations that it sees'

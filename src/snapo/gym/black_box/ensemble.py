@@ -27,7 +27,7 @@ class Fit(NamedTuple):
     - `layers`: [(weights [E, out, in], biases [E, out])] in the environment's own units, from
       observation and action to the difference of the observation, the reward of a step after which
       the episode goes on, that of one that ends it, and the log odds of the end.
-    - `raw`: the same between numbers of order one, to go on from.
+    - `raw`: the same between numbers of order one, from which to continue.
     - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
       the members' mean: differences, then the reward; last the share of ends that it misjudges.
     - `spread`: [k] the standard deviation of the environment's own noise.

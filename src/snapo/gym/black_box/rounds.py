@@ -59,7 +59,7 @@ def noisy(policy: Callable[[np.ndarray], np.ndarray], real: Real, rng: np.random
 
 
 def _held(real: Real, rng: np.random.Generator) -> Callable[[int], np.ndarray]:
-    """Uniform numbers from -2 to 2 [m], a new one after every so many decisions."""
+    """Uniform numbers from -2 to 2 [m], a new one after a number of decisions."""
     shortest, longest = (max(1.0, share * real.decisions) for share in (SHORTEST, LONGEST))
     while_ = max(1, round(float(np.exp(rng.uniform(np.log(shortest), np.log(longest))))))
     now = np.zeros(real.size)

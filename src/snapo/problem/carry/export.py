@@ -170,7 +170,7 @@ def to_onnx(
     count = features if observe is not None or features is not None else features_of(policy)
     if count is None:
         raise ValueError(
-            "to_onnx: the number of features is not known from this policy; give features=, the "
+            "to_onnx: the number of features is unknown for this policy; specify features=, the "
             "length of one observation (of one raw vector, where you give observe=)."
         )
     graph = Graph(count, dtype)

@@ -284,7 +284,7 @@ def _slice(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
 
 
 def unstacked(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
-    """The entries along an axis, each as an array of its own."""
+    """The entries along an axis, each as a separate array."""
     (x,), axis = tensors, equation.params["axis"]
     shape, dtype = _out(equation)
     parts = []

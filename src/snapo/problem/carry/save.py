@@ -264,7 +264,7 @@ class PolicyFileError(ValueError):
 
 
 def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
-    """Writes a policy of so many features with its kinds, sizes, activations and weights.
+    """Writes a policy for a number of features with its kinds, sizes, activations and weights.
 
     **Raises:** `PolicyFileError` for a policy of a user-defined class, or with such a function.
     """
@@ -305,5 +305,5 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
             jax.eval_shape(policy, observation, Exact())  # pyright: ignore[reportArgumentType]
     except MISTAKES as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise PolicyFileError(f"{file}: this is no policy of this version ({text}).") from None
+        raise PolicyFileError(f"{file}: this is not a policy of this version ({text}).") from None
     return policy

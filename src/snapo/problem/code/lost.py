@@ -119,7 +119,7 @@ def _results(
 def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
     """What an equation's results depend on."""
     name, params = eqn.primitive.name, eqn.params
-    by_hand = name.startswith("custom_")  # it has a derivative of its own, whatever is inside
+    by_hand = name.startswith("custom_")  # it has a hand-written derivative, for any content
     inner = None if by_hand else jax_private.called(eqn)
     if inner is not None:
         return _results(getattr(inner, "jaxpr", inner), reaches)

@@ -1,4 +1,4 @@
-"""The version of a user's code: a number for all that it reads, such as globals and closures.
+"""The version of a user's code: a number for everything it reads, such as globals and closures.
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
 of one is therefore in `following(version)`: JAX then does not reuse a trace of another version, in
@@ -74,7 +74,7 @@ def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
     return made, sizes, dict(simulator.totals()), simulator.control_variates()
 
 
-KEPT = 512  # versions; one that comes again after so many others is compiled again
+KEPT = 512  # versions; one that returns after this number of others is recompiled
 Version = int | None
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -1,4 +1,4 @@
-"""All that a user's code reads: from the classes and functions in a tree to all that they name.
+"""Everything a user's code reads, from the classes and functions in a tree to what they name.
 
 Functions are read by their code, constants by value, mutable objects by their present content.
 Functions of libraries are taken unchanged.

@@ -101,7 +101,7 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     values, first = [], 0
     for path, item in result:
         if not _is_noise(item):
-            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {item!r}, which is no Noise.")
+            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {item!r}, not a Noise.")
         name = getattr(path[0], "key", None) if path else None
         state = (states[name],) if name in states else ()
         values.append(item.draw(normals[first : first + item.size], *state))

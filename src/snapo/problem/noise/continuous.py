@@ -117,7 +117,7 @@ def cholesky(correlation: Any) -> Float[Array, "K K"]:
 
 
 def refuse_correlation(noise: Any) -> None:
-    """Refuses a triangle of the wrong length, or one that is no correlation."""
+    """Refuses a triangle of the wrong length, or one that is not a correlation."""
     if noise.correlation is None or (lower := concrete(noise.correlation)) is None:
         return
     name, k = type(noise).__name__, many(noise.correlation)
@@ -131,7 +131,7 @@ def refuse_correlation(noise: Any) -> None:
         full = np.eye(k)
         full[rows, columns] = full[columns, rows] = item
         if np.linalg.eigvalsh(full)[0] <= 0:
-            raise ValueError(f"{name}: {item.tolist()} is no correlation: not positive definite.")
+            raise ValueError(f"{name}: {item.tolist()} is not positive definite.")
 
 
 END = 6.5  # normals of 32 bits end at 6.34

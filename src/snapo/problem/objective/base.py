@@ -9,7 +9,7 @@ A measure of risk with a negative weight is the same measure of minus its output
 one: `-CVaR("cost", 0.9)` is minus the mean of the dearest tenth, not of the cheapest. A sign that
 is taken back brings the first measure back.
 
-An objective of one's own is one formula in `jax.numpy`; weights and errors follow from it::
+A user-defined objective is one formula in `jax.numpy`; weights and errors follow from it::
 
     @dataclass(frozen=True)
     class Sharpe(snapo.Objective):

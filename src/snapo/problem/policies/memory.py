@@ -1,6 +1,6 @@
 """Policies that remember: recurrent networks and windows of past observations.
 
-A policy with memory decides by its observation and by numbers of its own, which it hands on to its
+A policy with memory decides by its observation and by internal numbers, which it passes on to its
 next decision. The engines carry these next to the simulator's state (`Remembering`): no one who
 writes a simulator sees them, and recorded actions replay without them.
 """
@@ -143,7 +143,7 @@ class LastObservations(Memory):
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
-            raise ValueError("LastObservations: its inner policy has a memory of its own already.")
+            raise ValueError("LastObservations: its inner policy has a memory already.")
 
     @property
     def memory(self) -> int:

@@ -1,4 +1,4 @@
-"""The derivative that is reported: a value, and an interval that contains the true one.
+"""The reported derivative: a value, and an interval that contains the true one.
 
 The true derivative is that of the best policy's value. Two errors lie between it and an estimate:
 the sampling error of finitely many paths, and the error of the policy, which is near the best one

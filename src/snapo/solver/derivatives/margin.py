@@ -53,7 +53,7 @@ def _pairs(surface: Surface) -> int:
 def margin_of(
     problem: Problem, policy: Policy, surface: Surface, paths: int, seed: int, engine: Engine
 ) -> Margin:
-    """Of the held derivatives, near the policy that is reported, on the first `paths` of those of
+    """Of the held derivatives, near the reported policy, on the first `paths` of those of
     the surface."""
     on = _Derivatives(problem, surface, engine, paths)
     half, pairs = (len(surface.points) - 1) // 2, _pairs(surface)

@@ -33,7 +33,7 @@ from ..evaluate import path_totals
 from ..statistics import Estimate
 from .bump import block_means
 
-EACH = 4  # outputs at most that have a shift and a gain of their own
+EACH = 4  # maximum number of outputs with a separate shift and gain
 MIXTURES = 4  # of the shifts of more outputs
 FEW = 8  # numbers at most of a rule without a network that has a coordinate for each
 SMALL = 1e-3  # the size that a number of a rule has at least, in its own coordinate
@@ -133,13 +133,13 @@ def _vector(policy: Policy) -> np.ndarray:
 
 
 SEARCH = 4  # of the evaluation's streams
-SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
+SEEN, SHARE = 4.0, 5e-4  # a target is this number of standard errors, and this share of the value
 FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
 BEYOND, MINIMUM, MAXIMUM = 1.2, 1.5, 8.0  # of the distance to a loss; how far a try goes at a time
-CLIFF = 4.0  # targets: a fall that is no slope any more
+CLIFF = 4.0  # targets: a fall that is no longer a slope
 POINTS = 1.6  # places for each coefficient of the surface
 LACK, CLOSER, TRIES = 0.2, 1.7, 2  # of a target; closer places where the surface does not fit
-FLAT = 0.5  # of a target: the least curvature over a radius
+FLAT = 0.5  # of a target: the minimum curvature over a radius
 STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the top of the other
 
 
@@ -207,14 +207,14 @@ class _Value:
 
 
 def fresh(source: Scenarios, number: int) -> Scenarios:
-    """Scenarios that nothing else uses; those of Sobol or of one's own serve unchanged."""
+    """Scenarios that are used for nothing else; Sobol or supplied ones are returned unchanged."""
     if not isinstance(source, Pseudo):
         return source
     return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))
 
 
 def rollouts(count: int) -> int:
-    """About how many valuations a surface in so many coordinates takes."""
+    """The approximate number of valuations for a surface in `count` coordinates."""
     return 14 * count + 3 * (count + 1) * (count + 2)
 
 

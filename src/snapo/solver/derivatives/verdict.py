@@ -123,7 +123,7 @@ def reported(
     reactions: Mapping[str, Reaction],
     results: Mapping[str, Verdict],
 ) -> dict[str, Reported]:
-    """{input: the derivative that is reported}, with only the sampling error."""
+    """{input: the reported derivative}, with only the sampling error."""
     result = {}
     for name, values in problem.inputs_by_name.items():
         by = one_percent(values)

@@ -52,7 +52,7 @@ MANY = 64  # paths whose gradient has low noise
 
 
 def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
-    """Whether the norms of successive gradients, of so many paths each, leap up and down."""
+    """Whether the norms of successive gradients, of `paths` paths each, jump up and down."""
     with np.errstate(divide="ignore", invalid="ignore"):
         changes = np.abs(np.diff(np.log(np.asarray(norms, float))))
     # Few paths leave noise in the gradient of a tame problem too.
@@ -92,8 +92,8 @@ def grows(norms: np.ndarray) -> bool:
 
 
 def share_kept(norms: np.ndarray) -> float:
-    """The share of an adjoint that goes on at each step back (`Clip.keep`), from norms [T, N]: a
-    third is left after the steps in which they grow a hundredfold; 1 where they do not.
+    """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
+    N]: a third is left after the steps in which they grow a hundredfold; 1 where they do not.
 
     A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
     -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
@@ -108,7 +108,7 @@ def _finite(norms: np.ndarray) -> np.ndarray:
 
 
 def _agreeing(norms: np.ndarray) -> int | None:
-    """The number of steps from the end after which paths do not agree any more."""
+    """The number of steps from the end after which paths no longer agree."""
     back = norms[::-1]
     usual = np.maximum(np.median(back, axis=1), np.finfo(float).tiny)
     apart = np.flatnonzero(back.max(1) > SPREAD * usual)

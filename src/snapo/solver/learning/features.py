@@ -94,7 +94,7 @@ def networks(policy: Policy) -> list[Network | None]:
     """The networks of a policy that see the features; None instead of each that is not drawn.
 
     Empty for a policy without any, such as a rule, and for one of which that is not known: the
-    stages of a chain, a class of one's own.
+    stages of a chain, a user-defined class.
     """
     if isinstance(policy, LastObservations):
         return networks(policy.policy)

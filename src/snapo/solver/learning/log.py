@@ -91,7 +91,7 @@ def went_back(progress: Progress) -> str:
 
 
 def _before(there: Iterable[bool]) -> int:
-    """The number of steps before the first of which this is true."""
+    """The number of steps before the first one for which this is true."""
     return next((number for number, item in enumerate(there) if item), 0)
 
 
@@ -103,7 +103,7 @@ class CSV:
 
         snapo.solve(…, callbacks=[snapo.log.CSV("training.csv")])
 
-    Columns are those of `history.csv`. A run that goes on from a `Progress` writes all its steps.
+    Columns are those of `history.csv`. A run that continues from a `Progress` writes all its steps.
     """
 
     def __init__(self, file: Path | str):

@@ -161,7 +161,7 @@ def initial_state(plan: Plan, policy: PyTree, updates: int) -> PyTree:
 
 
 def restarted(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
-    """An optimiser that remembers no gradient; its schedule goes on where `state` is."""
+    """An optimiser without memory of gradients; its schedule continues from that of `state`."""
     fresh = initial_state(plan, policy, updates)
     return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
 

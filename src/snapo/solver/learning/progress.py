@@ -1,4 +1,4 @@
-"""The state of a training: all that a stopped run needs to go on."""
+"""The state of a training, from which a stopped run can continue."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from .settings import Training, TrainingPlan, resolve_auto
 from .windows import UPDATES, Learner, learner
 
 SLOWER = 0.25  # of the rate, after a step that broke
-MAX_SLOWED = 3  # times that a run that broke goes on at a lower rate, if no rate is specified
+MAX_SLOWED = 3  # times that a failed run continues at a lower rate, if no rate is specified
 
 
 class Record(NamedTuple):

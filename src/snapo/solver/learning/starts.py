@@ -1,8 +1,8 @@
-"""Several starts at low cost: all begin, and after every round the better half goes on.
+"""Several starts at low cost: all begin, and after every round the better half continues.
 
 Successive halving (Jamieson and Talwalkar 2016): starts differ in the initial weights of their
 networks only and see the same scenarios, so they are distinguished by the exact value on the
-validation's paths, which all share. The last one goes on as a run of one start would.
+validation paths, common to all. The last one continues like a run with one start.
 
 They run one after another: the paths of one start are work for all cores already, so that several
 at once would take as long, in more memory; and all of them share the kernels of the first one.
@@ -122,7 +122,7 @@ APART = 1.0  # percent between two starts at the same step, from which more of t
 
 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
-    """`count` untrained policies: the given one, and others with initial weights of their own.
+    """`count` untrained policies: the supplied one, and others with different initial weights.
 
     Each weight of a `Network`, or of a layer of Equinox, is drawn again, as large as those of its
     layer for the same feature are; numbers of one axis, such as biases, stay.

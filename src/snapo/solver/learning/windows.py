@@ -87,7 +87,7 @@ def learner(problem: Problem, seed: int) -> Learner:
 
 
 def blank(features: int, seed: int = 0) -> Learner:
-    """A critic of observations with so many features, whose weights are the first ones."""
+    """A critic of observations with this number of features, with initial weights."""
     key = jax.random.fold_in(jax.random.key(seed), 1)  # the policy's weights have the key itself
     network = Network((features + 1, *HIDDEN, 1), key=key, activation=jnp.tanh)
     critic = Critic(network, jnp.zeros(()), jnp.zeros(()))

@@ -1,4 +1,4 @@
-"""The policy that is reported: of those that a training leaves, and the rule that it began with.
+"""The choice of the reported policy, among those of a training and its initial rule.
 
 The values of a training's history are compared on the same few paths again and again, so that the
 highest is biased upwards. The final choice is made once, on fresh paths that nothing else uses,
@@ -90,15 +90,15 @@ class Effort(NamedTuple):
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
-        """That of a training on so many paths in all, of so many steps each."""
+        """That of a training on a total number of paths, with a number of steps each."""
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
 
     def valued(self, times: int) -> int:
-        """Paths that can be valued so many times."""
+        """The number of paths that can be valued this number of times."""
         return self._within(self.work / max(times, 1))
 
     def gone_back(self, times: int) -> int:
-        """Paths that can be gone back over so many times."""
+        """The number of paths for this number of backward passes."""
         return self._within(self.work / (BACK * max(times, 1)))
 
     def _within(self, paths: float) -> int:
@@ -173,7 +173,7 @@ def _selected(
     paths: int,
     engine: Engine,
 ) -> tuple[Selection, float]:
-    """The choice on so many paths, and the value of the starting rule on them."""
+    """The choice on a number of paths, and the value of the initial rule on them."""
     controls = problem.simulator.control_variates()
     names = list(candidates)
 

@@ -176,7 +176,7 @@ class Relaxable(Protocol):
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
-UNKNOWN = "its simulator has no method `relaxation` and is no stopping problem; see docs/bounds.md"
+UNKNOWN = "its simulator has no method `relaxation` and is not a stopping problem: docs/bounds.md"
 
 
 def bounded(problem: Problem) -> bool:

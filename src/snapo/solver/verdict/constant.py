@@ -124,7 +124,7 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDec
 
 
 def describe(constants: list[ConstantDecision], of: int) -> str:
-    """A sentence on decisions that never change, of so many."""
+    """A sentence on decisions that never change, out of several."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
         where = numbers_text(np.concatenate([item.value for item in constants]))

@@ -43,7 +43,7 @@ UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # verdicts that a bound may make CONVERGED
 DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
 SIGNIFICANT = 2.0  # standard errors of a gain
-OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
+OFFSET = 10  # times the total gain: a larger value has a part that no decision affects
 ENOUGH = 2048  # paths on which two rules are compared
 TRY_OTHERS = (
     "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
@@ -98,7 +98,7 @@ def ending(
     """How training ended, by the exact simulator on paths of the evaluation; a training that broke
     off has notes but no keyword.
 
-    A rule that breaks a limit of the problem, and more than the trained one does, is no baseline.
+    A rule that violates a limit of the problem more than the trained one is not a baseline.
 
     - `progress`: its `best` is the reported policy; `training`: with "auto" settings resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
@@ -207,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is not known whether a training has ended; empty where it has."""
+    """Why it is unknown whether a training has converged; empty where it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:

@@ -133,7 +133,7 @@ def times_of(progress: Progress, training: TrainingPlan) -> float:
 
 
 def too_short(training: TrainingPlan, step: int) -> bool:
-    """Whether so many steps are inconclusive: the warm-up is a large part of them."""
+    """Whether this number of steps is inconclusive: the warm-up is a large part of them."""
     return step < WARMUPS * training.warmup
 
 

@@ -52,7 +52,7 @@ class LimitRow:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The checks of a run. A domain with figures of its own adds them in a subclass."""
+    """The checks of a run. A domain adds further figures in a subclass."""
 
     bump_check: tuple[BumpRow, ...] = ()
     feasibility: tuple[LimitRow, ...] = ()

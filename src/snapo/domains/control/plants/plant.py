@@ -182,7 +182,7 @@ class Plant(Simulator):
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
         for name in self.disturbed_parts:
             values = jnp.asarray(inputs["noise"][name])
-            # Of three axes: a matrix of its own for each step.
+            # With three axes: a different matrix for each step.
             every = values if values.ndim == 3 else values[None]
             steps[name] = jnp.broadcast_to(every, (self.horizon, *every.shape[1:]))
         return Schedule(constants, steps)

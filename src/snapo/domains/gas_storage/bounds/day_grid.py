@@ -122,7 +122,7 @@ def spacing_of(schedule, inventories: int) -> float:
 
 
 def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:
-    """Where a line bends most, at most so many of its inner breakpoints."""
+    """The inner breakpoints with the largest kinks of a line, up to a maximum number."""
     if len(line.at) < 3:
         return np.zeros(0)
     change = np.abs(np.diff(np.diff(line.value) / np.diff(line.at)))
@@ -276,7 +276,7 @@ def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray
 
 
 def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndarray:
-    """[rows, columns] the most of a line, given on nodes and linear between them, within reach."""
+    """[rows, columns] the maximum of a piecewise linear function on nodes, within reach."""
     best = np.full((rows, line.shape[1]), -np.inf)
     levels = [line]
     for k, selected, first, last in reach.inside:
@@ -293,7 +293,7 @@ def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndar
 
 
 def _exceed(excess, value, line, price, bends: Bends | None) -> None:
-    """The most by which a bend of a cell lies above the chord of `value`, into `excess`."""
+    """The maximum height of the kinks of a cell above the chord of `value`, into `excess`."""
     if bends is None:
         return
     reduceat = value[bends.left] - value[bends.right]

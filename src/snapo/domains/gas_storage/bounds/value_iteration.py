@@ -162,7 +162,8 @@ class FittedMarginal(NamedTuple):
 
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
-    """The table of a fitted value; beyond the inventories that it knows, the last slope goes on."""
+    """The table of a fitted value; outside its inventories it is extrapolated with the last
+    slope."""
     basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
     available = regression(basis)

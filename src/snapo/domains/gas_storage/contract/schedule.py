@@ -84,7 +84,7 @@ class StoreState(NamedTuple):
 
 
 class FlowLimits(NamedTuple):
-    """The net flow that a day must have (`base`), and the bounds of the one that it may have.
+    """The required net flow of a day (`base`), and the bounds of the allowed one.
 
     `keep` is the inventory left without any flow.
     """

@@ -1,4 +1,4 @@
-"""A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
+"""A price process of a gas store: the core's `Process`, with the additions for a storage.
 
 Everything that depends on the kind of price is in its class: its table in the case file, its
 parameters, noise, dynamics, forward price, description. Nothing outside asks which kind it is.
@@ -171,7 +171,7 @@ class PriceProcess(Process):
         return None
 
     def sources(self, seed: int) -> Sources | None:
-        """Scenarios of its own for every role, instead of drawn normals."""
+        """Separate scenarios for every role, instead of drawn normals."""
         return None
 
 

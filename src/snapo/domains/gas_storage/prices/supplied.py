@@ -1,4 +1,4 @@
-"""`[model]` of kind "supplied": price paths of one's own, from two different files."""
+"""`[model]` of kind "supplied": user-supplied price paths, from two different files."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -80,7 +80,7 @@ class SuppliedPrices(PriceProcess):
         arrays = [read_array(reference, len(days), span) for reference in references]
         if np.array_equal(arrays[0], arrays[1]):
             message = (
-                "this holds the same paths as training_paths; evaluation needs paths of its own"
+                "this holds the same paths as training_paths; evaluation needs different paths"
             )
             raise references[1].error(message)
         if table.rescale_to_curve:

@@ -130,7 +130,7 @@ def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.nda
 ENERGY = {"MWh": 1.0, "kWh": 1e-3, "GWh": 1e3, "therm": 0.0293071, "MMBtu": 0.293071, "GJ": 1 / 3.6}
 MONEY = {"EUR": 1.0, "USD": 1.0, "GBP": 1.0, "CHF": 1.0, "p": 0.01, "GBp": 0.01, "ct": 0.01}
 PRICES = (1.0, 1000.0)  # per MWh, in one of these currencies
-APART = 20.0  # a forward price is less than so many times its neighbours
+APART = 20.0  # a forward price is less than this multiple of its neighbours
 
 
 def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
@@ -192,7 +192,7 @@ def free_money(case: StorageCase) -> Iterator[str]:
         )
     elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
         yield (
-            "Injecting gas and withdrawing it again pays by itself: the least injection_cost and "
+            "Injecting gas and withdrawing it again pays by itself: the lowest injection_cost and "
             f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
         )
 

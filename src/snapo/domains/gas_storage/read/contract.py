@@ -164,7 +164,7 @@ def read_contract(
 
 
 def _stock(level: CaseInput, limits: LimitRows) -> CaseInput:
-    """An inventory; one of zero moves by more than the least inventory does, and stays above it."""
+    """An inventory; one of zero moves by more than the minimum inventory, and stays above it."""
     return replace(level, move=2 * small_move(limits.ratchets))
 
 
@@ -176,7 +176,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     rows = read_rows(FileReference(section, "fixed_costs", table.fixed_costs), ("date", "amount"))
     dates = [row.day("date") for row in rows]
     when = ordinals(dates) - valuation.toordinal()
-    # Nothing is owed any more when the contract has ended, nor amounts due before today.
+    # Nothing is owed after the end of the contract, nor amounts due before today.
     due = np.flatnonzero((when >= 0) & (valuation <= table.end))
     before = [row for row, day in zip(rows, when) if day < 0 and valuation <= table.end]
     if before:

@@ -104,7 +104,7 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     if any(place.orders for place in sites):
         columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
         columns.append(mean("order_size", "Order size", unit, 2))
-        text += " Where an order has a cost of its own, the level is the mean over its orders."
+        text += " With a fixed cost, the level is the mean over the orders."
     rows = table(sites, columns, "Stock and service by place")
     return [rows, Text(text, caveat=True)]
 

@@ -38,7 +38,7 @@ ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
 
 class CountDemand(Demand):
-    """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
+    """Demand 0, 1, … up to `maximum`; the last one includes all above.
 
     - `maximum`: the number of demands above zero that are distinguished.
     """

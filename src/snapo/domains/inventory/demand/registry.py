@@ -1,4 +1,4 @@
-"""Finds the kinds of demand in this folder, and reads `[demand]` with the one that it names."""
+"""Collects the kinds of demand in this folder, and reads `[demand]` with the named one."""
 
 import pkgutil
 from collections.abc import Mapping

@@ -49,7 +49,7 @@ def usual_cost(case: InventoryCase) -> float:
 
 
 def memory(case: InventoryCase) -> float:
-    """Periods after which an order has no effect any more: twenty times a lot's and its lead time.
+    """Periods after which an order no longer has an effect: twenty times a lot's and its lead time.
 
     In one case the derivative with respect to when to order, -.06 a deviation of a cost of 12.9, is
     off by .02 with twenty, by .04 with ten.

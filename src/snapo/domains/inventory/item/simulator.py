@@ -248,7 +248,7 @@ def _weighted(outputs, likelihood, usual):
 
 
 def _cycle(state, order, unmet, lead_time: int, smooth):
-    """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
+    """(whether the current cycle has missed demand, (cycles that end, those without unmet
     demand)): of the value only; training has no use for them."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):

@@ -74,7 +74,7 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     """[n], [m] how far S lies above and s below the first level, in deviations; 0 and none where
-    an order has no cost of its own.
+    an order has no fixed cost.
 
     With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
     holding cost of the supplier); an order is placed half a period's demand too late on average.
@@ -124,7 +124,7 @@ def _usual_levels(case: NetworkCase) -> np.ndarray:
 
 
 def memory(case: NetworkCase) -> np.ndarray:
-    """[m] periods after which an order has no effect any more: twenty times a lot's, and those
+    """[m] periods after which an order no longer has an effect: twenty times a lot's, and those
     that it takes to the last customer. See `item.estimates.memory`."""
     lots, (mean, _), sites = economic_lots(case), served(case), list(case.network.fixed)
     return 20 * (case.network.cover[sites] + lots[sites] / mean[sites])

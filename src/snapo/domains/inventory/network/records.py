@@ -59,7 +59,7 @@ class Pool:
 class SupplyNetwork:
     """The places of a network and the ways between them, without any costs and demands.
 
-    - `integer`: whether orders and all that is sent are whole numbers.
+    - `integer`: whether orders and shipments are whole numbers.
     - `cheapest_first`: the numbers of the pools in the order in which they act.
     """
 

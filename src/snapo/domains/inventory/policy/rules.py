@@ -32,7 +32,7 @@ class Classical(Policy):
     Level and reorder point are given relative to the simulator's own level of the period, so that
     they move with a season.
 
-    - `above`: the level S is that much above; `cap`: the most of one order; `reorder`: an order
+    - `above`: the level S is higher by this; `cap`: the maximum order; `reorder`: an order
       is placed where the inventory position lies below s = level + reorder.
 
     With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock

@@ -185,7 +185,7 @@ def _check(
         if row.demand is None and not supplying:
             raise section.error("demand", None, "this place has no customers and supplies no other")
         if row.demand is not None and supplying:
-            message = "a place that supplies another one has no customers of its own: add a place"
+            message = "a place that supplies another one has no customers: add a place"
             raise section.error("demand", row.demand, message)
         observed, here = {row.name}, row.supplier
         while here is not None:
@@ -247,7 +247,7 @@ def _inner(section: TableContext, name: str) -> TableContext:
 
 
 def _whole(demand: Demand, season: CaseInput | None) -> bool:
-    """Whether all that customers ask for is whole: a history times a season is not."""
+    """Whether all demand is whole: a history times a season is not."""
     return demand.integer or (demand.in_pieces() and season is None)
 
 

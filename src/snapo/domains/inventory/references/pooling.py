@@ -1,4 +1,4 @@
-"""Stores that share their stocks: the least cost of normal demand that waits, in closed form.
+"""Stores that share their stocks: the minimum cost for normal demand that waits, in closed form.
 
 Orders arrive before demand (lead time 0), so every period starts at the levels S_i, and after
 demand goods go wherever they are short. With D_i independent, and equal costs, the final stock is

@@ -46,7 +46,7 @@ class Reservoir(snapo.Simulator):
         )
 
     # One week of one path. A limit is written with `smooth`, in the units of `scale`: training
-    # sees it rounded, the value that is reported sees it exact.
+    # uses the smooth limit, the reported value the exact one.
     def step(self, constants, now, state, action, noise, smooth):
         wet, swing = constants["rain_volatility"], constants["price_volatility"]
         inflow = now["inflow"] * jnp.exp(wet * noise[0] - wet**2 / 2)

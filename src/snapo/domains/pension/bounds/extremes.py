@@ -54,7 +54,7 @@ def extremes(
 def _most_received(
     simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
 ) -> Array:
-    """Contributions without assets against the most rights, less benefits on the least."""
+    """Contributions without assets and with the largest rights, less benefits on the smallest."""
     case = simulator.case
     books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(

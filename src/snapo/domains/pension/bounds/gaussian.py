@@ -85,7 +85,7 @@ def _exponent(mean: Array, load: Array, price: Array) -> Array:
 
 
 def fair(returns: GaussianReturns) -> np.ndarray:
-    """[Z] the least prices of risk at which no investment earns more than another, of the first
+    """[Z] the smallest prices of risk at which no investment earns more than another, of the first
     step on the first of many paths."""
     load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])
     mean = np.concatenate([returns.mean[0, 0, :-1], returns.bonds[0]])

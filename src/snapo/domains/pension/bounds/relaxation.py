@@ -122,7 +122,7 @@ class FundRelaxation:
         return FundPaths(returns, self._noise(draws))
 
     def _extremes(self, rollout: Rollout) -> Extremes:
-        """[N, …] the least and the most that decisions can bring about on these paths."""
+        """[N, …] the minimum and the maximum over all decisions on these paths."""
         before = rollout.record["state"].market
         after = jax.tree.map(
             lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rollout.state.market

@@ -129,7 +129,7 @@ def _renewal(selected: Float[Array, "E E"], missing: Float[Array, " E"]) -> Arra
 
 
 def joined(first: Lives, second: Lives) -> Lives:
-    """Both together; only the first have factors of their own."""
+    """Both together; only the first have separate factors."""
     factor = first.factor
     if factor is not None:
         factor = jnp.concatenate([factor, jnp.ones(len(second.age))])

@@ -11,7 +11,7 @@ from .mortality import Yearly, yearly
 
 AT_AGE = 65
 CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
-MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is looked for
+MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched for
 
 
 def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:

@@ -72,7 +72,7 @@ class GlidePath(Policy):
 
 
 class LiabilityDriven(Policy):
-    """A growth portfolio (classes with a shock of their own) and a hedge (bonds, credit, cash).
+    """A growth portfolio (classes with a separate shock) and a hedge (bonds, credit, cash).
 
     The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
     are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.

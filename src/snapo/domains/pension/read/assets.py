@@ -121,7 +121,7 @@ def _cash(classes: Sequence[AssetClass]) -> int:
 
 
 def _class(row: Row, names: AssetNames) -> AssetClass:
-    """One row: the fields that all kinds have, and those of its own."""
+    """One row: the common fields of all kinds, and those of its kind."""
     kind = KINDS[word(row, "kind", tuple(KINDS))]
     for special in SPECIAL:
         if row.cells.get(special) and special not in kind.columns:
@@ -142,7 +142,7 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
 def _volatilities(
     section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
-    """Of the classes `local` with a shock of their own, side by side."""
+    """Of the classes `local` with a separate shock, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
     parts = [on_steps(_volatility(section, rows[i]), grid) for i in local]
@@ -160,7 +160,7 @@ def _volatility(section: TableContext, row: Row) -> CaseInput:
 
 
 def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
-    """[n] low and [n] high, 0 and 1 where they are left out."""
+    """[n] low and [n] high, by default 0 and 1."""
     low = np.array([number(row, "low", 0.0, -FARTHEST, FARTHEST) for row in rows])
     high = np.array([number(row, "high", 1.0, -FARTHEST, FARTHEST) for row in rows])
     for row, minimum, maximum in zip(rows, low, high):

@@ -26,9 +26,7 @@ def read_correlations(
     folded = [name.lower() for name in available]
     for i, name in enumerate(folded):
         if name in folded[:i]:
-            message = (
-                "ratings, currencies and classes with a shock of their own need different names"
-            )
+            message = "ratings, currencies and classes with a separate shock need different names"
             raise section.error("file", available[i], message)
     if table is None:
         return Correlation((), empty("correlation"))

@@ -190,7 +190,7 @@ def read_inflation(
     section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
     """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
-    rates of the case, where the table has none of its own."""
+    rates of the case, by default."""
     annual = (table.compounding or compounding) == "annual"
 
     def input(key: str) -> CaseInput:

@@ -150,7 +150,7 @@ class InflationTable(CaseTable):
 
     break_evens: Name = csv("tenor,rate (or tenor,forward)")
     compounding: Literal["continuous", "annual"] | None = Field(
-        None, description='"continuous" or "annual", as in [curve] where left out'
+        None, description='"continuous" or "annual", by default as in [curve]'
     )
     extrapolation: Literal["flat-forward", "ultimate"] = one_of(
         "flat-forward", "ultimate", default="flat-forward"

@@ -94,7 +94,7 @@ class Correlation:
     """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
 
     - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
-      ratings, currencies, and classes with a shock of their own. Others, and mortality, are
+      ratings, currencies, and classes with a separate shock. Others, and mortality, are
       independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
     - `repaired`: the largest change of an entry, 0 where nothing was repaired.

@@ -21,7 +21,7 @@ class Mortality:
     """Death probabilities of a year by sex and age, with yearly improvement.
 
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
-    closed: the logit of the hazard goes on from the last age with the slope of the `SLOPE_AGES`
+    closed: the logit of the hazard continues from the last age with the slope of the `SLOPE_AGES`
     last ones (V. Kannisto). The last of all ages holds for later ones (a q of 1 ends all lives).
     Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral of mu
     over the year).

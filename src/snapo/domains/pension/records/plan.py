@@ -104,7 +104,7 @@ class PensionPlan:
       birthdays "constant-force", "uniform" deaths.
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
       same salary, so that payroll in wages of today stays constant. Closed: no one enters, actives
-      go on accruing. `accruing` False: no new accrual at all (frozen plan).
+      go on accruing. `accruing` False: no new accrual (frozen plan).
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """
 

@@ -52,7 +52,7 @@ def equity_loss(rules: Rules, held: dict[str, float]) -> float:
 
 
 def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[bool]) -> float:
-    """S3 of the unhedged exposures, money, each in a currency of its own."""
+    """S3 of the unhedged exposures, money, each in a different currency."""
     sides = []
     for market, late in zip(MARKETS, (False, True)):
         local = [item for item, is_late in zip(exposed, emerging) if is_late == late]

@@ -38,7 +38,7 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
     unit = next(item for item in case.units if item.name == user)
     profile = getattr(unit, field)
     if not isinstance(profile, Profile) or profile.kind != "linear":
-        raise ValueError(f"with_nodes: {name} is no piecewise linear profile.")
+        raise ValueError(f"with_nodes: {name} is not a piecewise linear profile.")
     share = np.linspace(0.0, 1.0, count)
     values = np.interp(share, profile.share, profile.value.used())
     labels = tuple(f"{entry:.4g}" for entry in share)

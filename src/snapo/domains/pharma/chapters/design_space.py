@@ -64,7 +64,7 @@ class SpaceMap:
 
 
 def measure(run: StudyRun) -> SpaceMap:
-    """The map and its ends, which are tables of their own too."""
+    """The map and its ends, which are also separate tables."""
     result, loop = space_map(sampled(run), open_loop(run).seed), open_loop(run)
     names = [attribute.name for attribute in loop.case.attributes]
     run.write_csv(MAP, *map_rows(result, names))

@@ -124,7 +124,7 @@ class Estimates(ParameterFit):
 
 
 def measure(run: StudyRun) -> Estimates:
-    """The fit, and the file that a case may name to go on with it."""
+    """The fit, and a file with which a case can use it."""
     loop = open_loop(run)
     result = estimates(loop.process)
     rows = fitted_rows(loop.case, result)

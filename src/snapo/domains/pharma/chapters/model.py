@@ -55,7 +55,7 @@ class AttributeStatement:
 
     @property
     def shown_unit(self) -> str:
-        """Its unit as it is written by hand."""
+        """Its unit in typeset form."""
         return unit_words(self.unit)
 
     @property
@@ -85,7 +85,7 @@ class ParameterStatement:
 
     @property
     def shown_unit(self) -> str:
-        """Its unit as it is written by hand."""
+        """Its unit in typeset form."""
         return unit_words(self.unit)
 
 
@@ -116,7 +116,7 @@ class UnitStatement:
 
 @dataclass(frozen=True)
 class UncertaintyStatement:
-    """A number that is not known exactly; `when`: it is drawn again."""
+    """An uncertain number; `when`: it is drawn again."""
 
     of: str
     nominal: float
@@ -127,7 +127,7 @@ class UncertaintyStatement:
 
 @dataclass(frozen=True)
 class NumberStatement:
-    """A number as it enters the computation; `parameter`: the one that it is, or ""."""
+    """A number as used in the computation; `parameter`: the parameter that it is, or ""."""
 
     input: str
     label: str
@@ -355,7 +355,7 @@ def _tables(result: Statement) -> list[Block]:
     blocks: list[Block] = [Table(head, parameters, "Process parameters", texts)]
     if uncertain:
         head = [("Number", ""), ("Distribution", ""), ("New in every", ""), ("Nominal", "")]
-        caption = "Numbers of the model that are not known exactly"
+        caption = "Uncertain numbers of the model"
         blocks.append(Table(head, uncertain, caption, 3))
     else:
         blocks.append(Text("Every number of the model counts as known exactly."))

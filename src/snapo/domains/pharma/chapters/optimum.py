@@ -126,7 +126,7 @@ class BestRecipe:
 
 
 def measure(run: StudyRun) -> BestRecipe:
-    """The best recipe, and its setpoints as a table of their own where it converged."""
+    """The best recipe, and its setpoints as a separate table if it converged."""
     loop = open_loop(run)
     request = loop.case.optimise
     assert request is not None

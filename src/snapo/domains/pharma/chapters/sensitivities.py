@@ -27,7 +27,7 @@ from . import pictures
 from .model import Statement, stated
 
 DRAWS, LEVELS = 64, (0.05, 0.95)
-SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
+SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a separate table
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Does the answer depend on cells along a length and over sizes? Values on twice as many."""
+"""Dependence of results on cells along a length and over sizes: values on twice as many."""
 
 from dataclasses import dataclass, replace
 

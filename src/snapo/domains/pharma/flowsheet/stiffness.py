@@ -138,7 +138,7 @@ def _doubtful(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
-    """The attributes of the nominal batch on so many steps."""
+    """The attributes of the nominal batch with this number of steps."""
     finer = replace(case, numerics=replace(case.numerics, steps=steps))
 
     def nominal(inputs):

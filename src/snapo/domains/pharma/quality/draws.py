@@ -18,7 +18,7 @@ from .records import Distribution
 
 
 def entries(case: PharmaCase) -> tuple[Entry, ...]:
-    """[U] (input, entry) of the model parameters that are not known exactly."""
+    """[U] (input, entry) of the uncertain model parameters."""
     return tuple(zip(case.uncertainty.inputs, case.uncertainty.entries))
 
 

@@ -7,7 +7,7 @@ LEVEL = 0.95
 
 
 def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest probability that `share` of so many draws supports (Wilson 1927).
+    """Lowest and highest probability supported by the `share` of a number of draws (Wilson 1927).
 
     It is of use near 0 and 1 too: of 128 draws that all hold, the lowest is 0.971.
     """

@@ -71,7 +71,7 @@ class Attribute:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Model parameters that are not known exactly, jointly lognormal or normal, and disturbances.
+    """Uncertain model parameters, jointly lognormal or normal, and disturbances.
 
     U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not see
     them.

@@ -67,7 +67,7 @@ class UnitQuantity(Quantity):
         return self(meaning, default, form="profile", **changes)
 
     def number(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field for a number that is no input."""
+        """A field for a number that is not an input."""
         return self(meaning, default, form="number", **changes)
 
     @property

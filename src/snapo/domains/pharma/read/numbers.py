@@ -240,7 +240,7 @@ def _shares(section: TableContext, raw: Any, count: int) -> np.ndarray:
 
 
 def suggest(name: str, available, noun: str) -> str:
-    """The known name nearest to one that is not known, or all that are."""
+    """The known name nearest to an unknown one, or all known names."""
     plural = noun if noun.endswith("s") else f"{noun}s"
     return (
         nearest(name, available)

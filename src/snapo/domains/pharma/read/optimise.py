@@ -51,7 +51,7 @@ class OptimiseTable(CaseTable):
 def read_optimise(
     file, raw: dict | None, numbers: EntryNumbers, measures: Mapping[str, str], notes
 ) -> Optimise | None:
-    """`measures`: {name: its unit in the domain} of all that can be measured."""
+    """`measures`: {name: its unit in the domain} of all measures."""
     if raw is None:
         return None
     table = parse(OptimiseTable, raw, str(file), "optimise")

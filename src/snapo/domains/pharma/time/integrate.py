@@ -20,7 +20,7 @@ from .step_choice import own_steps
 from .stiff import Stepped, Steps, limit_of, schedule, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
-OWN, MORE = 2, 100  # tries for a stiff run's own steps: twice the nominal ones, and so many more
+OWN, MORE = 2, 100  # steps tried for a stiff run: twice the nominal ones plus these
 
 
 class Solved(NamedTuple):

@@ -19,7 +19,7 @@ class Numerics:
     - `max_steps`: of the adaptive solver, after which the unit's status contains the time reached.
     - `along`: whether derivatives on the mesh are taken along with every step, as suits many
       batches side by side, and not of all steps at once, as is fast for one.
-    - `own_steps`: whether a run whose held steps are refused gets steps of its own in the same
+    - `own_steps`: whether a run whose held steps are refused gets separate steps in the same
       trace, which takes twice as long to compile.
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
       which explicit steps are "measured" to be too long or that need error control, or "all".

@@ -171,7 +171,7 @@ class Timed(Unit):
     @property
     @abstractmethod
     def error_controlled(self) -> bool:
-        """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
+        """Whether a mesh that it chose may be too coarse: stiff, or limited by its cells."""
 
     @property
     def steps_transfer(self) -> bool:

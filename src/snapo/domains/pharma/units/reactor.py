@@ -129,7 +129,7 @@ class Reactor(Timed):
         return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
 
     def fastest(self, network, feeds):
-        """By mass, no species is more concentrated than all that enters would be as this one."""
+        """By mass, a species is at most as concentrated as if the whole inflow consisted of it."""
         if self.jacket is not None:
             return np.inf
         mass = max(network.molar_mass @ feed.concentration.used() for feed in feeds)

@@ -127,7 +127,7 @@ class Build:
     """Everything that the functions of a kernel have in common while they are written.
 
     `work` and `chunk` are the bytes of scratch memory that one thread needs for arrays between
-    two regions and for waiting rows: the most that any function asks for.
+    two regions and for waiting rows: the maximum over all functions.
     """
 
     traced: Traced

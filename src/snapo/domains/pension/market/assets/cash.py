@@ -1,4 +1,4 @@
-"""Cash: it earns the integral of the short rate, without a risk of its own."""
+"""Cash: it earns the integral of the short rate, without further risk."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -2,7 +2,7 @@
 
 r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
 counts under "P" only, and a negative one is a positive premium of long bonds. A model is a
-subclass in a file of its own in this folder that names its factors; the names are those under
+subclass in a separate file of this folder that names its factors; the names are those under
 which a case correlates them.
 """
 

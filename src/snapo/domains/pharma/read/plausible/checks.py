@@ -14,7 +14,7 @@ from ...quality.draws import process_entries
 from ...time.profile import Profile, weights
 from ...units.operation import Inlet, Unit, timed
 
-MINIMUM = 1e-9  # s: of a flow whose duration is not known yet
+MINIMUM = 1e-9  # s: of a flow whose duration is still unknown
 
 
 def check_decided(case: PharmaCase) -> None:

@@ -1,4 +1,4 @@
-"""Crystals that would have dissolved whole, which moments go on counting.
+"""Crystals that would have dissolved completely, but which moments still count.
 
 All crystals grow and shrink by the same length l(t), so one of size L at a time s has the size
 L + l(t) - l(s) later. Once that is below 0 it is gone. In the moments it stays, of a size below 0,
