@@ -52,7 +52,7 @@ def riccati(plant: Linearised, steps: int) -> Riccati:
 
 
 def expected_cost(costs: Riccati, mean, covariance, shocks) -> float:
-    """The mean cost from a initial state with this mean [n] and covariance [n, n].
+    """The mean cost from an initial state with this mean [n] and covariance [n, n].
 
     `shocks`: [n, n] or [T, n, n] covariances of the disturbances.
     """

@@ -28,7 +28,7 @@ class DoubleIntegrator(Plant):
         "position": PlantParameter(1.0, "1/m2", "weight of the squared position", False),
         "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
         "force": PlantParameter(0.1, "1/N2", "weight of the squared force", False),
-        "final": PlantParameter(1.0, "1", "weight of the terminal state", False),
+        "final": PlantParameter(1.0, "1", "weight of the last state", False),
     }
     states: ClassVar = {
         "position": Variable("m", "position", {"mean": 1.0, "deviation": 0.5}),

@@ -29,7 +29,7 @@ class LinearQuadratic(Plant):
     weights: ClassVar = {
         "Q": PlantParameter(None, "1", "weights of the state", False),
         "R": PlantParameter(None, "1", "weights of the action", False),
-        "Q_T": PlantParameter(None, "1", "weights of the terminal state", False),
+        "Q_T": PlantParameter(None, "1", "weights of the last state", False),
     }
     states: ClassVar = {"x": Variable("1", "state")}
     actions: ClassVar = {"u": Variable("1", "action")}
