@@ -11,7 +11,7 @@ from .table import CaseTable, Count, Positive, parse
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
-AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
+AT_MOST = "a whole number, 0 (none) to 100,000,000, the maximum to be used"
 
 
 class TrainingTable(CaseTable):
@@ -57,7 +57,7 @@ class TrainingTable(CaseTable):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
 
-AUTO = "or left out: then it is chosen from the problem"
+AUTO = "or left out: it is then chosen from the problem"
 
 
 class FollowingTable(TrainingTable):

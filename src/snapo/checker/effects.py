@@ -102,7 +102,7 @@ def reached(
     for component in sorted(left):
         notes.error(
             f"{notes.method('step')}: action[{component}]",
-            "It moves the outputs, but its derivative is exactly zero: nothing can be learnt.",
+            "It moves the outputs, but its derivative is exactly zero: nothing can be learned.",
             "Look for rounding, a comparison, an integer or stop_gradient on its way; "
             "write smooth.indicator or smooth.choose for a jump.",
         )

@@ -179,6 +179,7 @@ def observed(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
         if largest > LARGE or 0 < largest < SMALL:
             notes.warning(
                 f"{notes.method('observe')}: feature {feature}",
-                f"Its values reach {largest:.3g} in size; networks learn badly far from order one.",
+                f"Its values reach {largest:.3g} in size; networks learn poorly far from order "
+                "one.",
                 f"Divide it by its typical size, about {largest:.2g}.",
             )

@@ -341,7 +341,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
     """Either a policy or recorded actions decide."""
     if policy is None and actions is None:
         raise ValueError(
-            "engine: neither a policy nor actions were given; one of them must decide."
+            "engine: neither a policy nor actions were specified; one of them is needed."
         )
     if actions is not None and (
         np.ndim(actions) != 3 or np.shape(actions)[2] != simulator.action.size

@@ -69,7 +69,7 @@ class Agent:
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it remembers {len(memory)} episodes, and here are {len(observed)} "
+                f"Agent: it has the memory of {len(memory)} episodes, and here are {len(observed)} "
                 "observations; call reset() where other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)

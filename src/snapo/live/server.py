@@ -252,7 +252,7 @@ class Server:
         return socket
 
     async def _order(self, page: str, text: str) -> None:
-        """One wish of a page; one that is none is answered, and has no effect."""
+        """One request of a page; an invalid one is answered, and has no effect."""
         n = -1
         try:
             order = json.loads(text)
@@ -301,7 +301,7 @@ class Server:
         await self.workers.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
 
     async def hear(self, message: dict[str, Any]) -> None:
-        """One line of the worker: to the page that it is for, or to all."""
+        """One line of the worker: to the page that it concerns, or to all."""
         page = message.get("page")
         if page is None:
             await self._tell_all(message)

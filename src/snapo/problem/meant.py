@@ -163,9 +163,8 @@ def _only_output(verb: str, names: list[str]) -> str:
     if SMALL & set(text):
         name = f'"{names[0]}"'
         raise ValueError(
-            f"{verb}: the only output is {names[0]!r}, and an objective is made as large as "
-            f"possible; write objective=-snapo.Mean({name}) to make it small, or "
-            f"objective={name} to make it large."
+            f"{verb}: the only output is {names[0]!r}, and objectives are maximised; write "
+            f"objective=-snapo.Mean({name}) to make it small, or objective={name} to make it large."
         )
     return names[0]
 

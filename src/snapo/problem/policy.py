@@ -223,8 +223,8 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
         return None
     if not all(values):
         raise ValueError(
-            f"{type(policy).__name__}: give the action set, the number of features and a key "
-            "together, or none of them: then solve finds them."
+            f"{type(policy).__name__}: specify the action set, the number of features and a key "
+            "together, or none of them: then solve adds them."
         )
     assert policy.hidden is not None
     return Network((features, *policy.hidden, action.size), key=key, activation=policy.activation)

@@ -56,8 +56,8 @@ def training_history(run: RunFiles, unit: str) -> Section:
     invalid = run.column("history", "bad_paths")
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
-        "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths left out because of a non-finite number: {number(count, 0)}."
+        "The selected policy is the one with the best exact value on the validation paths, not "
+        f"the last. Paths left out because of non-finite numbers: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
@@ -174,11 +174,11 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
     window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
     if window is not None:
-        summary += f" Training went back through windows of {window} steps."
+        summary += f" Training used windows of {window} steps."
     if clip is not None:
-        summary += f" At its end training bounded each path's own adjoint at {number(clip)}."
+        summary += f" At its end training bounded each path's adjoint at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" A share of {number(keep)} of it went on at every step back."
+        summary += f" A share of {number(keep)} of it was passed on at every step."
     return summary
 
 
@@ -234,8 +234,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
     paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
-        f"share they earn {mean} {unit} on average, {worst} at worst and {best} at best"
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths they earn "
+        f"{mean} {unit} on average, {worst} at worst and {best} at best"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (

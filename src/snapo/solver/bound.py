@@ -185,7 +185,7 @@ def bound(
     groups = source.groups(np.arange(paths))
     below, above = _between(lower[order], groups), _between(upper[order], groups)
     gap = skewed_mean((upper - lower)[order], groups)
-    text = relaxation.description if scale.any() else "none: each path knows its own future"
+    text = relaxation.description if scale.any() else "none: perfect foresight on each path"
     used: Penalty = penalty
     if not scale.any():
         used = "none"

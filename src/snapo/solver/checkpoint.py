@@ -112,9 +112,9 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     result = list(stored.values())
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in result]
     if shapes[0] != shapes[1]:
-        raise CheckpointError(f"{file}: this file holds a policy of another shape.")
+        raise CheckpointError(f"{file}: this file contains a policy of another shape.")
     if text and (other := difference(text, described(_policies(like)))):
-        raise CheckpointError(f"{file}: this file holds another policy: {other}.")
+        raise CheckpointError(f"{file}: this file contains another policy: {other}.")
     # Tables in NumPy keep their precision, which JAX might not have.
     selected = [
         np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)

@@ -96,7 +96,7 @@ def solve_seeds(
     are those of `solve`.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
-        message = "the problem comes first, and seeds has a name: solve_seeds(problem, seeds=5)"
+        message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"
         raise ValueError(f"solve_seeds: {message}; got seeds={seeds!r}.")
     training, evaluation = training or Training(), evaluation or Evaluation()
     if isinstance(seeds, int):

@@ -142,7 +142,7 @@ def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str],
         return described({"policy": policy}), [np.asarray(array) for array in arrays]
     text = header.get("described") if isinstance(header, dict) else None
     if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
-        message = "this file holds no policy: name the folder that `snapo solve` wrote"
+        message = "this file contains no policy: name the folder that `snapo solve` wrote"
         raise CaseError(str(file), "", None, message)
     if isinstance(header.get("header"), dict) and "mark" in header["header"]:
         message = "this is the state of a training: name the folder of its run, or its policy.npz"
@@ -205,7 +205,7 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
-        message = f"{file} trains no policy, so that there is nothing to begin with"
+        message = f"{file} trains no policy, so that an initial one has no use"
         raise CaseError("--policy", "", str(values.source), message)
     setup = _fitted(study.setup, values)
     setup()  # a misfit is refused before anything is written

@@ -67,7 +67,8 @@ class Kind:
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
         if not self.timer:
             allowed = (
-                "nothing of this kind is timed by itself; `snapo solve` reports the times of a case"
+                "nothing of this kind is timed separately; `snapo solve` reports the times of a "
+                "case"
             )
             raise CaseError("KIND", "", self.kind, allowed)
         return self.loaded(self.timer)(engine, progress)

@@ -198,10 +198,10 @@ def describe(result: Mapping[str, Any]) -> str:
     if result["standard_error"] == 0:  # nothing is random
         return f"{text}."
     if result["fresh"]:
-        return f"{text}. The value of this run is on other paths, which that choice has not seen."
+        return f"{text}. The value of this run is on other paths, not used for that choice."
     return (
-        f"{text}. There are no other paths than those of the value, so that it is that of the best "
-        "of several on the same paths, and slightly high."
+        f"{text}. There are no other paths than those of the value, which is therefore that of the "
+        "best of several on the same paths, and biased slightly upwards."
     )
 
 

@@ -122,8 +122,8 @@ MISTAKES = {
     "no code": ([], "", "", "does not name code to run", "simulator:Reservoir"),
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
     "no class": (["--simulator", "simulator:Stop"], "", "", "has no Stop; its classes are Shop"),
-    "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a class made from snapo.Sim"),
-    "python's own": (["--simulator", "json:Shop"], "", "", "a module of Python itself"),
+    "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a subclass of snapo.Sim"),
+    "python's own": (["--simulator", "json:Shop"], "", "", "the name of a module of Python"),
     "no output": (PLACE, 'output = "profit"', "", "objective.output: this key is missing"),
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
@@ -191,7 +191,7 @@ def test_size_and_bench_are_refused_with_a_reason(folder, capsys):
     assert main(["new", "own", str(folder), "--size", "large"]) == 2
     assert "this kind has one example only" in capsys.readouterr().err
     assert main(["bench", "own"]) == 2
-    assert "nothing of this kind is timed by itself" in capsys.readouterr().err
+    assert "nothing of this kind is timed separately" in capsys.readouterr().err
 
 
 def test_an_unreadable_module_message_names_what_raised():

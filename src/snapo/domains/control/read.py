@@ -48,7 +48,7 @@ RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(1e-4, 1e6, "1 g is 0.001 kg", unit="kg"),
 )
 BLIND = (
-    "States are measured with errors, and the policy remembers nothing of earlier ones: "
+    "States are measured with errors, and the policy has no memory of earlier ones: "
     '`[policy] memory = "GRU"` lets it.'
 )
 

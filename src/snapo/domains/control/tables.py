@@ -48,9 +48,7 @@ class ControlPolicyTable(CaseTable):
         None,
         description='"GRU" (a recurrent network), "Recent" (the last observations) or left out',
     )
-    steps: int | None = _whole_number(
-        2, 1000, 'with memory = "Recent", of observations that it sees'
-    )
+    steps: int | None = _whole_number(2, 1000, 'with memory = "Recent", of observations')
 
 
 class PlantTable(CaseTable):
@@ -59,7 +57,7 @@ class PlantTable(CaseTable):
     type: str
     horizon: int | None = _whole_number(1, 100_000, " of steps")
     clock: bool | None = Field(
-        None, description="true or false: whether the policy sees the time that is left"
+        None, description="true or false: whether the policy observes the remaining time"
     )
 
 

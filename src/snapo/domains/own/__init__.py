@@ -47,7 +47,7 @@ class OwnDomain(Kind):
 
 DOMAIN = OwnDomain(
     KIND,
-    "a simulator of your own, in Python next to the case",
+    "your own simulator, in Python next to the case",
     __name__,
     {"reservoir": "template"},
     reader="read:read_case",

@@ -32,7 +32,7 @@ def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     """
     position = Unquoted(f"{module}:{name}")
     if module in sys.stdlib_module_names:
-        message = "a module of Python itself has this name; give yours another one"
+        message = "this is the name of a module of Python; rename yours"
         raise CaseError(OPTION, "", position, message)
     loaded = _loaded(module, position, folder)
     result = getattr(loaded, name, None)
@@ -43,7 +43,7 @@ def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     from snapo.problem.simulator import Simulator
 
     if not (isinstance(result, type) and issubclass(result, Simulator)):
-        message = f"{name} is not a class made from snapo.Simulator"
+        message = f"{name} is not a subclass of snapo.Simulator"
         raise CaseError(OPTION, "", position, message)
     file = Path(loaded.__file__) if loaded.__file__ else None
     digest = hashlib.sha256(file.read_bytes()).hexdigest() if file else ""

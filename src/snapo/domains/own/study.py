@@ -99,7 +99,7 @@ def lines(case: OwnCase) -> list[str]:
 def study(case: OwnCase, options: Options) -> Study:
     """Training, distribution, fans, moves of the inputs, and the certificate."""
     if options.reference:
-        message = "a simulator of your own has no references to compute"
+        message = "a user-defined simulator has no references to compute"
         raise CaseError("--reference", "", None, message)
     available = (options.about or {}).get("notes")
     notes = _notes(case) if available is None else available

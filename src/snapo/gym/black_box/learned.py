@@ -117,8 +117,8 @@ class Learned:
 
         if isinstance(self.environment, gymnasium.Env):
             raise ValueError(
-                "play: episodes run side by side, and only one environment came; give learn its "
-                "name, or a function that makes it."
+                "play: episodes run in parallel, and there is only one environment; pass its name "
+                "to learn, or a function that creates it."
             )
 
         def held():

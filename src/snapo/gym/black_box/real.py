@@ -161,7 +161,7 @@ def opened(environment: Any):
     return environment if isinstance(environment, gymnasium.Env) else made(environment)
 
 
-FLATTEN = "gymnasium.wrappers.FlattenObservation makes a box of it"
+FLATTEN = "gymnasium.wrappers.FlattenObservation converts it to a box"
 SCORES = (
     "the adjoint needs continuous numbers. A gymnasium.ActionWrapper can take a Box of "
     "scores, one for each choice, and choose the largest"
@@ -184,7 +184,7 @@ def _limit(environment: Any, values: int | None) -> int:
     limit = values or getattr(spec, "max_episode_steps", None) or _of_wrapper(environment)
     if not limit:
         raise ValueError(
-            "learn: nothing limits the length of an episode; give limit=200, say, in steps."
+            "learn: the length of an episode has no limit; specify one in steps, such as limit=200."
         )
     return int(limit)
 

@@ -273,9 +273,9 @@ def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
         metadata = encoded(policy, arrays)
     except NotKnown as error:
         raise PolicyFileError(
-            f"policy.save: {error}, which is your own code, and a file holds no code. Give "
-            "Solution.load(folder, like=policy) a policy made by your code in its place, "
-            "or carry it away with snapo.to_onnx, which takes any policy."
+            f"policy.save: {error}, which is user code, and a file contains no code. Use "
+            "Solution.load(folder, like=policy) with a policy made by your code instead, or "
+            "export it with snapo.to_onnx, which takes any policy."
         ) from None
     header = {"snapo policy": FORMAT, "features": features, "policy": metadata}
     write_arrays(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
@@ -292,7 +292,7 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
     except ValueError as error:
         raise PolicyFileError(str(error)) from None
     if not isinstance(header, dict) or "snapo policy" not in header:
-        raise PolicyFileError(f"{file}: this file holds no policy that policy.save wrote.")
+        raise PolicyFileError(f"{file}: this file has no policy written by policy.save.")
     if header["snapo policy"] != FORMAT:
         message = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
         raise PolicyFileError(f"{file}: it {message}.")

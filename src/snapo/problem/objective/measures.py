@@ -153,7 +153,7 @@ class ExpectedUtility(ByPath):
     def as_cost(self) -> Objective:
         raise ValueError(
             f"ExpectedUtility of {self.output}: a utility is of a quantity to be maximised, so its "
-            "weight is positive and it has no upper limit. Of a cost, let the simulator give "
+            "weight is positive and it has no upper limit. For a cost, let the simulator return "
             f"-{self.output} as an output, and write the utility of that."
         )
 

@@ -84,8 +84,8 @@ class GRU(Memory):
             return
         if action is None or features is None or key is None or hidden is None:
             raise ValueError(
-                "GRU: give the action set, the number of features and a key together, or none of "
-                "them: then solve finds them."
+                "GRU: specify the action set, the number of features and a key together, or none "
+                "of them: then solve adds them."
             )
         keys, width = jax.random.split(key, 3), features + hidden
         self.gates, self.fresh = (

@@ -53,8 +53,8 @@ def _slowed(steps: tuple[int, ...]) -> str:
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
-        f"Training broke at {summary}, where too many paths were non-finite, and went on each time "
-        "from the best policy so far with a quarter of the learning rate."
+        f"Training broke at {summary}, where too many paths were non-finite, and continued each "
+        "time from the best policy so far with a quarter of the learning rate."
     )
 
 
@@ -64,7 +64,7 @@ def went_back(progress: Progress) -> str:
     if progress.window is not None:
         since = _before(record.window > 0 for record in history)
         return (
-            f"From step {since} of the training on it went back through windows of "
+            f"From step {since} of the training on it used windows of "
             f"{progress.window} steps with a critic (Training(window=None) never does)."
         )
     ways = []
@@ -75,14 +75,14 @@ def went_back(progress: Progress) -> str:
             lifted = len(clips) - _before(reversed(clips))
             until, end = f" to step {lifted}, after which they grew no more,", ""
         ways.append(
-            f"from step {_before(clips)} of the training on{until} each path's own adjoint was "
+            f"from step {_before(clips)} of the training on{until} each path's adjoint was "
             f"bounded{end} (Training(clip=None) never does)"
         )
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)
         ways.append(
-            f"from step {since} of the training on a share of {progress.keep:.3g} of it went on at "
-            "every step back (Training(keep=1.0) keeps all)"
+            f"from step {since} of the training on a share of {progress.keep:.3g} of it was passed "
+            "on at every backward step (Training(keep=1.0) keeps all)"
         )
     if not ways:
         return "Training did nothing about it; Training(clip=…) or Training(keep=…) would."

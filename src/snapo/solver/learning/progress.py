@@ -151,9 +151,9 @@ def initial_progress(
     window, critic = None, None
     if isinstance(training.window, int):
         if problem is None:
-            raise ValueError("begin: give the problem too where training has a window.")
+            raise ValueError("begin: pass the problem too if training has a window.")
         if problem.constraints:
-            raise ValueError("begin: training on windows knows no constraints; take window=None.")
+            raise ValueError("begin: windows do not support constraints; use window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
     state = initial_state(plan, policy, UPDATES if window else 1)

@@ -96,7 +96,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     )
     blocks: list[Block] = [
         ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
-        table(rules, columns, "Classical rules on the policy's own paths", decimal_places=digits),
+        table(rules, columns, "Classical rules on the paths of the policy", decimal_places=digits),
     ]
     if (best := result.optimum) is not None:
         share = 100 * (best - value) / abs(best) if best else 0.0

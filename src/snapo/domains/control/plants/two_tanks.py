@@ -20,7 +20,7 @@ class TwoTanks(Plant):
     """
 
     type: ClassVar = "two-tanks"
-    description: ClassVar = "two tanks and a pump that holds a level"
+    description: ClassVar = "two tanks and a pump that controls a level"
     steps: ClassVar = 60
     parameters: ClassVar = {
         "area": PlantParameter(15.0, "cm2", "cross section of a tank"),

@@ -228,8 +228,8 @@ def cash_flow(run: StorageRun) -> Section:
         lambda axes: charts.histogram(axes, cash.edges, cash.counts, marks, unit),
     )  # fmt: skip
     caption = (
-        "Earnings of only the storage on one path, unhedged; trading the deltas above takes most"
-        " of this spread out."
+        "Earnings of only the storage on one path, unhedged; trading the deltas above removes "
+        "most of this spread."
     )
     return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])
 

@@ -102,10 +102,10 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
 
 
 AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any case")
-LEVEL = replace(STOCK, column="inventory", meaning="rows of the value of the gas left")
-LEFT = Quantity(group=GROUP, meaning="rows of the value of the gas left")
+LEVEL = replace(STOCK, column="inventory", meaning="rows of the value of the remaining gas")
+LEFT = Quantity(group=GROUP, meaning="rows of the value of the remaining gas")
 SPOT_SHARE = replace(
-    POINTS, plausible=OF_SPOT, meaning="of the gas left, as a share of its spot value"
+    POINTS, plausible=OF_SPOT, meaning="of the remaining gas, as a share of its spot value"
 )
 
 
@@ -191,7 +191,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
 def _read_end(section: TableContext, table: ContractTable, limits: LimitRows) -> EndRule:
     if table.end_inventory != "free":
         if table.end_value not in (None, 0.0):
-            message = 'a value of the gas left needs end_inventory = "free"'
+            message = 'a value of the remaining gas needs end_inventory = "free"'
             raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
         position = (*section.keys, "end_inventory")

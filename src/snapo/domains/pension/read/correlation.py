@@ -64,7 +64,9 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
     for row in rows:
         name = row.cells["name"].lower()
         if name not in folded:
-            raise row.error("name", f"nothing of this name moves; known are {', '.join(available)}")
+            raise row.error(
+                "name", f"nothing random is called this; known are {', '.join(available)}"
+            )
         names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]
     if columns != [name.lower() for name in names]:

@@ -128,7 +128,7 @@ def quotes(
     rates = quantity.from_rows(name, rows, [years(t) for t in tenor])
     if annual and column != "swap":
         rates = _continuous(rates)
-        text = "annual rates were made continuous; sensitivities are per continuous rate."
+        text = "annual rates were converted to continuous; sensitivities are per continuous rate."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
         message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'

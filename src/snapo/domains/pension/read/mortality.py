@@ -87,7 +87,7 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         return count
     got = Unquoted(f"the ages {first} to {last}")
     if count < FEWEST:
-        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to go on from them"
+        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to be extrapolated"
         raise section.error("file", got, message)
     oldest = q[:, -SLOPE_AGES:]
     ages = f"{last + 1 - oldest.shape[1]} to {last}"

@@ -199,8 +199,8 @@ def _profile(run: RunFiles, result: ProfileSlopes) -> Chart:
                "attribute by the temperature at each time.", paint, 120 + 105 * count,
                [1.3, *[1.0] * count])  # fmt: skip
     caption = (
-        "What raising the temperature by one kelvin for ten minutes around a time does to each "
-        "attribute: one adjoint pass per attribute gives the whole curve."
+        "The effect on each attribute of raising the temperature by one kelvin for ten minutes "
+        "around a time: one adjoint pass per attribute gives the whole curve."
     )
     return Chart(svg, caption)
 

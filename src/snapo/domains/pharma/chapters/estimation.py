@@ -161,8 +161,8 @@ def not_handed_on(result: ParameterFit) -> list[str]:
         if bound:
             end = "lower" if bound == "low" else "upper"
             reasons.append(
-                f"{name} is at its {end} bound, and chi² would fall beyond it; its interval is "
-                "one-sided, and those of the others hold it there."
+                f"{name} is at its {end} bound, and chi² would decrease outside; its interval is "
+                "one-sided, and those of the others assume this bound."
             )
     for numbers, size in zip(result.minima, result.minima_chi2):
         listed = ", ".join(f"{name} {x:.6g}" for name, x in zip(result.names, numbers))

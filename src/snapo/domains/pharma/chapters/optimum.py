@@ -321,7 +321,7 @@ def _limits(result: BestRecipe) -> Table | Missing:
         for x in result.limits
     ]  # fmt: skip
     if not rows:
-        return Missing("No attribute has a limit, so that only the bounds hold the recipe.")
+        return Missing("No attribute has a limit, so that only the bounds restrict the recipe.")
     head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
             ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
     caption = "Limits; a multiplier is the gain of the goal if the limit yields by one unit"
@@ -334,7 +334,7 @@ def _ramps(result: BestRecipe) -> Table:
         for x in result.ramps
     ]
     head = [("Piece of a profile", ""), ("Ramp", ""), ("Used", ""), ("Multiplier", result.unit)]
-    return Table(head, rows, "Ramps; a multiplier is per whole ramp more", 2)
+    return Table(head, rows, "Ramps; a multiplier is per additional ramp", 2)
 
 
 def _conditions(result: BestRecipe) -> Table:

@@ -201,15 +201,15 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "its variation takes all the room" if x.spent else "",
+            else "its variation uses all the room" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip
     names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's room that half the normal range uses; room "
-        "is the distance to the limit less two standard deviations of the batches. Last, how much "
-        "of that attribute's variance the parameter causes"
+        "is the distance to the limit less two standard deviations of the batches. Last, the "
+        "share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 

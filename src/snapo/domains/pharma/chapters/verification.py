@@ -288,7 +288,7 @@ def verification(run: RunFiles) -> Section:
     if attribution is not None and finite(attribution.closure) is not None:
         blocks.append(
             Text(
-                "Sensitivities put together from the units' own derivatives along every path agree "
+                "Sensitivities assembled from the derivatives of the units along every path agree "
                 f"with those of the whole to {power(attribution.closure)} of the largest in their "
                 "row."
             )

@@ -48,7 +48,7 @@ class March(Simulator):
     noise_size = 0
 
     def prepare(self, inputs) -> Schedule:
-        raise NotImplementedError("The schedule of a march comes with it.")
+        raise NotImplementedError("A march has its schedule already.")
 
     def initial(self, constants, noise):
         raise NotImplementedError("A march begins from a supplied state.")

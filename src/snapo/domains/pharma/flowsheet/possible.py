@@ -38,13 +38,13 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
                 f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
-                f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; "
-                "take a greater `largest`"
+                f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; increase "
+                "`largest`"
             )
     return ""
 
 
 HINTS = {
-    "time": ": the voids of the cake hold more liquid than the slurry brings",
+    "time": ": the voids of the cake have more room than the liquid of the slurry",
     "supersaturation": ": the solubility there is below 0",
 }

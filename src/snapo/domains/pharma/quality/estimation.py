@@ -6,7 +6,7 @@ intervals use Student's t with n - p degrees of freedom, which is slightly conse
 is significantly too large, or the errors are known only up to a factor, the covariance is
 multiplied by chi^2 / (n - p), to agree with the residuals.
 
-The search begins at the case's own numbers and at points of a Halton sequence within the bounds.
+The search begins at the numbers of the case and at points of a Halton sequence within the bounds.
 Minima with a chi^2 as good as the best one that are not connected to it are reported.
 """
 
@@ -101,7 +101,7 @@ def fit(process: "Process", estimation: Estimation) -> ParameterFit:
             elif not searched:
                 at = int(np.argmin(np.isfinite(first)))
                 raise ArithmeticError(
-                    f"the model has no value for measurement {at + 1} at the case's own numbers"
+                    f"the model has no value for measurement {at + 1} at the numbers of the case"
                 )
     lowest = min(value.cost for value in searched)
     # Of equal ones the first: that of the case's own numbers, where it is among them.

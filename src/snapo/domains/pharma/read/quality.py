@@ -181,7 +181,7 @@ def _attribute(
         message = f"the lower limit, {low:g} {table.unit}, must lie below it"
         raise section.error("high", table.high, message)
     if (low is not None or high is not None) and not table.citation.strip():
-        raise section.error("citation", None, "a limit needs its source, or that it is your own")
+        raise section.error("citation", None, "a limit needs its source, or a note that you set it")
     if table.margin is None:
         margin = _margin(low, high)
     else:
@@ -244,7 +244,7 @@ def read_uncertainty(
         row, column = which.index(one), which.index(other)
         matrix[row, column] = matrix[column, row] = table.value
     if which and np.linalg.eigvalsh(matrix).min() <= 1e-12:
-        message = "the correlations together are not those of any numbers (not positive definite)"
+        message = "the correlations together are not positive definite"
         raise CaseError(str(file), "correlations", None, message)
     return Uncertainty(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(spreads),

@@ -26,7 +26,7 @@ class Thickener(Instant):
     title = "thickener"
     reacts = False
     symbols = ()
-    assumptions = ("The overflow of a thickener is clear, whatever the sizes of the crystals.",)
+    assumptions = ("The overflow of a thickener is clear, for any sizes of the crystals.",)
 
     @property
     def inlets(self):

@@ -247,7 +247,7 @@ def reconciled(
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
             message = (
-                f"this model's own figure is {line.own:.8g}, which differs by "
+                f"the figure of this model is {line.own:.8g}, which differs by "
                 f"{line.error:.3g}; the tolerance is {tolerance:g}"
             )
             raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)

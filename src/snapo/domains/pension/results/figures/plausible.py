@@ -68,7 +68,7 @@ def _market(case: PensionCase, human: Human) -> Iterator[str]:
     for name, mean in human.returns.items():
         if _outside(mean, RETURN):
             yield (
-                f"{name} grows by {mean:.1%} a year where nothing happens, seldom "
+                f"{name} grows by {mean:.1%} a year without shocks, usually not "
                 f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
             )
 
@@ -94,9 +94,9 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     else:
         return
     yield (
-        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and nothing is ever "
-        f"paid in: {reason}. Payments agreed in money go into plan.contribution.schedule, a limit "
-        "in money into sponsor_limit"
+        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and there are no "
+        f"contributions: {reason}. Payments agreed in money go into plan.contribution.schedule, a "
+        "limit in money into sponsor_limit"
     )
 
 

@@ -11,7 +11,7 @@ from .kinetics import Rates
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
 MAXIMUM = 1000  # points in time
-REMEDY = 'by moments none disappears; take method = "finite-volumes"'
+REMEDY = 'by moments none disappears; use method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:

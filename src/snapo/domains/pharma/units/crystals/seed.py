@@ -104,7 +104,7 @@ def _read_moments(read: Reader) -> CaseInput:
     ]
     if not _possible(np.array(values)):
         message = (
-            "no crystals have these moments: the mean square of a size is at least the square of "
+            "these moments are impossible: the mean square of a size is at least the square of "
             "its mean, mu0 mu2 >= mu1^2, and so on up to mu5"
         )
         raise read.section.error("moments", table.moments, message)

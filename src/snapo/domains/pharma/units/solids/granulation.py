@@ -88,8 +88,8 @@ class Granulation(Timed):
         ("u", "tip speed"),
     )
     assumptions = (
-        "Granulation liquid and excipient are there from the start, and nothing dissolves in the "
-        "liquid; granules do not break.",
+        "Granulation liquid and excipient are present from the start, and nothing dissolves in "
+        "the liquid; granules do not break.",
     )
 
     @property

@@ -17,8 +17,8 @@ POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(3)[i] / 2 + (0.5, 0.0)[i] for
 
 
 BY_MEAN = (
-    "Crystals that are followed by their moments dissolve as spheres of one size, d₃₂: where their "
-    "sizes differ the share that is dissolved is too good."
+    "Crystals described by their moments dissolve as spheres of one size, d₃₂: if their sizes "
+    "differ the dissolved share is too optimistic."
 )
 
 
