@@ -116,7 +116,7 @@ class FileReference:
     name: str
 
     def error(self, allowed: str) -> CaseError:
-        """The mistake lies in the name itself."""
+        """The mistake is in the name itself."""
         return self.section.error(self.key, self.name, allowed)
 
 
@@ -201,7 +201,7 @@ def within(low: float, high: float) -> str:
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
-    """The plain file that a case names, which must lie in the folder of the case or below it."""
+    """The plain file named in a case, which must be in the folder of the case or below it."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:

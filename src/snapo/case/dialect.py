@@ -1,4 +1,4 @@
-"""How a CSV was written: by which separator, with which decimal mark, and days in which order.
+"""The dialect of a CSV: separator, decimal mark, and order of day and month.
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
 where the file is unambiguous, and the case gets a note of it; where one file could mean two things

@@ -1,8 +1,8 @@
 """Ranges outside which a number is likely to be in another unit: a note, never a refusal.
 
-A domain declares `Plausible` ranges by name, or by group and unit; `implausible` walks the numbers
-of a case and writes one note for each input that has a number outside of its range, or, along a
-curve, far from its neighbours.
+A domain declares `Plausible` ranges by name, or by group and unit; `implausible` checks the numbers
+of a case and writes one note for each input with a number outside of its range, or, along a curve,
+far from its neighbours.
 
     RATE = Plausible(-0.02, 0.2, "fractions are meant, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()

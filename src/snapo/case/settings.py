@@ -61,7 +61,7 @@ AUTO = "or left out: it is then chosen from the problem"
 
 
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: six keys are chosen from the problem.
+    """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """

@@ -1,6 +1,6 @@
 """What every domain's case format shares: one TOML file, plain files next to it, clear errors.
 
-A case is data: nothing in it is executed, and every file that it names lies next to it. The
+A case is data: nothing in it is executed, and the files that it names are in its folder. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
 """
 
@@ -30,7 +30,7 @@ TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 class TableContext:
     """A table of a case while it is read: names the place of a mistake, collects remarks.
 
-    `path`: the keys that lead to it, where its name in messages does not say them.
+    `path`: the keys to it, if they differ from its name in messages.
     """
 
     file: Path
@@ -118,7 +118,7 @@ def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
 
 
 def options_of(annotation: Any) -> tuple[str | bool, ...]:
-    """The texts and truth values of a type, as far as it lists them."""
+    """The strings and booleans that a type lists."""
     if annotation is bool:
         return (False, True)
     parts = get_args(annotation)

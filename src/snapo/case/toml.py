@@ -10,7 +10,7 @@ BARE = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
 
 def to_toml(data: Mapping[str, Any]) -> str:
-    """Text that `tomllib` reads as `data`; numbers keep all their digits, comments there are none.
+    """Text that `tomllib` reads as `data`; numbers keep all their digits, without comments.
 
     **Raises:** `TypeError` for a value that TOML does not have.
     """

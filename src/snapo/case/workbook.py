@@ -74,7 +74,7 @@ def _is_plain(value: Any) -> bool:
 def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
     """The inverse of `lines`.
 
-    **Raises:** `Unreadable` for a key that is none, is there twice, or contradicts another.
+    **Raises:** `Unreadable` for a key that is invalid, duplicate, or contradicts another.
     """
     data: dict[str, Any] = {}
     for key, value, kind in result:

@@ -1,8 +1,8 @@
 """Every input's adjoint against central differences, on the same few paths, decisions held.
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them separately. An input that does nothing under the random policy is judged where it does
-something, at low, middle or high actions. Inputs that move no path (`in_mean`) are not judged here.
+a few of them separately. An input without effect under the random policy is tested at low, middle
+or high actions. Inputs that move no path (`in_mean`) are not judged here.
 """
 
 from dataclasses import replace

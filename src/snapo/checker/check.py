@@ -81,7 +81,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
 
 
 def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Those of an objective, limits and a policy for a simulator that has none."""
+    """Mistakes in an objective, limits and a policy for a simulator that has none."""
 
     def look(notes: Notes) -> None:
         shapes = one_step(notes, problem.simulator, problem.schedule)

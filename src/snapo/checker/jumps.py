@@ -1,8 +1,8 @@
 """Comparisons at which an output or the state jumps: the smooth derivative does not see the jump.
 
 Two points of the same step, on either side of a comparison, are brought together until they meet
-at the threshold. There the method is evaluated with the comparison as on the one side, and as on
-the other: at a corner both agree.
+at the threshold. There the method is evaluated with the comparison true, and with it false: at a
+corner both agree.
 """
 
 from typing import Any, NamedTuple

@@ -84,7 +84,7 @@ def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:
 def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
     """`jax.lax.while_loop`, and `fori_loop` between numbers that JAX traces, as errors.
 
-    One that no derivative meets, such as a loop over whole numbers, may stay.
+    One without derivatives, such as a loop over whole numbers, is allowed.
     """
     with jax.enable_x64(True):
         made = preparation(simulator, inputs)

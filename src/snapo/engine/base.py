@@ -353,7 +353,8 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """There are paths, and noise for each of their steps: else a kernel would read past an end."""
+    """Checks that there are paths, with noise for each step: else a kernel would read out of
+    range."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Stored):
@@ -370,7 +371,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
 
 
 def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
-    """Every step has its numbers: one must not serve for all, and none may be left over."""
+    """Checks that every step has its numbers, without broadcasting and without a remainder."""
     horizon = simulator.horizon
     other = [
         isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] != (horizon,)
@@ -385,7 +386,7 @@ def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
 
 
 def check_window(simulator: Simulator, window: Window) -> None:
-    """A window lies within the horizon."""
+    """Checks that a window is within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
         raise ValueError(
             f"engine: window {tuple(window)} (first, length) leaves the horizon of "

@@ -58,7 +58,7 @@ class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
-    with the step that ends the problem. With `endless` the horizon is a limit of time, after which
+    with the step that ends the problem. With `endless` the horizon is a time limit, after which
     the problem would continue: a state at which only the horizon ends the path has no terminal
     rewards.
 
@@ -100,7 +100,7 @@ class GymDynamics:
         return NextState(after, self._seen(t + 1, after), reward, combined, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
-        """The outputs that only the terminal state has, none of a step."""
+        """The outputs of the terminal state that are not outputs of a step."""
 
         def both():
             constants, now = self.schedule.constants, at(self.schedule.steps, 0)
@@ -164,8 +164,8 @@ class Environment(gymnasium.Env):
       of the terminal state are in the step that ends the problem.
     - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
-      (`terminated`), and outputs of the terminal state are not paid there. An end of the
-      simulator's own (`over`) terminates in both, also at the last step.
+      (`terminated`), and outputs of the terminal state are not paid there. An end by the simulator
+      (`over`) terminates in both cases, also at the last step.
     - `decisions`: the set that its actions are elements of.
     """
 

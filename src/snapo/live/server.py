@@ -43,7 +43,7 @@ class Downloads:
         app.router.add_get("/{token}/case/{at:run|p[0-9]+-[0-9]+}.{kind:zip|xlsx}", self.carried)
 
     def hear(self, message: Mapping[str, Any]) -> None:
-        """The worker's answer to one that waits."""
+        """The worker's answer to a waiting request."""
         waiting = self._writing.get(message["n"])
         if waiting is not None and not waiting.done():
             waiting.set_result(message)

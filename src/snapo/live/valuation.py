@@ -2,7 +2,7 @@
 
 The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
 paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case. The derivatives are those that the run reports, and the change of the held ones.
+new case. The derivatives are those of the run plus the change of the held ones.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -72,7 +72,7 @@ class Valuation(WhatIf):
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """Value, the domain's own sections, deltas, today, fans."""
+        """Value, the sections of the domain, deltas, today, fans."""
         changed = self.changed(values)
         study, setup = self._at(values, selected)
         policy = self.solution.policy

@@ -1,7 +1,7 @@
-"""The process that computes: moves come in as lines of JSON, tables go out as lines of JSON.
+"""The process that computes: moves are read as lines of JSON, tables are written as lines of JSON.
 
-It is apart from the server, so that a page answers while it works, and outlives it. Of the moves of
-one page only the newest is answered: a newer one ends the work on the one before.
+It is separate from the server, so that a page answers while it works, and survives its end. Of the
+moves of one page only the newest is answered: a newer one ends the work on the one before.
 """
 
 import argparse
@@ -109,7 +109,7 @@ class Desk:
         self.orders.put(None)
 
     def rests(self, seconds: float) -> bool:
-        """Waits so long for an order; whether there was none."""
+        """Waits this long for an order; returns whether there was none."""
         until = time.monotonic() + seconds
         while self.orders.empty() and time.monotonic() < until:
             time.sleep(0.02)

@@ -37,8 +37,8 @@ class Family:
 
     **Arguments:**
 
-    - `ranges`: {input: (low, high)}, numbers or arrays shaped like the input; an array's entries
-      vary one by one.
+    - `ranges`: {input: (low, high)}, numbers or arrays shaped like the input; the entries of an
+      array vary separately.
     - `members`: the number of training points in the ranges (Sobol points).
     """
 
@@ -67,8 +67,8 @@ class Family:
     def training(self) -> Problem:
         """The problem to solve: its value is the objective of all members' paths together.
 
-        The inputs named are plain numbers there, without derivatives, since each member has its
-        own; take those at a member.
+        The named inputs are plain numbers there, without derivatives, since they differ between
+        members; differentiate at a member.
         """
         unit = qmc.Sobol(len(self._low), rng=np.random.default_rng(0)).random(self._power)
         points = self._low + (self._high - self._low) * unit[: self.members]
@@ -132,7 +132,8 @@ class Family:
 
 
 class ObservedMember(Around):
-    """A simulator whose policy sees some inputs, scaled; constants are (its own, those)."""
+    """A simulator whose policy observes some inputs, scaled; constants are (those of the base, the
+    inputs)."""
 
     where: tuple[int, ...] = eqx.field(static=True)
     low: tuple[float, ...] = eqx.field(static=True)

@@ -23,8 +23,8 @@ class Use(eqx.Module):
 
     - `name`: of the input; `size`: how many numbers it has.
     - `shape`: of the numbers where they are used.
-    - `index`: integers of that shape into the input's numbers; None where they are used one by one
-      in their own order, where one number holds everywhere, and where there is none.
+    - `index`: integers of that shape into the input's numbers; None if they are used one by one in
+      order, if one number is used everywhere, and if there is none.
     """
 
     name: str = eqx.field(static=True)
@@ -62,7 +62,7 @@ def formed(record: T) -> T:
 
     A leaf with a method `use` is replaced by its result.
 
-    **Raises:** `TypeError` where there is anything else, which would be compiled in.
+    **Raises:** `TypeError` for anything else, which would be a constant of the program.
     """
 
     def without_numbers(leaf: Any) -> Any:

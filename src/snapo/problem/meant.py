@@ -48,7 +48,7 @@ def takes_problem(
     *, objective: bool
 ) -> Callable[[Callable[Concatenate[Problem, P], R]], Verb[P, R]]: ...
 def takes_problem(verb: Any = None, *, objective: bool = True) -> Any:
-    """Makes of a function of a `Problem` and a policy one that takes a simulator as well.
+    """Extends a function of a `Problem` and a policy to simulators.
 
     `objective`: whether it needs one.
     """

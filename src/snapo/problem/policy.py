@@ -1,8 +1,8 @@
 """Policies: from an observation to an action. Networks and residuals.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
-simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that plug in
-where the network goes.
+simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that replace
+the network.
 
 A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
 the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.
@@ -28,7 +28,7 @@ from .smooth import EXACT, Exact, Smooth
 
 
 class Policy(eqx.Module):
-    """One decision rule. Actions must lie in the simulator's fixed action set."""
+    """One decision rule. Actions must be in the simulator's fixed action set."""
 
     @abc.abstractmethod
     def __call__(
@@ -211,7 +211,7 @@ class Residual(Policy):
 
 
 def without_memory(policy: Policy, where: str) -> None:
-    """Refuses a policy with memory (see `memory.py`) inside one that has no place for it."""
+    """Refuses a policy with memory (see `memory.py`) inside one that does not support it."""
     if hasattr(policy, "decide"):
         raise ValueError(f"{where}: {type(policy).__name__} has a memory, which must be outermost.")
 

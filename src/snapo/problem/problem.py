@@ -252,8 +252,8 @@ class Problem:
 
 
 def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
-    """The inputs whose derivative is right only in the mean of many paths: those that the
-    simulator names, and the parameters of every noise whose draws are separate values."""
+    """The inputs whose derivative is correct only in the mean of many paths: those named by the
+    simulator, and the parameters of noises with discrete draws."""
     values = {*simulator.in_mean(), *noise.in_mean(inputs)}
     return tuple(entry.name for entry in inputs_.named_inputs(inputs) if entry.name in values)
 

@@ -1,6 +1,6 @@
 """Exogenous dynamics: prices, weather, demand, which no decision of a simulator moves.
 
-A `Process` describes ONE path in plain `jax.numpy`, like a simulator, and decides nothing. A
+A `Process` describes ONE path in plain `jax.numpy`, like a simulator, but without decisions. A
 simulator holds one, so that the same price serves a gas store, a battery and a swing contract:
 
     prepare:  prices = self.price.prepare(inputs.price)          # constants and per-step arrays
@@ -137,7 +137,7 @@ class Gaps(eqx.Module):
         return cls(length, which, tuple(item <= 0 for item in length.tolist()))
 
     def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
-        """Of each, the lower Cholesky factor of the covariance that it adds; 0 where it is none."""
+        """The lower Cholesky factor of the covariance added by each; 0 for an empty one."""
         return [
             jnp.zeros_like(pair) if none else jnp.linalg.cholesky(correlation * integral(pair, gap))
             for none, gap in zip(self.none, jnp.asarray(self.length))
@@ -168,7 +168,7 @@ class FactorPrice(Process):
 
     @property
     def gaps(self) -> "Gaps":
-        """The intervals between the times; a subclass whose times are arguments keeps its own."""
+        """The intervals between the times; a subclass with times as arguments stores them."""
         return Gaps.of(self.times)
 
     @property

@@ -1,9 +1,9 @@
 """Scenarios: the noise of every path, a function only of (seed, path, step, component).
 
-Path p is therefore the same whatever the number of paths, chunks, devices or windows, and
-nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
-threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian bridge, and
-`Supplied` holds user-supplied numbers.
+Path p therefore does not depend on the number of paths, chunks, devices or windows, and nothing is
+stored: an engine draws the numbers where it uses them. `Pseudo` counts with threefry, `Sobol`
+supplies scrambled low-discrepancy points through a Brownian bridge, and `Supplied` holds
+user-supplied numbers.
 """
 
 import abc
@@ -217,9 +217,9 @@ class Supplied(Scenarios):
 
 @dataclass(frozen=True)
 class EqualPaths(Scenarios):
-    """Those of a problem in which nothing is random: every path is the same.
+    """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are taken, since a single one has no standard error: theirs is zero.
+    At least two are used, since a single one has no standard error: theirs is zero.
     """
 
     inner: Scenarios

@@ -28,7 +28,7 @@ class Schedule(eqx.Module):
 
     **Arguments:**
 
-    - `constants`: any tree of arrays that holds for the whole horizon.
+    - `constants`: any tree of arrays that is valid for the whole horizon.
     - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
 
     Both are optional.
@@ -158,8 +158,8 @@ def _explained(init: Callable[..., None]) -> Callable[..., None]:
 
 
 class Around(Simulator):
-    """A simulator around another one, for the engines: every member is that of `own`, but for those
-    that a subclass replaces."""
+    """A wrapper of a simulator, for the engines: every member is that of `own`, except those that a
+    subclass replaces."""
 
     inner: Simulator
 

@@ -72,10 +72,11 @@ class Constraints(eqx.Module):
         return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: within, off by at most 3 w / 16.
+        """x within [low, high], low <= high. Smooth: within the limits, with an error of at most 3
+        w / 16.
 
         Between limits that are closer than w the corners are rounded over high - low: two wider
-        ones would overlap and lead out of the limits.
+        ones would overlap and leave the limits.
         """
         return self.minimum(self.maximum(x, low, scale), high, scale)
 
@@ -101,8 +102,8 @@ class Constraints(eqx.Module):
         **Arguments:**
 
         - `groups`: disjoint `(members, low, high)`: the members' sum lies within [low, high].
-          Group sums are found first, by the same formula on the groups' mean logits, then
-          shares within each group; an asset in no group is a group of its own.
+          Group sums are computed first, by the same formula on the groups' mean logits, then
+          shares within each group; an asset without a group forms one.
         - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
         """
         n = logits.shape[0]

@@ -56,7 +56,7 @@ def partly_observed(problem: Any) -> tuple[str, ...]:
 
 
 def note(names: tuple[str, ...], remembers: bool = False) -> str:
-    """What partial observation means for a reader of derivatives; empty where there is none."""
+    """A note on the effect of partial observation on derivatives; empty if there is none."""
     if not names:
         return ""
     memory = (

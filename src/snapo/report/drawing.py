@@ -260,7 +260,7 @@ def _id(result: str, used: set[str], name: str) -> str:
 
 
 def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
-    """The legend in one line above the plot, at its right, where no data can lie under it.
+    """The legend in one line above the plot, at the right, where it covers no data.
 
     `order` names the entries that come first.
     """

@@ -71,7 +71,7 @@ def notes(run: RunFiles) -> list[Text]:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
+    """The norm of the policy's gradient with its noise, as a fact; none if unknown."""
     norm = finite(run.result.get("policy_gradient_norm"))
     noise = finite(run.result.get("policy_gradient_noise"))
     if norm is None:

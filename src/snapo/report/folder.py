@@ -1,4 +1,4 @@
-"""The files of a run folder as a report reads them: whatever is missing is None."""
+"""The files of a run folder as read by a report: missing ones are None."""
 
 import csv
 import json
@@ -27,7 +27,7 @@ class Sensitivity:
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `moved`, `moved_error`: how far the held one moved in the second half of training.
+      reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
       None where they were not asked for.
     """
 
@@ -50,7 +50,7 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """What a run folder holds; a domain's own class adds its units.
+    """The contents of a run folder; the class of a domain adds its units.
 
     **Attributes:**
 
@@ -122,7 +122,7 @@ class RunFiles:
         return None if cells is None else array([_number(cell) for cell in cells])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was asked for, nor is there from an earlier run."""
+        """Whether none of these parts was requested, or exists from an earlier run."""
         missing = self.get(LEFT_OUT, [])
         return all(part in missing and part not in self.parts for part in parts)
 
@@ -132,7 +132,7 @@ class RunFiles:
 
     @property
     def unit(self) -> str:
-        """The unit of the value: its own, else the currency."""
+        """The unit of the value, or the currency."""
         return str(self.get("unit", self.currency))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:

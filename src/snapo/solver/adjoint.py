@@ -88,8 +88,8 @@ def weighted_adjoint(
 ) -> tuple[float, Adjoint]:
     """The objective on these paths, and the adjoint of its weights.
 
-    A linear objective knows its weights beforehand; any other costs one more forward sweep. Where
-    the objective has no derivative, as under ruin, the weights are those that lead away from it.
+    A linear objective knows its weights beforehand; any other costs one more forward sweep. If the
+    objective has no derivative, as under ruin, the weights are those of training.
     """
     actions = None
     if held or not objective.linear:
@@ -152,7 +152,7 @@ def adjoint_of_good_weights(
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
-    Those count for nothing; the weights of the others stay unchanged.
+    Those have no weight; the weights of the others are unchanged.
     """
     result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):

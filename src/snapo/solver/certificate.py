@@ -91,7 +91,7 @@ class Feasibility(NamedTuple):
 
 
 def nudged(problem: Problem, seed: int = 0) -> Problem:
-    """The problem with each number of its inputs moved by a random thousandth of itself at most.
+    """The problem with each number of its inputs moved by a random relative amount of at most .001.
 
     Round numbers tie: a store that fills in exactly eight days is on a kink of its limits,
     where every path has two derivatives. Nearby, hardly any path has. A number that is zero is

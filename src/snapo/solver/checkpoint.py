@@ -31,7 +31,7 @@ PLAIN = ("step", "best_value", "stale", "status", "clip", "keep", "since", "wind
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
-    """Writes the whole state of training; `mark` is that of the run that it belongs to."""
+    """Writes the complete state of training; `mark` is that of the run that it belongs to."""
     state = {
         "step": progress.step,
         "best_value": progress.best_value,

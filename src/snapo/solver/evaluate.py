@@ -1,6 +1,6 @@
 """The value of a policy: path totals on fresh scenarios, and the value with its standard error.
 
-Paths of a policy as whole trajectories: states, decisions and outputs of every step.
+Complete trajectories of a policy: states, decisions and outputs of every step.
 """
 
 import math
@@ -162,7 +162,7 @@ def value_of_groups(
 
 
 def finite_totals(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
-    """The totals of the paths that are finite; none where too many are not."""
+    """The totals of the finite paths; none if too many are non-finite."""
     valid = finite(totals, objective.outputs)
     few = np.sum(~valid) <= DROPPED * valid.size
     return {name: np.asarray(total)[valid if few else []] for name, total in totals.items()}

@@ -41,7 +41,7 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 
 
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
-    """One of the series. **Raises:** `KeyError` for a name that is none."""
+    """One of the series. **Raises:** `KeyError` for an unknown name."""
     if name not in series:
         raise KeyError(f"plot.{subject}: nothing is called {name!r}; there are {sorted(series)}.")
     return series[name]

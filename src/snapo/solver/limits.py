@@ -1,4 +1,4 @@
-"""Limits on fresh paths: how far each is met, and the shadow price of its level.
+"""Limits on fresh paths: their excess, and the shadow prices of their levels.
 
 At the best policy within its limits the derivative of the objective with respect to the policy is
 the sum of those of the limits' measures times their shadow prices. So the prices are a
@@ -206,7 +206,7 @@ def limits_found(
 
 
 def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
-    """The limits that are not met, and those that have room, in sentences."""
+    """Sentences on the limits that are not met, and on those with room."""
     return tuple(sentence for item in limits if (sentence := _note(item)))
 
 

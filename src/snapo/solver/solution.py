@@ -1,4 +1,4 @@
-"""The result of `solve`: frozen data: the value, how it was found, and how far to trust it."""
+"""The result of `solve` as frozen data: the value, its computation, and its reliability."""
 
 import json
 from collections.abc import Mapping

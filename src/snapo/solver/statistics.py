@@ -153,7 +153,7 @@ def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
 
 
 class Skewed(NamedTuple):
-    """A mean whose interval need not lie evenly around it.
+    """A mean with a possibly asymmetric interval.
 
     - `standard_error`: half the width of the 95 % interval, in that of a normal distribution.
     - `low`, `high`: the interval; `few`: whether a few of the numbers decide it.
@@ -235,8 +235,8 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
 def proportion(count, of: int):
     """The share of independent draws that were counted, and its standard error: arrays like it.
 
-    The error is that of two draws more of either kind (Agresti and Coull 1998): none of a
-    hundred is not surely none at all.
+    The error is that with two additional draws of either kind (Agresti and Coull 1998): zero of a
+    hundred does not imply a probability of zero.
     """
     count = np.asarray(count, np.float64)
     moved = (count + 2) / (of + 4)

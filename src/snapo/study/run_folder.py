@@ -191,7 +191,7 @@ def _check_record(record: Mapping[str, Any]) -> None:
 
 
 def mark(decides: Mapping[str, Any]) -> str:
-    """A text that is the same for runs with the same numbers: their checkpoints go together."""
+    """A text that is the same for runs with the same numbers, which may share checkpoints."""
     return checksum(json.dumps(_numbers(decides), sort_keys=True).encode())
 
 

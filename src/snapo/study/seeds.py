@@ -1,4 +1,4 @@
-"""Trainings of one case with several seeds, compared on common paths that nothing else has seen."""
+"""Trainings of one case with several seeds, compared on common paths used for nothing else."""
 
 import json
 import time
@@ -67,7 +67,7 @@ class SeedComparison(NamedTuple):
     - `best`: the seed with the highest value, of those within their limits where some are.
     - `mean`, `worst`, `highest`, `deviation`: of the values; `standard_error`: the Monte Carlo
       error of their mean, which all of them share.
-    - `fresh`: whether the paths serve for nothing else; `paths`: how many there are.
+    - `fresh`: whether the paths are used for nothing else; `paths`: how many there are.
     """
 
     rows: tuple[SeedRow, ...]

@@ -174,7 +174,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
 
 
 def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
-    """The parts with these names, and all that they need; all where none is named."""
+    """The parts with these names, and those that they need; all if none is named."""
     if not requested:
         return list(parts)
     by_name = {part.name: part for part in parts}

@@ -20,7 +20,7 @@ Over = Callable[[Array], Array]
 
 
 class Model(Simulator):
-    """One path of a learnt environment: state and observation are the environment's own.
+    """One path of a learned environment: state and observation are those of the environment.
 
     The inputs are those of `inputs_of`: weights of all members, scales, first observations. A path
     follows one member, drawn by its initial noise: so a policy must be good in all of them, and

@@ -212,7 +212,7 @@ def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) ->
 
 
 def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
-    """The policy before any training; one that has weights takes the environment's units."""
+    """The policy before any training; one with weights is converted to the environment's units."""
     interface = Problem(inside.model, inside.inputs, Mean("reward")).interface
     made = (policy or MLP(hidden=(32, 32))).for_problem(interface, jax.random.key(seed))
     return made if policy is None or policy.network is None else units.done(made)
@@ -238,8 +238,8 @@ def compared(
     maximum: float,
     common: Any = None,
 ) -> Compared:
-    """Episodes in the real environment up to `maximum` steps in all, one at least, and the same in
-    the model.
+    """Episodes in the real environment up to `maximum` steps in total, at least one, and the same
+    in the model.
 
     With the seeds `common` every second episode is another, with noise, only for the next fit.
     """

@@ -1,4 +1,4 @@
-"""Sets of numbers: a box, integers, shares of a whole; and the base class of all sets of actions.
+"""Sets of numbers: a box, integers, shares; and the base class of all action sets.
 
 Shares of a whole.
 """

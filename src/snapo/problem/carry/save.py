@@ -86,7 +86,7 @@ def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> N
 def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays `leaf_0`, `leaf_1` … in their order, and the header.
 
-    **Raises:** `ValueError` whatever may be wrong with the file.
+    **Raises:** `ValueError` for any defect of the file.
     """
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
@@ -150,7 +150,7 @@ class NotKnown(ValueError):
 
 
 def encoded(value: Any, arrays: list[np.ndarray], position: str = "policy") -> Any:
-    """What JSON can say of a policy; its arrays are appended to `arrays`.
+    """The JSON form of a policy; its arrays are appended to `arrays`.
 
     **Raises:** `NotKnown` at a class or function that is not in the registry.
     """
@@ -282,7 +282,7 @@ def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
 
 
 def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
-    """The policy that `save` wrote, of a class derived from `base`; nothing is executed.
+    """The policy written by `save`, of a subclass of `base`; nothing is executed.
 
     **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
     weights whose sizes do not fit each other.

@@ -34,7 +34,7 @@ ProgramText = tuple[str, tuple[bytes, ...]]
 def text(function: Callable[..., Any], *arguments: Any) -> ProgramText:
     """A function's program without the addresses in its print, and digests of its constants.
 
-    `function` must be a new one: JAX keeps the traces of those that it has met.
+    `function` must be a new one: JAX keeps the traces of earlier ones.
     """
     closed = jax.make_jaxpr(function)(*arguments)
     constants = tuple(blake2b(np.asarray(const).tobytes()).digest() for const in closed.consts)
@@ -64,7 +64,7 @@ def path(simulator: Any, policy: Any) -> Callable[..., Any]:
 
 
 def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
-    """The program of one step and of the end, exact and smooth, with all that is declared."""
+    """The program of one step and of the end, exact and smooth, with all declarations."""
     sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
     now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
     vectors = [jnp.zeros(size) for size in sizes]
@@ -85,7 +85,7 @@ _held: ContextVar[dict | None] = ContextVar("held", default=None)
 
 @contextmanager
 def reading_once() -> Iterator[None]:
-    """All code is read once, when it is first met: nothing changes it within."""
+    """All code is read once, on first use: it does not change within the context."""
     if _held.get() is not None:
         yield
         return

@@ -40,13 +40,13 @@ def package(x: Any) -> str:
 
 
 def is_library(name: str) -> bool:
-    """Whether a package is snapo, Python's own, or installed next to them."""
+    """Whether a package is snapo, part of Python, or installed with them."""
     return is_known(name) or _installed(name)
 
 
 def is_known(name: str) -> bool:
-    """Whether a package is snapo, one that it is made of, or Python's own: none has a simulator of
-    a user's."""
+    """Whether a package is snapo, one of its dependencies, or part of Python: none contains a
+    user's simulator."""
     return name in UNDER or is_python(name)
 
 

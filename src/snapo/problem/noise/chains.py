@@ -106,7 +106,7 @@ class Empirical(Noise):
 
 
 class Correlated(Noise):
-    """A tree of noises, each with its own distribution, whose normals are correlated.
+    """A tree of noises of any distributions, whose normals are correlated.
 
     `correlation` is that of the first normal of every noise (a Gaussian copula), as the strict
     lower triangle row by row, in the order of the tree: a dictionary's is that of its sorted keys.

@@ -1,6 +1,6 @@
 """Noise with a smooth quantile function of closed form: derivatives along the path are exact.
 
-Gamma and Student noise: quantiles on a grid, worked out once, with implicit derivatives.
+Gamma and Student noise: quantiles on a grid, computed once, with implicit derivatives.
 
 The logarithm y of a gamma number is smooth in the normal z that it has the quantile of. Its values
 and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
@@ -173,7 +173,7 @@ def _quantiles(shape: Float[Array, ""]) -> Float[Array, " nodes"]:
     half, tail = INTERVALS // 2, ndtr(-np.abs(GRID))
 
     def excess(y):
-        """How far y lies above its quantile, by the smaller of both tails."""
+        """The distance of y above its quantile, measured in the smaller of both tails."""
         x = jnp.exp(y)
         lower = gammainc(shape, x[:half]) - tail[:half]
         return jnp.concatenate([lower, tail[half:] - gammaincc(shape, x[half:])])

@@ -104,7 +104,7 @@ def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, 
 def normal(text: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     """Standard normals from 32-bit words, by the inverse of the distribution function.
 
-    The top bit is the sign; the other 31 bits m give the tail probability (m + 1/2) / 2^32.
+    The top bit is the sign; the other 31 bits m determine the tail probability (m + 1/2) / 2^32.
     Wichura's AS241 (Applied Statistics 37, 1988): routine PPND16 (relative error 1e-16) in
     float64, PPND7 (1e-7) in float32. The tail probability is exact, so tails lose no digits.
     """

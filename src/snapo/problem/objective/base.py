@@ -287,7 +287,7 @@ class OneOutput(Objective):
 
 
 class ByPath(OneOutput):
-    """A mean of each path's own number."""
+    """A mean of one number per path."""
 
     @property
     def by_path(self) -> bool:

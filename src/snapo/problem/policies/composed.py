@@ -78,7 +78,7 @@ NEEDED = (
 
 
 class Plain(Policy):
-    """An `eqx.Module` where a policy goes; `solve` makes it of whatever module it is given.
+    """An `eqx.Module` where a policy goes; `solve` creates it from any other module.
 
     - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
       squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its

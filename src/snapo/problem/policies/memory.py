@@ -177,7 +177,7 @@ def remembered(policy: Policy | None) -> int:
 
 
 def first_decision(policy: Policy, observation: Float[Array, " features"]) -> Float[Array, " size"]:
-    """The exact decision of the first step, at which nothing is remembered yet."""
+    """The exact decision of the first step, when the memory is empty."""
     if isinstance(policy, Memory):
         return policy.decide(observation, jnp.zeros(policy.memory, observation.dtype), Exact())[0]
     return policy(observation, Exact())
@@ -199,7 +199,7 @@ class Remembering(Around):
         return self.initial_state(self.inner.initial(constants, noise))
 
     def initial_state(self, state: PyTree) -> PyTree:
-        """A state of the simulator's own, before the first decision."""
+        """A state of the simulator before the first decision."""
         return {"memory": jnp.zeros(self.memory), "own": state}
 
     def observe(self, constants, now, state):

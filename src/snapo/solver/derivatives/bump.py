@@ -4,7 +4,7 @@ The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held 
 the decisions replayed, share all their noise. Their difference block by block, the reaction
 R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
 Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
-the moved input (`Problem.moved`); a table that stays fixed would pass for a bad policy.
+the moved input (`Problem.moved`); with the old table a good policy would look bad.
 """
 
 from collections.abc import Callable, Mapping
@@ -50,7 +50,7 @@ class Reaction(NamedTuple):
     - `up`, `down`: value after the bump less that before, and that before less that after the
       opposite one, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
-      only of costs, which reaches no state, changes no decision.
+      that only affects costs changes no decision.
     - `corner`: "kink" or "jump", where both sides differ and half the move shows the same; else "".
     """
 
@@ -81,7 +81,7 @@ class Reaction(NamedTuple):
         return len(self.reaction) == len(self.held)
 
     def probability(self) -> float:
-        """That of a reaction at least as large where there is none (Student's t)."""
+        """The p-value of the reaction (Student's t)."""
         value, error = self.estimate
         if not self.tested or not np.isfinite(value):
             return 1.0
@@ -132,8 +132,8 @@ def reactions(
     `centre`: the totals of these paths, and possibly more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
-    are all where the value is no number, as after a ruin. A held derivative that is not a number,
-    as one that is lost in a rounding, counts as zero: all of the bump is reaction.
+    are all if the value is non-finite, as after a ruin. A held derivative that is NaN, such as one
+    that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
@@ -151,8 +151,8 @@ def reactions(
 
 
 def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool:
-    """Whether no more paths are needed: nothing reacts, or so slightly that it may be nothing,
-    known to a share `precise` of the held derivative; or surely less than `negligible`."""
+    """Whether no more paths are needed: the reaction is insignificant and known to a share
+    `precise` of the held derivative, or certainly less than `negligible`."""
     if not reaction.tested or not np.isfinite(reaction.reaction).all():
         return True
     value, error = reaction.estimate
@@ -208,8 +208,8 @@ class _Bumper:
     def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
         """One input moved by `by`, on few paths.
 
-        What was built from the inputs stays fixed at first, which is soon done: where that shows
-        no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
+        Objects built from the inputs are first held fixed, which is fast: if that shows no
+        reaction, rebuilt ones, at a near-optimal policy, have none to first order either.
         """
         if self.problem.rebuild is None:
             return self._moved(name, by, held, self.few)

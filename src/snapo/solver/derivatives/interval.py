@@ -1,11 +1,11 @@
 """The reported derivative: a value, and an interval that contains the true one.
 
-The true derivative is that of the best policy's value. Two errors lie between it and an estimate:
-the sampling error of finitely many paths, and the error of the policy, which is near the best one
-and not the best one itself. A policy whose value is short of the best by a gap g has a derivative
-that is off by at most sqrt(2 g kappa), where kappa measures how fast the derivative changes with
-the policy, measured against the loss (see `margin`). The value's error is of second order in the
-policy's, the derivative's of first order: it goes with the root of the gap.
+The true derivative is that of the best policy's value. An estimate of it has two errors: the
+sampling error of a finite number of paths, and the error of the policy, which is close to the best
+one. A policy whose value is short of the best by a gap g has a derivative that is off by at most
+sqrt(2 g kappa), where kappa measures how fast the derivative changes with the policy, measured
+against the loss (see `margin`). The error of the value is of second order in that of the policy,
+the error of a derivative of first order: it grows with the root of the gap.
 """
 
 from typing import NamedTuple

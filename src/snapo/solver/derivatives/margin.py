@@ -70,7 +70,7 @@ def margin_of(
 
 
 def floor_of(actions: Actions) -> float:
-    """The gap that is assumed at least, in targets: whole numbers hide more of it."""
+    """The minimum gap that is assumed, in targets: it is larger for discrete decisions."""
     hard = any(contains(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 

@@ -249,7 +249,7 @@ def surface_of(
 
 
 def distance_factor(loss: float, target: float) -> float:
-    """How many times as far a loss of `target` lies, if it grows with the square."""
+    """The factor on the distance at which the loss is `target`, if the loss is quadratic."""
     return float(
         np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MAXIMUM, MINIMUM, MAXIMUM)
     )

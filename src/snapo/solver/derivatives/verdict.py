@@ -106,7 +106,7 @@ def verdicts(
 
 
 def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
-    """The names whose hypothesis is refuted; a right one is with probability `level` at most."""
+    """The names whose hypothesis is refuted; a true one with probability at most `level`."""
     refuted = set()
     ordered = sorted(probabilities, key=lambda name: probabilities[name])
     for number, name in enumerate(ordered):
@@ -143,7 +143,7 @@ def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Repo
 def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
     """Shares of the numbers of an input in a change along `by`, per unit of each number.
 
-    Their sum times `by` is one; a number has more of it the more it moves the value.
+    Their sum times `by` is one; numbers with a larger effect on the value have larger shares.
     """
     size = np.abs(estimate.value * by)
     if not size.sum() > 0:

@@ -61,7 +61,7 @@ def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
 
 
 def is_chaotic(norms: Sequence[float], paths: int = MANY) -> bool:
-    """Whether the first gradients show chaos: they are erratic, or one of them fell far."""
+    """Whether the first gradients indicate chaos: they are erratic, or one of them fell far."""
     result = np.asarray(norms, float)
     return bool(np.any(result * GROWTH < np.maximum.accumulate(result))) or erratic(norms, paths)
 
@@ -137,8 +137,8 @@ def has_leapt(norms: Sequence[float], since: int) -> bool:
 
 
 def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
-    """Whether Adam's mean square of all gradients after `since`, of which it keeps a share `forget`
-    a step, is far above the usual size of the last ones: its steps are as many times too short."""
+    """Whether Adam's mean square of all gradients after `since`, with the decay `forget` per step,
+    is far above the usual size of the last ones: its steps are then too short by that factor."""
     local = np.asarray(norms[since:])
     if len(local) < 2 * EARLY:
         return False
@@ -147,8 +147,8 @@ def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
 
 
 def clip_level(norms: np.ndarray) -> float | None:
-    """The bound for `engine.Clip` from norms [T, N] of a short memory; None where the usual path
-    has none that is finite."""
+    """The bound for `engine.Clip` from norms [T, N] of a short memory; None if the usual path has
+    no finite one."""
     median = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
     return median if 0 < median < np.inf else None
 

@@ -49,8 +49,8 @@ class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
     A network's first layer has weights for unscaled features. Training moves those for scaled
-    features, which are equivalent: `scaled` and `plain` go there and back. So do all first layers
-    of a policy that has several.
+    features, which are equivalent: `scaled` and `plain` are inverse to each other. So do all first
+    layers of a policy that has several.
     """
 
     mean: tuple[float, ...]
@@ -93,8 +93,8 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 def networks(policy: Policy) -> list[Network | None]:
     """The networks of a policy that see the features; None instead of each that is not drawn.
 
-    Empty for a policy without any, such as a rule, and for one of which that is not known: the
-    stages of a chain, a user-defined class.
+    Empty for a policy without any, such as a rule, and if they are unknown: for the stages of a
+    chain, or a user-defined class.
     """
     if isinstance(policy, LastObservations):
         return networks(policy.policy)
@@ -139,8 +139,8 @@ def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 
 def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
-    """The scale of the features that no decision moves; None where there is none to be seen, for
-    a policy without a network that sees them, and where few numbers are decided, none a `Stop`."""
+    """The scale of the features that no decision moves; None if there is no such feature, if no
+    network of the policy observes it, and if few numbers are decided, without a `Stop`."""
     if not layers(policy):
         return None
     if problem.action.size <= MANY and not contains(problem.action, Stop):

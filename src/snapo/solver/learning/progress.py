@@ -179,8 +179,8 @@ def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
 
 
 def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:
-    """On from the best policy so far, with a lower rate; the optimiser, the critic and the dual
-    variables of the limits, which the steps before led astray too, restart."""
+    """Continues from the best policy so far, with a lower rate; the optimiser, the critic and the
+    dual variables of the limits, which the failed steps affected too, restart."""
     step = progress.step + 1
     moved = _begun_with(problem, training, progress, progress.best, step)
     return replace(moved, slowed=(*progress.slowed, step), status="training")
@@ -189,7 +189,7 @@ def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> P
 def begin_again(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy
 ) -> Progress:
-    """On from another start, which the next validation values; the best so far stays known."""
+    """Continues from another start, which the next validation values; the best so far is kept."""
     if progress.scale is not None:
         policy = progress.scale.plain(policy)
     moved = _begun_with(problem, training, progress, policy, progress.step)

@@ -150,7 +150,7 @@ class TrainingPlan(Training):
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
-        """The plan of a case's numbers; one that is None or missing has its usual value."""
+        """The plan of a case's settings; a missing one or None has its default."""
         numbers: dict[str, Any] = {"validation_every": every(settings["steps"])}
         numbers |= {name: value for name, value in settings.items() if value is not None}
         return cls(**numbers)
@@ -172,7 +172,7 @@ class TrainingPlan(Training):
 
 
 def every(steps: int) -> int:
-    """Steps between two validations, where nothing is chosen."""
+    """The default number of steps between two validations."""
     return min(EVERY, max(1, -(-steps // QUARTERS)))
 
 
@@ -217,7 +217,7 @@ RATED = 48_000  # the same, of the steps that the rate follows: chosen before th
 def resolve_auto(
     training: Training, problem: Problem, policy: Policy, fresh: bool = False
 ) -> TrainingPlan:
-    """The training with numbers instead of all that is chosen from the problem.
+    """The training with all "auto" settings resolved from the problem.
 
     `fresh`: the policy's networks were drawn for it, so that others may be.
     """

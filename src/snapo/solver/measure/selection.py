@@ -1,10 +1,10 @@
 """The choice of the reported policy, among those of a training and its initial rule.
 
 The values of a training's history are compared on the same few paths again and again, so that the
-highest is biased upwards. The final choice is made once, on fresh paths that nothing else uses,
-with differences paired and the control variates regressed out of them. The starting rule stays
-unless another is significantly better: training must not make a good rule worse. The paths of the
-reported value choose nothing.
+highest is biased upwards. The final choice is made once, on fresh paths that are used for nothing
+else, with paired differences and the control variates regressed out of them. The starting rule
+stays unless another is significantly better: training must not make a good rule worse. The paths of
+the reported value are not used for this choice.
 
 How a policy is measured: how many paths each of its numbers has.
 """

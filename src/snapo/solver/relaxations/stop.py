@@ -180,7 +180,7 @@ UNKNOWN = "its simulator has no method `relaxation` and is not a stopping proble
 
 
 def bounded(problem: Problem) -> bool:
-    """Whether `relaxation_of` knows one, as far as that is known without work."""
+    """Whether `relaxation_of` has one, as far as this can be decided without computation."""
     return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
 
 

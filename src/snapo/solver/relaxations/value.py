@@ -100,8 +100,8 @@ class Decisions(NamedTuple):
 def decisions(problem: Problem) -> Decisions:
     """The problem as a stopping problem.
 
-    **Raises:** `NotStopping` where it is none, or has no bound: another action than one `Stop`,
-    another objective than means of sums, or a decision that moves the state.
+    **Raises:** `NotStopping` if it is not one, or has no bound: an action other than one `Stop`, an
+    objective other than means of sums, or a decision that affects the state.
     """
     simulator, objective = problem.simulator, problem.objective
     if not isinstance(simulator.action, Stop):

@@ -36,7 +36,7 @@ NONE = 1e-9  # of a total: a difference that is round-off
 def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
     """Whether every path has the same totals of the objective, although paths are random.
 
-    An error of zero does not say so: antithetic pairs have none where noise counts linearly.
+    An error of zero is no proof: antithetic pairs have none if noise enters linearly.
     """
     results = [np.asarray(totals[name]) for name in problem.objective.outputs]
     return problem.is_random and all(
@@ -46,7 +46,7 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 
 
 def caught(progress: Progress, training: TrainingPlan) -> bool:
-    """Whether training should restart: the last two validations say that it does nothing."""
+    """Whether training should restart: in the last two validations it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
 

@@ -156,7 +156,7 @@ def ending(
 
 
 def without_advice(notes: Iterable[str]) -> list[str]:
-    """The sentences that do not say to train for longer."""
+    """The sentences that do not suggest longer training."""
     return [note for note in notes if not note.startswith((STILL, TELLS_NOT, NOTHING))]
 
 

@@ -91,7 +91,7 @@ def certificate(
     """The chapter "certificate": bumps, limits, the smoothing gap and the policy's gradient.
 
     Bumps are made at the inputs, and near them too where most paths are at kinks; inputs whose
-    derivative is right only in the mean are judged by their move. Limits are those of the
+    derivative is correct only in the mean are tested by their move. Limits are those of the
     simulator's `slack`.
 
     **Arguments:**

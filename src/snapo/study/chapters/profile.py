@@ -119,7 +119,7 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
 
 
 def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(kind, name, numbers [T or T + 1, paths, entries]) of all that a path does."""
+    """(kind, name, numbers [T or T + 1, paths, entries]) of all series of a path."""
     problem = setup.problem
     bound, source = setup.engines.evaluate.bind(problem), problem.sources.evaluation
     records: dict[tuple[str, str], list[np.ndarray]] = {}

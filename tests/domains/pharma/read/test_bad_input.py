@@ -209,8 +209,7 @@ MISTAKES = {
         '["kinetics.prefactor[0]", "crystalliser.kinetics.growth"]\nvalue = 0.9\n'
         '[[correlations]]\nbetween = ["kinetics.prefactor[1]", "crystalliser.kinetics.growth"]\n'
         "value = -0.9\n# Where the probability",
-        "correlations: the correlations together are not those of any numbers (not positive "
-        "definite).",
+        "correlations: the correlations together are not positive definite.",
     ),
     "spread in percent of a temperature": (
         '{ kind = "normal", spread = "0.5 K" }', '{ kind = "normal", spread = 0.5 }',
