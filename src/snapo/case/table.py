@@ -195,7 +195,7 @@ def _explain(table, data, file, name, item) -> CaseError:
         message = f"there is no such key; {nearest(key, table.model_fields)}"
         return CaseError(file, where, data[key], message)
     error = item.get("ctx", {}).get("error")
-    if isinstance(error, CaseError):  # of a key's own reader
+    if isinstance(error, CaseError):  # of a key's reader
         return error
     allowed = table.model_fields[key].description or item["msg"]
     if item["type"] == "missing":

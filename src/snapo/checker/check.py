@@ -41,7 +41,7 @@ from .traces import loops, lost_derivatives, repeatable
 from .watch import moments
 
 KEPT = 64
-_faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's own simulators
+_faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's simulators
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
@@ -65,7 +65,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
         if library and form in _faultless:
             return
         one_step(notes, simulator, schedule)
-        if not library:  # tests cover these for snapo's own code
+        if not library:  # tests cover these for snapo's code
             short_slices(notes, simulator, inputs, schedule)
             repeatable(notes, simulator, inputs, schedule)
             loops(notes, simulator, inputs, schedule)

@@ -43,7 +43,7 @@ def _guess(message: str, simulator: Any, method: str) -> str:
 
 
 def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary | None:
-    """The deepest frame in the simulator's own file, or else outside of the libraries."""
+    """The deepest frame in the simulator's file, or else outside of the libraries."""
     frames = traceback.extract_tb(error.__traceback__)
     try:
         home = inspect.getsourcefile(type(simulator))

@@ -70,8 +70,8 @@ class CheckedRollout(eqx.Module):
         ).totals
 
     def rounding(self) -> float:
-        """How much an output may be off just by rounding: a difference of large states, such as
-        a need that is met, is no more exact than they are."""
+        """The rounding error of an output: a difference of large states, such as a need that is
+        met, is as inexact as they are."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((self.states, self.totals))]
         finite = (leaf[np.isfinite(leaf)] for leaf in leaves if leaf.dtype.kind == "f")
         return EPSILONS * float(max((np.abs(leaf).max(initial=0.0) for leaf in finite), default=0))

@@ -231,7 +231,7 @@ def _pulled_back(engine: Xla, call: XlaCall, weights, bounds: Array | None, wrt)
 
 
 def _rollout(engine: Xla, call: XlaCall, record, bounds) -> Rollout:
-    """All paths at once: `_path` mapped over the paths' own arrays."""
+    """All paths at once: `_path` mapped over the paths' arrays."""
 
     noise = _noise(engine, call)
 

@@ -13,7 +13,7 @@ import jax
 # The first tested release, and the first that was not tested.
 TESTED = (0, 10), (0, 13)
 
-# Calls are primitives whose names and parameters are JAX's own affair: name -> parameter.
+# Calls are primitives whose names and parameters are JAX's affair: name -> parameter.
 CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",

@@ -70,7 +70,7 @@ def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
 
 
 def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
-    """Today's decision and the domain's own sections: every number with its column's name."""
+    """Today's decision and the domain's sections: every number with its column's name."""
     today = tables.get("today") or {}
     for name, number, unit in today.get("facts", ()):
         yield ("today", name, unit, number, None)

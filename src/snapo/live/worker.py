@@ -121,7 +121,7 @@ class Desk:
 
 
 def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) -> None:
-    """Answers until there are no more lines; `module`: of the user's own simulator."""
+    """Answers until there are no more lines; `module`: of the user's simulator."""
     while (order := desk.orders.get()) is not None:
         try:
             if order["do"] == "move":

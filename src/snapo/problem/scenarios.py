@@ -249,7 +249,7 @@ def stream(use: int, number: int = 0) -> int:
 class Sources:
     """One source of scenarios for each role, used for no other.
 
-    - `training`: gives other paths at every step.
+    - `training`: returns different paths at every step.
     - `validation`: the paths on which policies are compared while training, always the same.
     - `evaluation`: the paths on which the value and its sensitivities are measured.
     """

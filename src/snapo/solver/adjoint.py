@@ -7,7 +7,7 @@ Both training and sensitivities use these functions.
 
 The adjoint uses only the finite paths: one bad path must not cost a whole run.
 
-A path is bad where a total that the objective uses, or the path's own adjoint, is non-finite. Bad
+A path is bad where a total that the objective uses, or the path's adjoint, is non-finite. Bad
 paths are left out and counted, and may be at most the share `DROPPED` of all paths, since those
 left out may be the important ones. A path of ruin, whose total is finite, is never left out: its
 utility is minus infinity.

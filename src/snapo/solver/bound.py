@@ -8,7 +8,7 @@ decision with the innovation that it profits from: V(next state) - E[V(next stat
 V. Whatever V is, the bound holds; with the exact value function it is the exact value on every
 path.
 
-The same penalty along the policy's own path has mean zero, so it is taken from the policy's
+The same penalty along the policy's path has mean zero, so it is taken from the policy's
 earnings as a control variate, and the gap of a path, perfect foresight less policy, is never
 negative.
 """

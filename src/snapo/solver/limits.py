@@ -124,7 +124,7 @@ def _deviation(objective: Objective, totals: Totals) -> float:
 
 BLOCKS, PATHS = 16, 4096  # of the shadow prices
 NEARLY = 1e-3  # of a path's deviation in the measure
-ROOM = 0.1  # of it: training's own paths place a measure no better than that
+ROOM = 0.1  # of it: training's paths place a measure no better than that
 ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths are the same
 
 

@@ -186,7 +186,7 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
-    """Reported derivatives that differ, by the difference that they make for the input's own move.
+    """Reported derivatives that differ, by the difference that they make for the input's move.
     Those that are unknown in one of the runs are left out."""
     try:
         one, other = (Solution.load(run).sensitivities for run in (first, second))

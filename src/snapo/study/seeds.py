@@ -46,7 +46,7 @@ class SeedRow(NamedTuple):
 
     - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
     - `below_best`, `below_best_error`: the difference to the best, paired path by path.
-    - `within`: whether all limits of the problem are met, or nearly, on the run's own paths.
+    - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
 
     seed: int

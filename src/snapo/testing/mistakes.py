@@ -90,7 +90,7 @@ def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> It
 def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
     """Mistakes in every table and under every key of the case in `folder`.
 
-    `free`: tables whose keys are names of the user's own choice ("contents.initial"), where an
+    `free`: tables whose keys are names of the user's choice ("contents.initial"), where an
     unknown key is a new name.
     """
     _, data = load(folder)

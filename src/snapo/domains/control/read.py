@@ -192,7 +192,7 @@ def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[
 def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: standard deviations of a step's disturbance} of the states that are named.
 
-    Of a state of several numbers: a list, or the rows of a matrix that multiplies normals.
+    For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """
     _known(plant, data, name, "noise")
     matrices = {}

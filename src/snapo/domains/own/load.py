@@ -1,4 +1,4 @@
-"""The user's own module: found next to the case, run once, with messages for its mistakes."""
+"""The user's module: found next to the case, run once, with messages for its mistakes."""
 
 import hashlib
 import importlib
@@ -18,7 +18,7 @@ OPTION = "--simulator"
 
 
 class LoadedCode(NamedTuple):
-    """A class of the user's own, and the file that it is written in (None: an installed module)."""
+    """A class of the user, and its file (None: an installed module)."""
 
     value: Any
     file: Path | None
@@ -97,7 +97,7 @@ def importable(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def readable(file: Path) -> Iterator[None]:
-    """Turns whatever the code in `file` raises into one message with its line."""
+    """Converts any exception of the code in `file` into one message with its line."""
     try:
         yield
     except CaseError:

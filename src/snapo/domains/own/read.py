@@ -1,4 +1,4 @@
-"""Reads a case with a simulator of the user's own: its tables, `[inputs]` and `[objective]`."""
+"""Reads a case with a user-defined simulator: its tables, `[inputs]` and `[objective]`."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What a run of a user's own simulator does: it is checked, trained, measured and reported."""
+"""A run of a user's simulator: check, training, measurement and report."""
 
 from typing import Any
 

@@ -230,7 +230,7 @@ def _context(values: dict[str, int], columns: int) -> np.ndarray:
 
 
 def _apart(context: np.ndarray, name: str, size: int) -> None:
-    """Every column's own rows, of so many bytes, one column after the other."""
+    """Every column's rows, of so many bytes, one column after the other."""
     context[:, SLOTS[name]] += size * np.arange(len(context))
 
 

@@ -205,7 +205,7 @@ def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, n
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
-    # The mean is off by noise and by its members' own errors, which their spread shows.
+    # The mean is off by noise and by its members' errors, which their spread shows.
     count, means = len(predictions), predictions[:, :, :size]
     disagreement = means.var(0, ddof=1).mean(0) if count > 1 else np.zeros(size)
     noise = np.sqrt(np.maximum(0.0, moves - disagreement / count))

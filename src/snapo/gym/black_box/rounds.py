@@ -92,7 +92,7 @@ def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     every = np.concatenate([observed.before, observed.after]).astype(np.float64)
     low, high = every.min(0), every.max(0)
     room = BEYOND * np.maximum(high - low, units.scale)
-    # Slightly beyond the environment's own bounds, so that there the smooth corner is not felt.
+    # Slightly beyond the environment's bounds, so that there the smooth corner is not felt.
     slack = 1e-6 * units.scale
     return {
         "layers": fit.layers,

@@ -2,7 +2,7 @@
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
 of one is therefore in `following(version)`: JAX then does not reuse a trace of another version, in
-functions that the user compiles too. snapo's own code has no version.
+functions that the user compiles too. snapo's code has no version.
 
 Programs as text: two traces that read the same things are the same text.
 """

@@ -109,7 +109,7 @@ class Walk:
             return
         children, rest = parts
         if not is_known(name := package(type(x))):
-            self._opened.add(name)  # a simulator's own package is read, even if it is installed
+            self._opened.add(name)  # a simulator's package is read, even if it is installed
         self._value(type(x), self.fixed)
         self._value(rest, self.fixed)
         for child in children:

@@ -89,7 +89,7 @@ def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, 
     """Threefry-2x32 with 20 rounds (Salmon et al. 2011): two words for the counter (x, y).
 
     Written out so that it fuses with later operations and every engine traces the same ones;
-    JAX's own primitive computes the same words.
+    JAX's primitive computes the same words.
     """
     keys = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(0x1BD11BDA))
     x, y = x + keys[0], y + keys[1]

@@ -73,7 +73,7 @@ class MeasuredRun(NamedTuple):
 
     @property
     def effort(self) -> Effort:
-        """What the derivatives may take in addition to the training."""
+        """The number of paths for derivatives, in addition to the training."""
         steps, maximum = (
             max(1, self.progress.step),
             min(self.evaluation.search_paths, self.held_paths),

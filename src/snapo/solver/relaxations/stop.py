@@ -165,7 +165,7 @@ class Relaxation(Protocol):
         ...
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the penalties of the policy's own decisions: of mean zero."""
+        """[N] the penalties of the policy's decisions: of mean zero."""
         ...
 
 

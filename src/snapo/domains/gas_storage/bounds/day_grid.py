@@ -244,8 +244,8 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
     - `prices`: present values of a unit bought and sold, [columns] each.
     - `after` [m, columns]: the value on the day's last nodes, linear between them.
-    - `above`: the result, linear between nodes, nowhere lies below the value of the best flow from
-      there; otherwise it is that value at the nodes, and may lie below it in between.
+    - `above`: the result, linear between nodes, is never below the value of the best flow from
+      there; otherwise it equals that value at the nodes, and may be below it in between.
     """
     keep = day.keep[:, None]
     buying = _less(after, day.after, prices.pay)

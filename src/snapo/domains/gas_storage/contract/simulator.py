@@ -35,7 +35,7 @@ from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 class StorageSimulator(Simulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
-    It holds no case: all in which two contracts of one form differ is an array, or an input.
+    It holds no case: contracts of the same form differ only in arrays and inputs.
 
     **Arguments:**
 

@@ -48,7 +48,7 @@ class SuppliedStep(NamedTuple):
 
 @register
 class SuppliedPrices(PriceProcess):
-    """Prices from a file; its paths take the place of the noise.
+    """Prices from a file; its paths replace the noise.
 
     With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
     own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,

@@ -177,7 +177,7 @@ def end_too_early(start: datetime.date, end: datetime.date) -> str:
 
 
 def free_money(case: StorageCase) -> Iterator[str]:
-    """Remarks where the contract pays for moving gas, whatever the price: often a wrong sign."""
+    """Remarks where the contract pays for moving gas at any price: often a wrong sign."""
     contract = case.contract
     inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
     if not len(case.days):

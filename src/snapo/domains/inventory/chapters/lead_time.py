@@ -94,7 +94,7 @@ def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
 
 
 def lead_time(run: RunFiles) -> Section:
-    """The section; of a run that trains no other lead times, how to ask for them."""
+    """The section; for a run without other lead times, how to request them."""
     section = LEAD_TIME(run)
     if CaseSummary.of(run).other_leads:
         return section

@@ -18,7 +18,8 @@ class NormalTable(CaseTable):
 
 @register
 class NormalDemand(Demand):
-    """mean + deviation z. Below zero it is goods that come back; rare from 3 deviations on."""
+    """mean + deviation z. Negative demand means returned goods; it is rare if the mean is above 3
+    deviations."""
 
     kind = "normal"
     table = NormalTable

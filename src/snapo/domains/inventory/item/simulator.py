@@ -45,7 +45,7 @@ AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "
 class InventorySimulator(Simulator):
     """One path of an item; the inputs are those of `InventoryCase.inputs`.
 
-    It holds no case: all in which two items of one form differ is an array, or an input.
+    It holds no case: items of the same form differ only in arrays and inputs.
 
     **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
     periods differ; `demand`: of the case, `formed`; `weights`, `counted` [T] as of the case; and

@@ -63,7 +63,7 @@ class Levels(NamedTuple):
 class NetworkSimulator(Simulator):
     """One path of a network; the inputs are those of `NetworkCase.inputs`.
 
-    It holds no case: all in which two networks of one form differ is an array, or an input.
+    It holds no case: networks of the same form differ only in arrays and inputs.
 
     **Arguments:** `network`; `horizon`;
     `demands`: of the case, `formed`; `first`: the numbers of demand from which a path starts, a
@@ -170,7 +170,7 @@ class NetworkSimulator(Simulator):
         return Schedule(constants, steps | item)
 
     def levels(self, inputs: Any, periods: int) -> Levels:
-        """Those of the first `periods`; where there is no season, all are equal."""
+        """Those of the first `periods`; without a season, all are equal."""
         network = self.network
         reach = jnp.asarray(network.serves[:, network.sellers])
         longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))

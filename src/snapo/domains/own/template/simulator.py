@@ -1,7 +1,7 @@
 """A reservoir: how much water to send through the turbines each week, prices and rain unknown.
 
-ONE path, in plain jax.numpy: no batch dimension, no random keys, no loop over time. What a name
-under [inputs] in case.toml holds comes in as inputs["name"]. Try:
+ONE path, in plain jax.numpy: no batch dimension, no random keys, no loop over time. An entry of
+[inputs] in case.toml is passed as inputs["name"]. Try:
 
     snapo check . --simulator simulator:Reservoir
     snapo solve . --simulator simulator:Reservoir

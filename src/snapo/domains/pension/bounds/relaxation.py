@@ -1,13 +1,13 @@
 """The bound of a fund: its assets at a deflator's prices instead of the market's returns.
 
 With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
-is the most that a unit of deflated money can grow to on average within the limits of weights and
-swaps. Then D A earns nothing on average under any policy, so
+is the maximum expected growth of a unit of deflated money within the limits of weights and swaps.
+Then D A earns nothing on average under any policy, so
 
     E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
 
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
-least and the money received the most that any decision can bring about: exact where indexation and
+minimum and the money received the maximum over all decisions: exact where indexation and
 contributions do not depend on decisions, wide where they do. Costs of trading count as nothing.
 Assets are above zero: a debt, which leverage or payments can leave, earns more than nothing.
 """
@@ -40,7 +40,7 @@ SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
 class FundPaths(NamedTuple):
-    """The market of paths, whatever the prices: leaves [T, N, …], of bonds [T, …]."""
+    """The market of paths, for any prices: leaves [T, N, …], of bonds [T, …]."""
 
     returns: GaussianReturns
     noise: Float[Array, "T N Z"]

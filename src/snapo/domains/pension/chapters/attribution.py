@@ -231,7 +231,7 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     caption = (
         f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the"
         " learned policy. In every month assets and liability are moved in both orders and the"
-        " mean of the two is taken; the liability's own parts come in the order benefits, accrual,"
+        " mean of the two is taken; the liability's parts come in the order benefits, accrual,"
         " interest, rates, mortality, indexation. Mortality: departures from the table; indexation:"
         " beyond the part valued already. The parts add up to the change of F on every path."
     )

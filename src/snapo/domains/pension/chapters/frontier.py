@@ -4,9 +4,9 @@ For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon
 present value of contributions over the liability of today. The sweep goes up and then down again;
 each time a policy is trained from the best one for its aim so far, wherever that one was trained,
 and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order only for that reason: of two policies that each serve their own aim best,
-the one for the larger s asks for less. They are chosen on the validation paths and measured on
-fresh ones, so that they are in order within their errors.
+points would be in order only for that reason: of two policies that are each best for their aim, the
+one for the larger s has lower contributions. They are chosen on the validation paths and measured
+on fresh ones, so that they are in order within their errors.
 """
 
 from collections.abc import Sequence
@@ -80,7 +80,7 @@ class FrontierSweep:
 
 
 def measure(run: StudyRun) -> FrontierSweep:
-    """The sweep of the weights that the case asks for."""
+    """The sweep of the weights requested in the case."""
     request, setup = case_of(run).frontier, run.setup
     if request is None:
         return FrontierSweep()

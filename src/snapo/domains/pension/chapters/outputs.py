@@ -67,7 +67,7 @@ class OutputValue:
 
 @dataclass(frozen=True)
 class OnOutputs:
-    """The effect of a usual move: {output: (effect, standard error)} in the output's own unit
+    """The effect of a usual move: {output: (effect, standard error)} in the output's unit
     (money, or 1)."""
 
     input: str
@@ -78,7 +78,7 @@ class OnOutputs:
 
 @dataclass(frozen=True)
 class InputOnOutputs(OnOutputs):
-    """Of all numbers of an input."""
+    """The effects of all numbers of an input."""
 
     count: int
     words: str

@@ -1,4 +1,4 @@
-"""The model's own figures next to those of the actuary: is this the fund that the actuary knows?"""
+"""The model's figures next to those of the actuary: is this the fund that the actuary knows?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

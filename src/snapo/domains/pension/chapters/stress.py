@@ -34,7 +34,7 @@ ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in t
 
 
 def zero_rates(curve: MarketCurve) -> np.ndarray:
-    """[n] continuous zero rates at the nodes, whatever is quoted."""
+    """[n] continuous zero rates at the nodes, for any quotes."""
     if curve.quote == "zero":
         return curve.rate.used()
     if curve.quote == "swap":

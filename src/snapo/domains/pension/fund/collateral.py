@@ -51,7 +51,7 @@ def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
 
 
 def stressed(case: PensionCase, rise: ArrayLike) -> Stress:
-    """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
+    """The same at the case's numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
     with jax.enable_x64(True):
         item = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")

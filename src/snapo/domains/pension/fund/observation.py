@@ -151,7 +151,7 @@ def observe(
 
 
 def scales(case: PensionCase) -> np.ndarray:
-    """[g] standard deviation of each factor after ten years, from the case's own numbers."""
+    """[g] standard deviation of each factor after ten years, from the case's numbers."""
     rates, inflation = case.rates, case.inflation
     a = np.append(rates.mean_reversion.used(), inflation.mean_reversion.used())
     used = np.column_stack([rates.volatility.used(), inflation.volatility.used()]).mean(axis=0)

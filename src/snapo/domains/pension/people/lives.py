@@ -55,7 +55,7 @@ def working(case: PensionCase, lives: Lives, steps: int) -> np.ndarray:
 
 
 def drawing(case: PensionCase, lives: Lives, steps: int) -> np.ndarray:
-    """The share of each step that a group's own pension is in payment [C, steps]."""
+    """The share of each step that a group's pension is in payment [C, steps]."""
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
     old = 1 - share_before(case.plan.retirement_age, age, case.step)

@@ -76,8 +76,9 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
     """All death probabilities scaled, by sex, until the expectation of life at 65 is a year longer.
 
     The change is that of the multipliers, else of the death probabilities, else of the formula,
-    whose hazards are scaled in their place, to first order in the scale. None where mortality is no
-    input or no scale does it. A number that both sexes share moves by the mean of the two moves.
+    whose hazards are scaled in their place, to first order in the scale. None if mortality is not
+    an input or no scale suffices. A number that both sexes share moves by the mean of the two
+    moves.
     """
     mortality = case.mortality
     if mortality is None:

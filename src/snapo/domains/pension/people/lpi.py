@@ -81,7 +81,7 @@ def dates_before(case: PensionCase, first: np.ndarray, wait: np.ndarray) -> np.n
 
 def log_growth(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the expected growth of rights until each payment at time s * step, seen today, under
-    the payment's own measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
+    the payment's measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
     result, none = price_growth(case, inputs, today=True), jnp.zeros(1)
     first, d_first, later, joint = _parts(case, inputs, result, none)
     complete = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]

@@ -7,8 +7,8 @@
 
 R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
 that is fully protected buys the same pension whatever rates do; Rc is the return of cash over the
-step. Where all that the fund can hold earns Rc, so do every pot and the reserve, whatever their
-protections and exposures are: nothing is redistributed that is known beforehand.
+step. If all assets of the fund earn Rc, so do every pot and the reserve, for any protections and
+exposures: there is no ex-ante redistribution.
 
 Source: De Nederlandsche Bank, Open Boek Toezicht, Q&A "Hoe kan een pensioenuitvoerder de
 toedelingsregels zo vormgeven dat er op voorhand geen herverdelingseffecten tussen leeftijdsgroepen

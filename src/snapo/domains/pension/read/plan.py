@@ -208,7 +208,7 @@ def check_limited(case: PensionCase) -> None:
 def read_frontier(
     section: TableContext, table: FrontierTable | None, plan: PensionPlan
 ) -> Frontier | None:
-    """The sweep of contributions against the shortfall, where one is asked for."""
+    """The sweep of contributions against the shortfall, if requested."""
     if table is None:
         return None
     kind = plan.contribution.kind
@@ -223,5 +223,5 @@ def read_frontier(
 
 
 def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:
-    """The actuary's own figures, where given."""
+    """The actuary's figures, where given."""
     return None if table is None else Reconcile(table.liability, table.duration, table.tolerance)

@@ -317,7 +317,7 @@ class LiabilityTable(CaseTable):
 
 
 class ReconcileTable(CaseTable):
-    """`[reconcile]`: the actuary's own figures."""
+    """`[reconcile]`: the actuary's figures."""
 
     liability: float | None = plain(POSITIVE, None)
     duration: float | None = plain(POSITIVE, None)

@@ -57,8 +57,8 @@ class AssetGroup:
 class Assets:
     """The asset classes; n is their number, m those with a separate shock (`shocks`).
 
-    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": all of the return,
-      whatever cash earns. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
+    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": the whole return,
+      including that of cash. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
       that; "arithmetic": 1 + mean is the expected gross return of a year, in the fund's own
       currency after hedging. Counts under "P" only: under "Q" every class earns cash on average.
     - `volatility`: index [T, m] in local currency, 1/sqrt(year).

@@ -65,9 +65,9 @@ class Contribution:
       in periods of `level_steps`; where that is None, the gap over `recovery_years` a year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
-    - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
+    - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.
       Each applies only where its flag is set. All `CaseInput`s index [].
-    - `schedule`: paid on top, whatever the limits; None where the case has none.
+    - `schedule`: paid in addition, without limits; None where the case has none.
     """
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"]
@@ -149,7 +149,7 @@ class Liability:
 
 @dataclass(frozen=True, eq=False)
 class Reconcile:
-    """The actuary's own figures; None where not given. `tolerance` is relative."""
+    """The actuary's figures; None where not given. `tolerance` is relative."""
 
     liability: float | None
     duration: float | None

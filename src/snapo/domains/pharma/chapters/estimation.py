@@ -105,7 +105,7 @@ class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
     - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
-      an `experiment`. `start`: the case's own numbers; `units`, `scales`: of the fitted numbers.
+      an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
     - `level`: of the intervals; `errors`: how those of the measurements are known.
     """
 
@@ -134,7 +134,7 @@ def measure(run: StudyRun) -> Estimates:
 
 
 def estimates(process: Process) -> Estimates:
-    """The fit that a case asks for."""
+    """The fit requested in a case."""
     request = process.case.estimation
     assert request is not None
     result, experiments = fit(process, request), request.experiments

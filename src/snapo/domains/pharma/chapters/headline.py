@@ -37,7 +37,7 @@ LOST = 1e-3  # share of batches without a finite result from which a run is not 
 
 
 def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
-    """(name of the check, whether it held, where it is off most in brackets)."""
+    """(name of the check, whether it passed, position of the largest error in brackets)."""
     rows = []
     if balances := BALANCES.of(run):
         off = [x for x in balances if not closed(x)]

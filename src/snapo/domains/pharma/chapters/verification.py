@@ -139,12 +139,12 @@ class CheckedPoint:
 
 
 def closed(balance: Balance) -> bool:
-    """Whether a balance closes; one that is not a number does not."""
+    """Whether a balance closes; NaN does not."""
     return balance.quantity == "energy" or abs(balance.relative) <= CLOSED
 
 
 def largest_gap(row: ConvergenceRow) -> float:
-    """The larger gap of a row; one that is not a number is largest."""
+    """The larger gap of a row; NaN counts as the largest."""
     gaps = (row.halving_gap, row.adaptive_gap)
     return max(math.inf if math.isnan(gap) else abs(gap) for gap in gaps)
 

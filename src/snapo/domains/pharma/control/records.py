@@ -53,7 +53,7 @@ class PI:
 class Cascade:
     """One loop: `outer` moves the `Manipulated` number `of`, or through `inner` its setpoint.
 
-    `low`, `high`: of the setpoint that `outer` may ask of `inner`.
+    `low`, `high`: bounds of the setpoint of `inner` set by `outer`.
     """
 
     of: int

@@ -52,6 +52,6 @@ def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
 
 
 def allowed(attribute: Attribute, value: float) -> float:
-    """By how much an attribute may move with the cells."""
+    """The allowed change of an attribute with the cells."""
     limited = attribute.low is not None or attribute.high is not None
     return attribute.margin if limited or value == 0 else SMALL * abs(value)

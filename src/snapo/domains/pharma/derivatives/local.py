@@ -21,7 +21,8 @@ LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ..
 
 
 class DerivativeBlock(NamedTuple):
-    """Derivatives of one unit by itself: of its outlets and measures by its inlets and own numbers.
+    """Derivatives of a single unit: of its outlets and measures with respect to its inlets and
+    numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 

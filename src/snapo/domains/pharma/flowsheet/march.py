@@ -81,7 +81,7 @@ class _Leg(NamedTuple):
 
 
 class Batches(Protocol):
-    """What marching asks of a process: `flowsheet.process.Process`."""
+    """The interface of a process for marching: `flowsheet.process.Process`."""
 
     @property
     def case(self) -> PharmaCase: ...

@@ -220,7 +220,7 @@ class Process:
         """Attributes, and derivatives with respect to `sensitivities`, at `draws` [N, E] of
         `entries`.
 
-        The rest is as in `inputs`. Chunks are of one shape: the last is filled up with its own
+        The rest is as in `inputs`. All chunks have the same shape: the last one is padded with its
         first row. They run on all cores. "auto" takes the native engine where it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)

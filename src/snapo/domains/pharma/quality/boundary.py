@@ -31,7 +31,7 @@ class Boundary:
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
       axis, -1 on that one; `side`: -1 where the space ends towards low values, +1 towards high.
     - `position`: of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside the space; in
-      the unit of the grid. NaN where the end lies beyond the line.
+      the unit of the grid. NaN where the end is outside of the line.
     - `binding`: number of the attribute that most often breaks its limits just beyond it.
     """
 

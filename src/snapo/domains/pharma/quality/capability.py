@@ -25,7 +25,7 @@ ROUND_OFF = 1e-12  # of the mean: a smaller deviation counts as zero
 class Capability:
     """[Q] each, over n fresh batches at the set point.
 
-    - `cpk`: min(high - mean, mean - low) / (3 deviation), which takes the attribute for normal;
+    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute;
       NaN without a limit. `sigmas`: the distance to the edge of failure in deviations, 3 Cpk.
     - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.

@@ -42,7 +42,7 @@ class ParameterFit:
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
     - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
-      one-sided, and the others' are those with it held there.
+      one-sided, and the others assume it held there.
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
       0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
@@ -78,7 +78,7 @@ class ParameterFit:
 
 
 def fit(process: "Process", estimation: Estimation) -> ParameterFit:
-    """Least squares within the bounds, from the case's own numbers and from others."""
+    """Least squares within the bounds, from the case's numbers and from others."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
@@ -104,7 +104,7 @@ def fit(process: "Process", estimation: Estimation) -> ParameterFit:
                     f"the model has no value for measurement {at + 1} at the numbers of the case"
                 )
     lowest = min(value.cost for value in searched)
-    # Of equal ones the first: that of the case's own numbers, where it is among them.
+    # Of equal ones the first: that of the case's numbers, where it is among them.
     result = next(each for each in searched if each.cost <= lowest + SAME * max(lowest, 1.0))
     names = tuple(
         entry_name(process.case, *each) for each in zip(estimation.inputs, estimation.entries)

@@ -20,6 +20,6 @@ def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarr
 
 
 def draws_for(probability: float, level: float = LEVEL) -> int:
-    """Draws of which all must hold before their interval lies above a probability."""
+    """The number of draws, all successful, for which the interval is above a probability."""
     z = ndtri((1 + level) / 2)
     return int(np.ceil(z**2 * probability / (1 - probability)))

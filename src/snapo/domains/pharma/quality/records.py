@@ -139,7 +139,7 @@ class Estimation:
     - `level`: of the confidence intervals. `units`, `scales`: [P] the case's, as of a `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.
-    - `starts`: points from which the search begins, the case's own first.
+    - `starts`: points from which the search begins, the case's first.
     """
 
     inputs: tuple[str, ...]

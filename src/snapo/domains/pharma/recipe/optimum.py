@@ -1,8 +1,8 @@
 """Optimisation of a traceable function, with its first-order conditions shown.
 
 Sequential quadratic programming (SciPy's SLSQP) on exact derivatives of one compiled function
-that has the goal and all constraints; without constraints L-BFGS-B. Its result is judged apart
-from it: multipliers are fitted to the gradients at the solution.
+that has the goal and all constraints; without constraints L-BFGS-B. Its result is tested
+separately: multipliers are fitted to the gradients at the solution.
 """
 
 import time
@@ -85,8 +85,9 @@ class Stopped(Exception):
 class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
-    A call gives the numbers and their derivative [K, n] by x; the last one is remembered, since
-    optimisers ask for values and derivatives one after the other. `compiling`: seconds.
+    A call returns the numbers and their derivative [K, n] with respect to x; the last one is
+    remembered, since optimisers ask for values and derivatives one after the other. `compiling`:
+    seconds.
     """
 
     def __init__(self, function: Callable, mode: Mode = "adjoint"):

@@ -21,8 +21,8 @@ def saturation_share(
     `excess` is solubility less concentration; until then nothing happens, so that the
     concentration is the initial one. 0 where the start is saturated, 1 where it never crosses
     (no derivative in both), an edge where a jump of the profile crosses. In between: a bracket
-    divided into sixteen, again and again, without derivatives; then two Newton steps, which
-    carry the first and second derivatives.
+    repeatedly divided into sixteen, without derivatives; then two Newton steps, which carry the
+    first and second derivatives.
     """
     if profile.kind == "constant":
         crossed = excess(value) <= 0

@@ -1,7 +1,7 @@
 """A unit operation: one object with all of its behaviour, from its table to its report.
 
 A new one is one file with one class, of which `registry` has the list. Every `CaseInput` of a unit
-is named "unit.field" ("reactor.temperature"), the unit being the object's own `name`; labels say
+is named "unit.field" ("reactor.temperature"), the unit being the object's `name`; labels say
 which node, species or coefficient an entry is.
 """
 

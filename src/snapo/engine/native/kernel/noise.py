@@ -175,7 +175,7 @@ def bind(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
 
 
 def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
-    """Normals of some steps at once, into scratch memory; the step's own are a row of it."""
+    """Normals of some steps at once, into scratch memory; those of one step are a row of it."""
     code, size = s.code, value.size
     steps = 1 if s.initial else ahead(size)
     rows = steps * size + SPARE

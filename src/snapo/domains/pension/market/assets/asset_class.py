@@ -93,7 +93,7 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
-        """The fields that this kind adds, from the row's own columns."""
+        """The fields that this kind adds, from the row's columns."""
 
     @classmethod
     @abstractmethod
@@ -136,7 +136,7 @@ class AssetClass(AssetRow, ABC):
     def log_price(
         cls, case: PensionCase, inputs: dict[str, Any], positions: Sequence[int]
     ) -> Float[Array, " k"]:
-        """ln of prices over those at the case's own numbers: its derivatives are the exposures to
+        """ln of prices over those at the case's numbers: its derivatives are the exposures to
         curves, break-evens and spreads."""
         now = curve_prices(case, {}), curve_prices(case, inputs)
         return jnp.log(cls.ratio(case, positions, *now))

@@ -74,7 +74,7 @@ AnyModel = TypeVar("AnyModel", bound=type[ShortRate])
 
 
 def register(model: AnyModel) -> AnyModel:
-    """Makes a model known by its word; one that is incomplete or known already is an error."""
+    """Registers a model by its keyword; an incomplete or a duplicate model is an error."""
     missing = [
         name for name in ("kind", "factors", "description") if not getattr(model, name, None)
     ]

@@ -1,4 +1,4 @@
-"""The case in a few lines, and its reconciliation with the actuary's own figures."""
+"""The case in a few lines, and its reconciliation with the actuary's figures."""
 
 from collections.abc import Callable
 from dataclasses import replace

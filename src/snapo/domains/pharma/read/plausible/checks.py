@@ -111,7 +111,7 @@ def check_amounts(
 
 
 def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> None:
-    """No number is studied, or decided, where a unit would take in more than its feed holds.
+    """Refuses ranges of numbers, studied or decided, for which a unit would use more than its feed.
 
     `spans`: position in the case, name of the number, and its highest value.
     """

@@ -133,7 +133,7 @@ class Mixture(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Constants that the case does not have are those of `chemicals` by name."""
+        """Missing constants are taken from `chemicals` by name."""
         table, count = read.table, len(read.table.solvents) + 1
         liquid, masses = _read_liquid(read, count)
 

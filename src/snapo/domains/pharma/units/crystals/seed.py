@@ -25,7 +25,7 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 class Seed(TableRecord):
     """Crystals at the start: `loading` of a `size`; or `moments`, index [6].
 
-    Of the two, one is there and the other None; moments are m^k/m3, k = 0..5.
+    One of the two is None; moments are m^k/m3, k = 0..5.
     `size` is the mean by number and `spread` the standard deviation as a share of it, of a
     lognormal distribution; None where all are of one size.
     """
