@@ -102,10 +102,10 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
 
 
 AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any case")
-LEVEL = replace(STOCK, column="inventory", meaning="rows of the value of the remaining gas")
-LEFT = Quantity(group=GROUP, meaning="rows of the value of the remaining gas")
+LEVEL = replace(STOCK, column="inventory", meaning="rows of the value of the gas left")
+LEFT = Quantity(group=GROUP, meaning="rows of the value of the gas left")
 SPOT_SHARE = replace(
-    POINTS, plausible=OF_SPOT, meaning="of the remaining gas, as a share of its spot value"
+    POINTS, plausible=OF_SPOT, meaning="of the gas left, as a share of its spot value"
 )
 
 

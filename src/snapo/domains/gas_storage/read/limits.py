@@ -24,10 +24,10 @@ LEVEL = Quantity(
     meaning="inventories of the ratchet rows",
 )  # fmt: skip
 INJECTION = replace(
-    LEVEL, unit=FLOW, column="max_injection", meaning="maximum injection per day, by inventory"
+    LEVEL, unit=FLOW, column="max_injection", meaning="most injection per day, by inventory"
 )
 WITHDRAWAL = replace(
-    LEVEL, unit=FLOW, column="max_withdrawal", meaning="maximum withdrawal per day, by inventory"
+    LEVEL, unit=FLOW, column="max_withdrawal", meaning="most withdrawal per day, by inventory"
 )
 
 

@@ -33,7 +33,7 @@ MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
     "mean", "the mean of a class: under excess returns over cash, under total returns all of it"
 )
 IN_CELL = VOLATILITY.in_column(
-    "volatility", "volatility of a class in its currency, and its mean as in the case",
+    "volatility", "volatility of a class in its own currency, its mean as the case gives it",
     range=Range(0.0, 5.0),
 )  # fmt: skip
 IN_FILE = replace(IN_CELL, range=VOLATILITY.range, by=FROM_YEAR, column="value")
