@@ -1,7 +1,7 @@
 """Angles: the state counts turns, and rewards and observations repeat with every turn.
 
-A state that jumps from pi to -pi has no derivative there. So the state keeps the angle as it comes,
-turns included; costs and observations are periodic functions of it.
+A state that jumps from pi to -pi has no derivative there. So the state has the unwrapped angle;
+costs and observations are periodic functions of it.
 """
 
 import jax.numpy as jnp

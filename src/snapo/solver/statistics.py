@@ -138,7 +138,7 @@ def ratio_shares(
 
 
 def of_shares(result: np.ndarray, fit: int = 0) -> Sampled:
-    """The estimate of shares [G]; `fit` coefficients cost as many degrees of freedom."""
+    """The estimate of shares [G]; `fit` coefficients cost one degree of freedom each."""
     degrees = len(result) - 1 - fit
     with np.errstate(invalid="ignore"):
         error = float(_error(result)) if degrees > 0 else np.nan

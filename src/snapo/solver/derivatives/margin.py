@@ -42,7 +42,7 @@ class Margin(NamedTuple):
 
 
 def passes(surface: Surface) -> int:
-    """How many derivatives a margin takes."""
+    """The number of derivatives needed for a margin."""
     return 1 + 2 * _pairs(surface) + 1 + RANDOM
 
 

@@ -65,7 +65,8 @@ class FeatureScale(NamedTuple):
         return self._applied(policy, scaled)
 
     def slope(self, gradient: Policy) -> Policy:
-        """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
+        """The gradient with respect to the numbers of `scaled`, from that with respect to those of
+        `plain`."""
         return self._applied(gradient, slope)
 
     @classmethod

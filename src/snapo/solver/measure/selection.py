@@ -6,7 +6,7 @@ else, with paired differences and the control variates regressed out of them. Th
 stays unless another is significantly better: training must not make a good rule worse. The paths of
 the reported value are not used for this choice.
 
-How a policy is measured: how many paths each of its numbers has.
+The numbers of paths with which a policy is measured.
 """
 
 from collections.abc import Mapping

@@ -148,10 +148,10 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:
-        paid = f"a cost is in {name}, and the dearest gas costs {highest:.6g}"
+        paid = f"a cost is in {name}, and the most expensive gas costs {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} a day, and the dearest gas costs {highest:.6g}"
+        paid = f"it is in {name} a day, and the most expensive gas costs {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 

@@ -43,7 +43,7 @@ def payment_days(
 ) -> np.ndarray:
     """[T] integer days since `valuation` on which the flow of each of `days` is paid.
 
-    - `moving`: [T] whether gas can move on the day; a month in which none can needs no row.
+    - `moving`: [T] whether gas can move on the day; a month without such days needs no row.
     - `gas`: [T] the same for the gas itself, which the rule "gas" of a cost refers to.
     """
     if rule == "gas" and gas is not None:

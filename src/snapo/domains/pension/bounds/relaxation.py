@@ -58,7 +58,7 @@ class Deflated(NamedTuple):
 class FundRelaxation:
     """See `snapo.Relaxation`; prices of risk and y are fitted on separate paths.
 
-    `policy` makes these paths; no decision matters there.
+    `policy` generates these paths; its decisions have no effect there.
     """
 
     terms, description = 1, "the innovations of the assets at fitted prices of risk"

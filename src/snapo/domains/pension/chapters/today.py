@@ -28,7 +28,7 @@ BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 SIDES = ("assets", "swaps", "liability")
 RATES = (
     "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
-    " gain: the hedge ratio is the assets' and swaps' change over the liability's."
+    " gain: the hedge ratio is the change of assets and swaps over that of the liability."
 )
 PRICES = "IE01: the same for +1 bp of break-evens at each tenor, nominal rates held."
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"

@@ -1,7 +1,7 @@
 """Growth of prices from date to date, as Gaussians under the measures of payments.
 
 Y_k = ln I(u_k) / I(u_{k-1}) seen from time t, u_k years later. With N(u) the part of ln I(t + u)
-that is not known at t, in the model of `factors` with volatilities that do not change,
+that is unknown at t, in the model of `factors` with volatilities that do not change,
 
     K(u, v) = Cov(N(u), N(v)) = int_0^min (s_p B(u-s) dW_p + s_I dW_I)(s_p B(v-s) dW_p + s_I dW_I)
     C(u, T) = Cov(N(u), int_0^T r) = int_0^u sum_i (s_p B(u-s) dW_p + s_I dW_I) s_i B_i(T-s) dW_i

@@ -53,7 +53,7 @@ class Reserve(NamedTuple):
 
 class ClosedPots(NamedTuple):
     """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
-    was too large and was given back) and `released` from it."""
+    was too large and was returned) and `released` from it."""
 
     pots: Float[Array, " C"]
     reserve: Array

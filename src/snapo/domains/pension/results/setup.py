@@ -46,7 +46,7 @@ PENSION = OutcomeMeasure(
 
 
 def outcome_measure(case: PensionCase) -> OutcomeMeasure:
-    """The funding ratio; the mean pension over that of today where nothing is promised."""
+    """The funding ratio; without promised rights the mean pension over that of today."""
     return FUNDING if case.pots is None else PENSION
 
 

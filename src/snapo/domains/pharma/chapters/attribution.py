@@ -213,7 +213,8 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """Of every attribute by the pairs of parameters that the case names, in the case's units."""
+    """Of every attribute with respect to the pairs of parameters named in the case, in the case's
+    units."""
     complete, case = process(run), process(run).case
     pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
     rows = second(complete, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))

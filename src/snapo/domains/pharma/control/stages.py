@@ -40,7 +40,7 @@ StageState = dict[str, Any]
 
 
 def staged(case: PharmaCase) -> tuple[Timed, ...]:
-    """The units over whose time something is decided or measured, in order."""
+    """The units with decisions or measurements over their time, in order."""
     control = case.control
     assert control is not None
     by_name = {name for name, _ in control.steps}

@@ -77,7 +77,8 @@ def choose(
 
 
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
-    """One attribute by every entry of every input, from ONE adjoint pass; per domain unit."""
+    """The derivatives of one attribute with respect to every entry of every input, from ONE adjoint
+    pass; per domain unit."""
     row = process.names.index(attribute)
 
     def make(local: bool):

@@ -66,8 +66,8 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
     """`maximum` steps for the problem at hand, in a trace; those that are not needed have no
-    length. Where they do not reach the end, one does that its error estimate refuses. No
-    derivatives."""
+    length. If they do not reach the end, one further step does, which is refused by its error
+    estimate. No derivatives."""
 
     def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end
