@@ -137,7 +137,7 @@ def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:
 def estimate(
     objective: Objective, totals: Totals, scenarios: Scenarios, controls: tuple[str, ...] = ()
 ) -> Value:
-    """The objective on these totals, with the controls' known mean of zero taken out.
+    """The objective on these totals, with the controls of known mean zero regressed out.
 
     Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
     are non-finite are left out and counted; more than a thousandth of them make the value NaN.

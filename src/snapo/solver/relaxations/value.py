@@ -7,7 +7,7 @@ waiting. It is used only for penalties: its error widens a bound, and never make
 The earnings of every decision of a stopping problem, on states that the decisions do not move.
 
 A state is split in two: the weights of `Stop` (the rights left), and all else, which no decision
-may move. Then one path's states serve every way of stopping: a step's earnings are computed for
+may affect. Then one path's states serve every way of stopping: a step's earnings are computed for
 every number of rights left, with and without using one.
 """
 

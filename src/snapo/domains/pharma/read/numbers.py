@@ -24,7 +24,7 @@ class Location(Protocol):
     """The position of a quantity: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
-        """The mistake at this place."""
+        """The mistake at this position."""
         ...
 
 

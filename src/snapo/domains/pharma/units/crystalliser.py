@@ -99,7 +99,7 @@ class Crystalliser(Timed):
         ("kᵥ", "shape"),
     )
     assumptions = (
-        "Crystals are pure; impurities come with the liquor that the cake keeps.",
+        "Crystals are pure; impurities come from the liquor retained in the cake.",
         "A stream holds one population of crystals, of one density and shape.",
     )
 

@@ -1,4 +1,4 @@
-"""Thickener: crystals and liquor of a flow taken apart, as by a clarifier or a hydrocyclone."""
+"""Thickener: separates crystals and liquor of a flow, like a clarifier or a hydrocyclone."""
 
 from dataclasses import dataclass
 
