@@ -97,7 +97,7 @@ class Quantity:
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
       words.
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
-      numbers; `before`: the number that holds before the first row.
+      numbers; `before`: the number that applies before the first row.
     - `text`: the allowed values, if the range is not sufficient.
     - `name`: of the input, where it is not the key.
     """

@@ -240,7 +240,8 @@ class Valuation(WhatIf):
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.
 
-        The norm of the gradient of the smooth value by the policy, which vanishes at the best.
+        The norm of the gradient of the smooth value with respect to the policy, zero at the
+        optimum.
         """
         here = self._slope(setup)
         if self._trained is None:

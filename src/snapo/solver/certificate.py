@@ -235,7 +235,7 @@ class _Replay(NamedTuple):
         return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
 
     def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """The adjoint by every input, of all paths or of those to `keep`."""
+        """The adjoint with respect to every input, of all paths or of those to `keep`."""
         bound = self.engine.bind(self.problem, controls=False)
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
         values = (self.policy, self.draws, self.smooth, weights)

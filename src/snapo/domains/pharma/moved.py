@@ -177,7 +177,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
 
 
 def _deltas(process: Process) -> Iterator[dict[str, Any]]:
-    """Every attribute by every number, per unit of the input, at the set point."""
+    """Derivatives of every attribute with respect to every number, per unit, at the set point."""
     entries = every_entry(process.inputs)
     jacobian = matrix(process, entries=entries, mode="adjoint").jacobian
     values = pharma_inputs(process.case)

@@ -136,7 +136,7 @@ class Runner:
         return int(max(1, SUMS // max(1, _groups(self.blocks(paths), item) * item)))
 
     def sums(self, length: int) -> tuple[int, int]:
-        """Bytes of the gradients by numbers of the call, and by those of all steps."""
+        """Bytes of the gradients with respect to numbers of the call, and those of all steps."""
         layouts = self.kernel.layouts
         return layouts["call_sums"].stride, length * layouts["step_sums"].stride
 

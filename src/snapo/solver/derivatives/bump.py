@@ -126,9 +126,8 @@ def reactions(
     """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
     `maximum` paths together.
 
-    Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
-    and a wider move follow, the least certain input first, until about `rollouts` paths were
-    valued.
+    Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
+    wider move follow, the least certain input first, until about `rollouts` paths were valued.
     `centre`: the totals of these paths, and possibly more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so

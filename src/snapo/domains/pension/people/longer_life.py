@@ -17,7 +17,7 @@ MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched f
 def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
     """Value of 1 a year in advance for life: sum of v^k kp_x, v = 1 / (1 + rate).
 
-    `probability`: q by age from 0 on; no one lives beyond its end.
+    `probability`: q by age from 0 on; the last age is not survived.
     """
     survival = np.concatenate([[1.0], np.cumprod(1 - np.asarray(probability)[age:])])
     return float(np.sum(survival * (1 + rate) ** -np.arange(len(survival))))

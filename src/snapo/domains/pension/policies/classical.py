@@ -1,4 +1,4 @@
-"""Classical policies, with the numbers that tuning may move, and closed forms of known problems."""
+"""Classical policies with their tunable parameters, and closed forms of known problems."""
 
 import math
 from collections.abc import Sequence

@@ -134,7 +134,8 @@ ATTRIBUTION = Chapter(
 
 @dataclass(frozen=True, eq=False)
 class ProfileSlopes:
-    """Derivatives of attributes by the temperature of a unit over time, per K held for ten minutes.
+    """Derivatives of attributes with respect to the temperature of a unit over time, per K held for
+    ten minutes.
 
     `time` in s; `slope`: {attribute that it moves: values}.
     """

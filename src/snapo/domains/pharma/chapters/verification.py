@@ -251,7 +251,7 @@ def _certificate(run: RunFiles, result: tuple[CheckedPoint, ...]) -> list[Block]
     ]  # fmt: skip
     names = ("Point", "", "Worst entry", "Kinks", "Gap")
     caption = (
-        "Adjoint against fourth-order central differences, every attribute by every parameter; "
+        "Adjoint against fourth-order central differences, for every attribute and parameter; "
         "gap over the largest of the row; at a kink both one-sided derivatives differ"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]

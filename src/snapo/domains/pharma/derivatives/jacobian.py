@@ -90,7 +90,7 @@ def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndar
 
 
 def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None) -> np.ndarray:
-    """[pairs, Q] second derivatives of every attribute by the pair, forward over reverse."""
+    """[pairs, Q] mixed second derivatives of every attribute, forward over reverse."""
     if process.case.numerics.method == "adaptive":
         raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")
     entries = tuple(dict.fromkeys(item for pair in pairs for item in pair))

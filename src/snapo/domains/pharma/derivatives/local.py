@@ -55,7 +55,7 @@ class Local(NamedTuple):
 
 
 def local(process: Process, inputs=None) -> Local:
-    """The derivatives of every unit by itself at the streams that flow at `inputs`."""
+    """The derivatives of every single unit at the streams for `inputs`."""
     case, values = process.case, process.nominal_inputs(inputs)
     streams = process.run(inputs).streams
     fed, blocks = sources(case), {}

@@ -73,7 +73,7 @@ class Attribute:
 class Uncertainty:
     """Uncertain model parameters, jointly lognormal or normal, and disturbances.
 
-    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not see
+    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not observe
     them.
 
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].

@@ -53,7 +53,7 @@ def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Flo
 
 
 def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
-    """The seconds that the drug's crystals last: rho h r / (D Cs), r half of their size.
+    """The lifetime of the drug's crystals in s: rho h r / (D Cs), r half of their size.
 
     `unit` has `diffusivity`, `solubility` and `film`."""
     sizes, share, density = inside(product)
