@@ -124,7 +124,7 @@ def output_folder(loaded: Loaded, out: Path | None) -> Path:
 def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     """The study of a case, beginning with the named policy, if any.
 
-    **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
+    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one;
     nothing is written before.
     """
     use_every_core()

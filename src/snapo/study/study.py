@@ -1,4 +1,4 @@
-"""A study: a problem, and the parts of a run that answer the questions to it.
+"""A study: a problem, and the parts of a run that analyse it.
 
 A part leaves its tables in the run folder, reports its progress, can fail without losing the
 others, and is not done again when a run is resumed.

@@ -32,7 +32,7 @@ class Markov(Noise):
     **Arguments:**
 
     - `transition` [k, k]: from the row's regime to the column's. Rows are divided by their sums,
-      and derivatives are those of the probabilities so made.
+      and derivatives are those of the resulting probabilities.
     """
 
     separate = True

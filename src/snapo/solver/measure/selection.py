@@ -148,8 +148,8 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths decide where that is plain. Without a candidate of a finite value the first
-    one is kept, uncompared.
+    A few of the paths suffice where the choice is clear. Without a candidate of a finite value the
+    first one is kept, uncompared.
 
     - `paths`: at most.
     """

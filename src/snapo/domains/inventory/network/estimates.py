@@ -1,4 +1,5 @@
-"""Rules of thumb of a network: where rules start, and the cost of a period to expect, by place."""
+"""Rules of thumb of a network: initial values of rules, and the expected cost of a period, by
+place."""
 
 import numpy as np
 from scipy import stats

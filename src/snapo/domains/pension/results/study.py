@@ -121,7 +121,7 @@ def _unbounded(case: PensionCase) -> str:
     if case.pots is not None:
         return "no bound from above is known for a fund of personal pots"
     if case.scenarios is not None:
-        return "ready-made scenarios have no prices of risk to bound a value with"
+        return "ready-made scenarios have no prices of risk, which a bound needs"
     try:
         conjugate(objective_of(case))
     except ValueError as reason:
