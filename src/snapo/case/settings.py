@@ -113,8 +113,7 @@ class ObjectiveTable(CaseTable):
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
-    added to each path's total under "crra". `target`: currency, the level that "target" stays close
-    to.
+    added to each path's total under "crra". `target`: currency, the aim of "target".
     """
 
     kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = Field(

@@ -353,8 +353,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """Checks that there are paths, with noise for each step: else a kernel would read out of
-    range."""
+    """Checks that there are paths, with noise for each step, or a kernel reads out of range."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Stored):

@@ -38,8 +38,7 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
-        """As many paths as the value needs, judged by the error of the run, and at most as many as
-        the run had.
+        """As many paths as the value needs, by the error of the run, and at most those of the run.
 
         `numbers`: of the trajectory of one path; a wide one has fewer paths, so that an answer
         comes in time.
@@ -68,8 +67,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
-    """Every path once, if the bits of its totals do not depend on what is recorded; else
-    separately.
+    """Every path once, if the bits of totals do not depend on the record; else separately.
 
     The complete trajectory is always recorded: another record would be compiled again.
     """

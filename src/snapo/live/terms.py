@@ -78,8 +78,7 @@ def own_unit(entry: Input) -> tuple[float, str]:
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
     """d value / d number of every input, flat: the derivative that the run reports.
 
-    If only the change along a bump of all numbers of an input is known, each number has its share
-    of it.
+    If only the change along a bump of all numbers of an input is known, each has its share.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}

@@ -240,8 +240,7 @@ class Valuation(WhatIf):
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.
 
-        The norm of the gradient of the smooth value with respect to the policy, zero at the
-        optimum.
+        The norm of the policy's gradient of the smooth value, which vanishes at the optimum.
         """
         here = self._slope(setup)
         if self._trained is None:

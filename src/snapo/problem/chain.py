@@ -243,8 +243,7 @@ class Chain(Simulator):
         )
 
     def interface(self, schedule: Schedule) -> Interface:
-        """The interface of the chain, with those of the stages, whose observations are not
-        padded."""
+        """The interface of the chain, with those of the stages, without padded observations."""
         constants, now = schedule.constants, at(schedule.steps, 0)
 
         def observations():

@@ -132,7 +132,7 @@ class Family:
 
 
 class ObservedMember(Around):
-    """A simulator whose policy observes some inputs, scaled; constants are (those of the base, the
+    """A simulator whose policy observes some inputs, scaled; constants are (of the base,
     inputs)."""
 
     where: tuple[int, ...] = eqx.field(static=True)

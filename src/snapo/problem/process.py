@@ -100,8 +100,7 @@ class Factors(NamedTuple):
 
 
 class FactorConstants(NamedTuple):
-    """`first_shock` [F, F]: the shock up to the first time; `size` [F]: typical size of a
-    factor."""
+    """`first_shock` [F, F]: shock up to the first time; `size` [F]: typical size of a factor."""
 
     first_shock: Float[Array, "F F"]
     size: Float[Array, " F"]

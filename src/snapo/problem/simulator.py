@@ -158,8 +158,7 @@ def _explained(init: Callable[..., None]) -> Callable[..., None]:
 
 
 class Around(Simulator):
-    """A wrapper of a simulator, for the engines: every member is that of `own`, except those that a
-    subclass replaces."""
+    """A wrapper of a simulator for the engines: members are those of `own`, unless replaced."""
 
     inner: Simulator
 

@@ -72,8 +72,7 @@ class Constraints(eqx.Module):
         return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: within the limits, with an error of at most 3
-        w / 16.
+        """x within [low, high], low <= high. Smooth: within, with an error of at most 3 w / 16.
 
         Between limits that are closer than w the corners are rounded over high - low: two wider
         ones would overlap and leave the limits.

@@ -4,8 +4,7 @@ Paths are simulated with random decisions, which are the same on all paths up to
 A number of the state is named if
 
 - with decisions held, noise can move it while the observation stays the same to first order: it
-  then differs between paths that look the same. Functions of the observed numbers and of time do
-  not;
+  then differs between paths that look the same. Functions of observations and time do not;
 - later payments depend on it, by an amount, and by a factor, that depends on the decisions. For a
   number that only accumulates payments the amount is the same for all decisions, and for wealth
   that is invested in shares the factor is: observing it would change no decision.

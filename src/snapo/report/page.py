@@ -155,8 +155,7 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """The page as HTML: with embedded styles, charts and scripts, no external resources, text
-    escaped.
+    """The page as HTML: with embedded styles, charts and scripts, text escaped.
 
     A section without blocks is left out, and so is a column of a table that is empty throughout.
     """

@@ -29,8 +29,7 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The number of decimals for this many significant digits of the largest of `values`, at least
-    0.
+    """The decimals for this many significant digits of the largest of `values`, at least 0.
 
     One count for a whole column, so that its decimal points are aligned.
     """

@@ -130,8 +130,7 @@ class Runner:
         return [Back(rows[..., k, :calls], rows[..., k, calls:], left[k]) for k in range(columns)]
 
     def together(self, paths: int, length: int) -> int:
-        """The maximum number of columns of one run: as many as memory allows for their
-        gradients."""
+        """The maximum number of columns of one run, limited by memory for their gradients."""
         item = sum(self.sums(length))
         return int(max(1, SUMS // max(1, _groups(self.blocks(paths), item) * item)))
 

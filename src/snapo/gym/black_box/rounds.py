@@ -238,8 +238,8 @@ def compared(
     maximum: float,
     common: Any = None,
 ) -> Compared:
-    """Episodes in the real environment up to `maximum` steps in total, at least one, and the same
-    in the model.
+    """Episodes in the real environment up to `maximum` steps, at least one, and the same in the
+    model.
 
     With the seeds `common` every second episode is another, with noise, only for the next fit.
     """

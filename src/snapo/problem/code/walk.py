@@ -45,8 +45,7 @@ def is_library(name: str) -> bool:
 
 
 def is_known(name: str) -> bool:
-    """Whether a package is snapo, one of its dependencies, or part of Python: none contains a
-    user's simulator."""
+    """Whether a package is snapo, a dependency, or part of Python: none has a user's simulator."""
     return name in UNDER or is_python(name)
 
 

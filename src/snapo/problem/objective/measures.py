@@ -25,8 +25,7 @@ class _Risk(OneOutput):
 
 @dataclass(frozen=True)
 class OfCost(Objective):
-    """Minus a risk measure of minus its output: that of a cost, so that paths with high costs count
-    most.
+    """Minus a risk measure of minus its output, a cost, so that paths with high costs count most.
 
     >>> dear = snapo.AtMost(snapo.CVaR("cost", 0.9), 90.0).measure
     >>> round(float(dear.value({"cost": np.arange(100.0)})), 6)  # the mean of the largest ten

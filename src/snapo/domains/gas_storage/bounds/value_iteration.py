@@ -162,8 +162,7 @@ class FittedMarginal(NamedTuple):
 
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
-    """The table of a fitted value; outside its inventories it is extrapolated with the last
-    slope."""
+    """The table of a fitted value; outside its inventories the last slope continues."""
     basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
     available = regression(basis)

@@ -50,8 +50,7 @@ def reachable(
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
     """Least and greatest inventory at the start of every day, and on the end date.
 
-    A day from which no continuation is feasible has least > greatest (and so have all days before
-    it).
+    A day without a feasible continuation has least > greatest (and so have all days before it).
     """
     tolerance = TOLERANCE * jnp.max(jnp.abs(limits.maximum), initial=1.0)
 

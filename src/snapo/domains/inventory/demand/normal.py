@@ -18,8 +18,7 @@ class NormalTable(CaseTable):
 
 @register
 class NormalDemand(Demand):
-    """mean + deviation z. Negative demand means returned goods; it is rare if the mean is above 3
-    deviations."""
+    """mean + deviation z. Negative demand means returned goods; it is rare from 3 deviations on."""
 
     kind = "normal"
     table = NormalTable

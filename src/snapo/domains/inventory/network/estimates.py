@@ -74,8 +74,7 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """[n], [m] distances of S above and s below the first level, in deviations; 0 and none without
-    a fixed cost.
+    """[n], [m] S above and s below the first level, in deviations; 0 and none without a fixed cost.
 
     With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
     holding cost of the supplier); an order is placed half a period's demand too late on average.

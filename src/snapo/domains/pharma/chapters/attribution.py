@@ -134,8 +134,7 @@ ATTRIBUTION = Chapter(
 
 @dataclass(frozen=True, eq=False)
 class ProfileSlopes:
-    """Derivatives of attributes with respect to the temperature of a unit over time, per K held for
-    ten minutes.
+    """Derivatives with respect to the temperature of a unit over time, per K for ten minutes.
 
     `time` in s; `slope`: {attribute that it moves: values}.
     """
@@ -214,8 +213,7 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """Of every attribute with respect to the pairs of parameters named in the case, in the case's
-    units."""
+    """Of every attribute, for the pairs of parameters named in the case, in the case's units."""
     complete, case = process(run), process(run).case
     pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
     rows = second(complete, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))

@@ -77,8 +77,8 @@ def choose(
 
 
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
-    """The derivatives of one attribute with respect to every entry of every input, from ONE adjoint
-    pass; per domain unit."""
+    """Derivatives of one attribute, for every entry of every input, from ONE adjoint pass; per
+    domain unit."""
     row = process.names.index(attribute)
 
     def make(local: bool):

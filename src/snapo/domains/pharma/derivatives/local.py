@@ -21,8 +21,7 @@ LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ..
 
 
 class DerivativeBlock(NamedTuple):
-    """Derivatives of a single unit: of its outlets and measures with respect to its inlets and
-    numbers.
+    """Derivatives of a single unit: of outlets and measures with respect to inlets and numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
