@@ -201,7 +201,7 @@ def test_without_other_paths_the_choice_is_told(two):
     own = setup()._replace(problem=replace(problem, sources=sources))
     assert table_of._measured_on_others(own)[1] is False
     found = result_of(two / "run")["seeds"] | {"fresh": False}
-    assert "slightly high" in table_of.describe(found)
+    assert "biased slightly upwards" in table_of.describe(found)
 
 
 def test_seeds_without_a_value_are_told():
