@@ -97,7 +97,11 @@ def test_files_that_hold_no_policy_are_refused(tmp_path):
     text.write_text("a,b\n")
     np.savez(arrays, leaf_0=np.array([object()], object))  # pickled inside: never opened
     checkpoint.save_arrays(state, {"policy": net(), "halfway": None}, {"mark": "x", "step": 1})
-    for file, why in ((text, "no .npz"), (arrays, "cannot be read"), (state, "state of a train")):
+    for file, why in (
+        (text, "not an .npz"),
+        (arrays, "cannot be read"),
+        (state, "state of a train"),
+    ):
         with pytest.raises(CaseError, match=why) as refused:
             given(file)
         assert file.name in str(refused.value)

@@ -90,7 +90,7 @@ def test_the_table_is_kept_printed_and_shown(two, run, capsys):
     assert (found["worst"], found["highest"]) == (min(values), max(values))
     lines = (run / "seeds.csv").read_text().splitlines()
     assert lines[0].startswith("seed,value,standard_error") and len(lines) == 3
-    assert "on other paths, which that choice has not seen" in result["notes"][0]
+    assert "on other paths, not used for that choice" in result["notes"][0]
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "Between seeds" in page and "on other paths" in page
     assert commands.report(run / "seeds" / "0").exists()
@@ -203,7 +203,7 @@ def test_without_other_paths_the_choice_is_told(two):
     own = setup()._replace(problem=replace(problem, sources=sources))
     assert table_of._measured_on_others(own)[1] is False
     found = result_of(two / "run")["seeds"] | {"fresh": False}
-    assert "slightly high" in table_of.describe(found)
+    assert "biased slightly upwards" in table_of.describe(found)
 
 
 def test_seeds_without_a_value_are_told():

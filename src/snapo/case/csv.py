@@ -64,15 +64,15 @@ def cell(value: Any) -> str:
 def write_table(frame: Any, file: Path | str) -> Path:
     """Writes a data frame (pandas, polars, pyarrow …) as a file that a case can name.
 
-    The file's suffix determines how: `.csv` or `.parquet`. Column names are those of the file; an
-    index is left out. Returns the path.
+    The file's suffix determines the format: `.csv` or `.parquet`. Column names are those of the
+    frame; an index is omitted. Returns the path.
 
     **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
-    another ending, `TypeError` for an object that is no frame.
+    another ending, `TypeError` for an object that is not a frame.
 
     >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")
     Traceback (most recent call last):
-    TypeError: write_table: a dict is no data frame; give one of pandas, polars or pyarrow.
+    TypeError: write_table: a dict is not a data frame; use one of pandas, polars or pyarrow.
     """
     try:
         import narwhals as nw
@@ -83,7 +83,7 @@ def write_table(frame: Any, file: Path | str) -> Path:
         table = nw.from_native(frame, eager_only=True)
     except TypeError:
         message = (
-            f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
+            f"a {type(frame).__name__} is not a data frame; use one of pandas, polars or pyarrow."
         )
         raise TypeError(f"write_table: {message}") from None
     match file.suffix.lower():
@@ -116,7 +116,7 @@ class FileReference:
     name: str
 
     def error(self, allowed: str) -> CaseError:
-        """The mistake lies in the name itself."""
+        """The mistake is in the name itself."""
         return self.section.error(self.key, self.name, allowed)
 
 
@@ -210,11 +210,11 @@ def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.dat
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
-    """The plain file that a case names, which must lie in the folder of the case or below it."""
+    """The plain file named in a case, which must be in the folder of the case or below it."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
-        raise reference.error(f"allowed is the name of a {kinds} file beside the case")
+        raise reference.error(f"allowed is the name of a {kinds} file in the folder of the case")
     folder = reference.section.file.parent.resolve()
     path = folder / name
     try:
@@ -222,7 +222,7 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # the last: links in a circle
         raise reference.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
-        raise reference.error("a file that a case names must lie beside the case")
+        raise reference.error("a file that a case names must be in the folder of the case")
     if not exists:
         present = [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
         hint = f" (there are {', '.join(present)})" if present else ""

@@ -105,8 +105,8 @@ class CaseInput:
     """Numbers that the user gave, and where each of them is used.
 
     The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
-    name, unit and labels, and takes `[index]` inside `prepare`, so that the sensitivity to every
-    number that was given comes out under its own label.
+    name, unit and labels, and takes `[index]` inside `prepare`, so that every number entered has a
+    sensitivity with its label.
 
     **Attributes:**
 
@@ -168,7 +168,7 @@ class CaseInput:
         return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
-        """The numbers on rising dates: each holds from its own date on; index [len(days)].
+        """The numbers on rising dates: each applies from its date on; index [len(days)].
 
         **Raises:** `CaseError` where the dates begin before the numbers do.
         """

@@ -1,9 +1,9 @@
 """A number of a case, declared once.
 
-A `Quantity` is all that is known of a number before its value: unit, range, meaning, and the size
-of a usual move. Called with a meaning it makes a field of a `Table`, and this one line yields the
-reading, the message of a mistake, the documentation, the input with its sensitivity, and the
-position in the files where another value can be written:
+A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a usual move.
+Called with a meaning it makes a field of a `Table`, and this one line yields the reading, the
+message of a mistake, the documentation, the input with its sensitivity, and the position in the
+files where another value can be written:
 
     COST = Quantity("{currency}/{volume_unit}", group="cost", move=0.01, by="date")
 
@@ -37,13 +37,13 @@ class Quantity:
     """All that is known of a number before its value.
 
     - `unit`: a key of the same table in braces is replaced by its value.
-    - `range`: the numbers allowed; `limits`: those that occur at all, beyond which a number is
+    - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is
       refused as a mistake; `plausible`: those outside of which a note asks for the unit.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
       words.
-    - `by`: the column of a CSV by which the number may change ("date"), `column`: that of the
-      numbers; `before`: the number that holds before the first row.
-    - `text`: the values allowed, where the range does not say all.
+    - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
+      numbers; `before`: the number that applies before the first row.
+    - `text`: the allowed values, if the range is not sufficient.
     - `name`: of the input, where it is not the key.
     """
 
@@ -86,7 +86,7 @@ class Quantity:
         )
 
     def from_dated_rows(self, name: str, rows: Sequence[Row]) -> CaseInput:
-        """The numbers of a CSV, each of which holds from its date on."""
+        """The numbers of a CSV, each of which applies from its date on."""
         dates = rising_dates(rows, self.by)
         labels = [day.isoformat() for day in dates]
         return self.from_rows(name, rows, labels, starts=ordinals(dates))
@@ -169,7 +169,7 @@ class KeyContext(NamedTuple):
 
 class _Values(dict):
     def __missing__(self, key: str) -> str:
-        return key  # it is wrong, and has a message of its own
+        return key  # it is wrong, and has a separate message
 
 
 ReadKey = Callable[[Any, KeyContext], Any]
@@ -203,7 +203,7 @@ def declared(declaration: Any, default: Any, allowed: str = "") -> Any:
 
 
 def quantity_of(field: FieldInfo) -> Quantity | None:
-    """The declaration of a field; None where it is no quantity."""
+    """The declaration of a field; None if it is not a quantity."""
     return next((item for item in field.metadata if isinstance(item, Quantity)), None)
 
 
@@ -225,7 +225,7 @@ def _validator(read: ReadKey) -> core_schema.CoreSchema:
 
 
 def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
-    """{key: numbers} of a table; those that may change with time are laid on rising dates."""
+    """{key: numbers} of a table; those that may change with time are put on rising dates."""
     numbers = {key: value for key, value in table if isinstance(value, CaseInput)}
     return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}
 

@@ -46,7 +46,7 @@ class TrainingTable(CaseTable):
     note=", or left out: then it is chosen from the problem",
 )  # fmt: skip
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: six keys are chosen from the problem.
+    """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
@@ -76,7 +76,7 @@ class ObjectiveTable(CaseTable):
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
-    added to each path's total under "crra". `target`: currency, what "target" stays close to.
+    added to each path's total under "crra". `target`: currency, the aim of "target".
     """
 
     kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = "mean"

@@ -1,6 +1,6 @@
 """What every domain's case format shares: one TOML file, plain files next to it, clear errors.
 
-A case is data: nothing in it is executed, and every file that it names lies next to it. The
+A case is data: nothing in it is executed, and the files that it names are in its folder. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
 """
 
@@ -93,7 +93,7 @@ class Range(NamedTuple):
 class TableContext:
     """A table of a case while it is read: names the place of a mistake, collects remarks.
 
-    `path`: the keys that lead to it, where its name in messages does not say them.
+    `path`: the keys to it, if they differ from its name in messages.
     """
 
     file: Path
@@ -226,7 +226,7 @@ def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
 
 
 def options_of(annotation: Any) -> tuple[str | bool, ...]:
-    """The texts and truth values of a type, as far as it lists them."""
+    """The strings and booleans that a type lists."""
     if annotation is bool:
         return (False, True)
     parts = get_args(annotation)
@@ -303,7 +303,7 @@ def _explain(table, data, file, name, item) -> CaseError:
         message = f"there is no such key; {nearest(key, table.model_fields)}"
         return CaseError(file, where, data[key], message)
     error = item.get("ctx", {}).get("error")
-    if isinstance(error, CaseError):  # of a key's own reader
+    if isinstance(error, CaseError):  # of a key's reader
         return error
     allowed = table.model_fields[key].description or item["msg"]
     if item["type"] == "missing":

@@ -72,7 +72,7 @@ class Files:
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """The case in a folder of its own: case.toml and its files; returns the file."""
+        """The case in a separate folder: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
         for case_file in case_files(self.folder):
             if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:

@@ -32,22 +32,22 @@ SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and K
 
 @dataclass(frozen=True)
 class Scenarios(abc.ABC):
-    """A source of noise. `draws` gives that of chosen paths, `groups` the independent units."""
+    """A source of noise. `draws` returns that of selected paths, `groups` the independent units."""
 
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
         """The noise of the paths with these numbers."""
 
     def batch(self, step: int, paths: int, simulator: Simulator) -> Draws:
-        """The noise of one training step: other paths at every step, the same ones every run."""
+        """The noise of one training step: other paths at every step, the same in every run."""
         raise ValueError(f"{type(self).__name__}: these scenarios are for evaluation only.")
 
     def available(self, requested: int) -> int:
-        """How many paths there are when so many are wanted."""
+        """The number of available paths when `paths` are requested."""
         return requested
 
     def describe(self, paths: int) -> str:
-        """Which paths they are, when so many are wanted: "512 pseudo-random paths"."""
+        """A description of the paths when `paths` are requested: "512 pseudo-random paths"."""
         return f"{self.available(paths):,} paths of {type(self).__name__}"
 
     def batch_words(self, paths: int) -> str:
@@ -60,7 +60,7 @@ class Scenarios(abc.ABC):
 
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:
-        """The smallest independent unit that each path belongs to (a pair, a scramble, itself)."""
+        """The smallest independent unit to which each path belongs (a pair, a scramble, itself)."""
 
     def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
         """Path numbers 0 … paths - 1 in `count` independent blocks of nearly equal size."""
@@ -83,7 +83,7 @@ class Pseudo(Scenarios):
         return fresh.draws(np.arange(fresh.available(paths)), simulator)
 
     def available(self, requested: int) -> int:
-        """As many as are wanted; of an odd number the last pair is completed."""
+        """As many as requested; for an odd number the last pair is completed."""
         return requested + requested % 2 if self.antithetic else requested
 
     def describe(self, paths: int) -> str:
@@ -183,12 +183,12 @@ class Sobol(Scenarios):
 
 @dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
-    """Scenarios of one's own instead of normals.
+    """User-supplied scenarios instead of normals.
 
-    - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are taken to be
-      independent.
+    - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are assumed to
+      be independent.
     - `seed`: of the choice of paths at every training step.
-    - `first`: the number of the first path here among those that were supplied.
+    - `first`: the index of the first path of this part among the supplied ones.
     """
 
     step_noise: np.ndarray
@@ -249,9 +249,9 @@ class Supplied(Scenarios):
 
 @dataclass(frozen=True)
 class EqualPaths(Scenarios):
-    """Those of a problem in which nothing is random: every path is the same.
+    """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are taken, since a single one has no standard error: theirs is zero.
+    At least two are used, since a single one has no standard error: theirs is zero.
     """
 
     inner: Scenarios
@@ -282,9 +282,9 @@ def stream(use: int, number: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Sources:
-    """One source of scenarios for each role: none is used for another.
+    """One source of scenarios for each role, used for no other.
 
-    - `training`: gives other paths at every step.
+    - `training`: returns different paths at every step.
     - `validation`: the paths on which policies are compared while training, always the same.
     - `evaluation`: the paths on which the value and its sensitivities are measured.
     """
@@ -295,7 +295,7 @@ class Sources:
 
     @classmethod
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
-        """The sources that a caller means: fresh normals of `seed` by default.
+        """The sources for an argument of a caller: by default fresh normals of `seed`.
 
         Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
@@ -309,7 +309,7 @@ class Sources:
         return cls(training, validation, values or evaluation)
 
     def of_equal_paths(self, equal: bool) -> "Sources":
-        """The same where paths differ; where all are equal, few for validation and evaluation."""
+        """The same if paths differ; if all are equal, few paths for validation and evaluation."""
         values = self.validation, self.evaluation
         local = [item.inner if isinstance(item, EqualPaths) else item for item in values]
         few = [EqualPaths(entry) for entry in local] if equal else local
@@ -326,7 +326,7 @@ class Sources:
     def roles(
         self, training: int, validation: int, evaluation: int, sensitivities: int
     ) -> dict[str, str]:
-        """{role: which paths it has} for these numbers of paths, as text."""
+        """{role: description of its paths} for these numbers of paths."""
         return {
             "training": f"{self.training.batch_words(training)}; other ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",

@@ -56,8 +56,8 @@ def training_history(run: RunFiles, unit: str) -> Section:
     invalid = run.column("history", "bad_paths")
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
-        "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths left out because of a non-finite number: {number(count, 0)}."
+        "The selected policy is the one with the best exact value on the validation paths, not "
+        f"the last. Paths left out because of non-finite numbers: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
@@ -157,9 +157,9 @@ def _adjoints(run: RunFiles) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
-        "it was last in doubt whether the whole horizon can be differentiated, or of the trained "
-        "policy where the case says how to go back: the parts of the state are root mean squares "
+        f"Norm of the adjoint before every step, on {PATHS} paths of training, when training last "
+        "had to decide whether the whole horizon can be differentiated, or for the trained policy "
+        "where the case sets clip, window or keep: the parts of the state are root mean squares "
         "over these paths. All are in adjoints.csv."
     )
     return [Chart(svg, caption), Text(_growth(run, leaves))]
@@ -173,11 +173,11 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
     window, clip, keep = run.result.window, run.result.clip, run.result.keep
     if window is not None:
-        summary += f" Training went back through windows of {window} steps."
+        summary += f" Training used windows of {window} steps."
     if clip is not None:
-        summary += f" At its end training bounded each path's own adjoint at {number(clip)}."
+        summary += f" At its end training bounded each path's adjoint at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" A share of {number(keep)} of it went on at every step back."
+        summary += f" A share of {number(keep)} of it was passed on at every step."
     return summary
 
 
@@ -233,8 +233,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
     paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
-        f"share they earn {mean} {unit} on average, {worst} at worst and {best} at best"
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths they earn "
+        f"{mean} {unit} on average, {worst} at worst and {best} at best"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (

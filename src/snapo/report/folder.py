@@ -1,4 +1,4 @@
-"""The files of a run folder as a report reads them: whatever is missing is None."""
+"""The files of a run folder as read by a report: missing ones are None."""
 
 import csv
 import json
@@ -31,7 +31,7 @@ class Sensitivity:
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `moved`, `moved_error`: how far the held one moved in the second half of training.
+      reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
       None where they were not asked for.
     """
 
@@ -111,7 +111,7 @@ class PartState(NamedTuple):
 
 @dataclass(frozen=True)
 class RunFiles:
-    """What a run folder holds; a domain's own class adds its units.
+    """The contents of a run folder; the class of a domain adds its units.
 
     **Attributes:**
 
@@ -184,7 +184,7 @@ class RunFiles:
         return None if cells is None else array([_number(cell) for cell in cells])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was asked for, nor is there from an earlier run."""
+        """Whether none of these parts was requested, or exists from an earlier run."""
         missing = self.get(LEFT_OUT, [])
         return all(part in missing and part not in self.parts for part in parts)
 
@@ -194,7 +194,7 @@ class RunFiles:
 
     @property
     def unit(self) -> str:
-        """The unit of the value: its own, else the currency."""
+        """The unit of the value, or the currency."""
         return str(self.get("unit", self.currency))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
@@ -213,7 +213,7 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
 
 
 def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
-    """{part: its files that were changed}; result.json has an entry of its own."""
+    """{part: its files that were changed}; result.json has a separate entry."""
     states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
     if "result" in record:
         states[RESULT] = {RESULT: record["result"]}

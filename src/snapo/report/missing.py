@@ -39,7 +39,7 @@ def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
 
 
 def not_asked(run: RunFiles) -> list[Text]:
-    """A sentence that names the parts that were not asked for; none where all were."""
+    """A sentence on the parts that were not requested; none if all were."""
     names = [item for item in run.get(LEFT_OUT, []) if run.left_out(item)]
     if not names:
         return []

@@ -74,8 +74,8 @@ def carry_out(
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name. A part that fails leaves a note and a status; parts that need
-    it are skipped. On Ctrl-C the parts that are done are reported, and the interrupt goes on to the
-    caller.
+    it are skipped. On Ctrl-C the completed parts are reported, and the interrupt is passed on to
+    the caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))

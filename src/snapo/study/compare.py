@@ -28,7 +28,7 @@ class DerivativePair(NamedTuple):
     - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
       policies may move it.
     - `sources`: where either comes from (`Sensitivities.source`).
-    - `effect`: by how much more the value of the second moves with the input's own move.
+    - `effect`: the difference of the effects of the input's usual move on the two values.
     """
 
     input: str
@@ -50,7 +50,7 @@ class Comparison:
     - `values`, `errors`: of the two; None where a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
-    - `settings`: all that decides the numbers and differs.
+    - `settings`: everything that affects the numbers and differs.
     - `sensitivities`: those of inputs that both have, the largest differences first.
     """
 
@@ -157,7 +157,7 @@ def _result(run: Path) -> RunResult:
     file = run / run_folder.RESULT
     table = run_folder.read_table(file)
     if table is None:
-        message = "the run has no result yet; `snapo solve --resume` goes on with it"
+        message = "the run has no result yet; `snapo solve --resume` continues it"
         raise CaseError(str(file), "", None, message)
     return RunResult.of(table)
 
@@ -185,8 +185,8 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
-    """Reported derivatives that differ, by the difference that they make for the input's own move.
-    Those that are not known in one of the runs are left out."""
+    """Reported derivatives that differ, by the difference that they make for the input's move.
+    Those that are unknown in one of the runs are left out."""
     try:
         one, other = (Solution.load(run).sensitivities for run in (first, second))
     except checkpoint.CheckpointError:

@@ -89,8 +89,8 @@ class SuppliedPolicy:
 def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     """The policy of a run folder or of a file.
 
-    - `kind`: of the case; `out`: the folder of the new run. Where both folders are one, the policy
-      is read before the new run removes it, and a resumed run reads its own copy.
+    - `kind`: of the case; `out`: the folder of the new run. If both folders are the same, the
+      policy is read before the new run removes it, and a resumed run reads its copy.
 
     **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
     """
@@ -108,7 +108,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     try:
         content = file.read_bytes()
         if not content.startswith(ZIP):
-            raise ValueError("this is no .npz file")
+            raise ValueError("this is not an .npz file")
         arrays, header = read_arrays(file)
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
@@ -143,7 +143,7 @@ def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str],
         return described({"policy": policy}), [np.asarray(array) for array in arrays]
     text = header.get("described") if isinstance(header, dict) else None
     if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
-        message = "this file holds no policy: name the folder that `snapo solve` wrote"
+        message = "this file contains no policy: name the folder that `snapo solve` wrote"
         raise CaseError(str(file), "", None, message)
     if isinstance(header.get("header"), dict) and "mark" in header["header"]:
         message = "this is the state of a training: name the folder of its run, or its policy.npz"
@@ -206,7 +206,7 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
-        message = f"{file} trains no policy, so that there is nothing to begin with"
+        message = f"{file} trains no policy, so that an initial one has no use"
         raise CaseError("--policy", "", str(values.source), message)
     setup = _fitted(study.setup, values)
     setup()  # a misfit is refused before anything is written

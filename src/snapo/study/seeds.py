@@ -1,4 +1,4 @@
-"""Trainings of one case with several seeds, compared on common paths that nothing else has seen."""
+"""Trainings of one case with several seeds, compared on common paths used for nothing else."""
 
 import json
 import time
@@ -47,7 +47,7 @@ class SeedRow(NamedTuple):
 
     - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
     - `below_best`, `below_best_error`: the difference to the best, paired path by path.
-    - `within`: whether all limits of the problem are met, or nearly, on the run's own paths.
+    - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
 
     seed: int
@@ -68,7 +68,7 @@ class SeedComparison(NamedTuple):
     - `best`: the seed with the highest value, of those within their limits where some are.
     - `mean`, `worst`, `highest`, `deviation`: of the values; `standard_error`: the Monte Carlo
       error of their mean, which all of them share.
-    - `fresh`: whether the paths serve for nothing else; `paths`: how many there are.
+    - `fresh`: whether the paths are used for nothing else; `paths`: how many there are.
     """
 
     rows: tuple[SeedRow, ...]
@@ -124,7 +124,7 @@ def _setup(study: Study) -> Setup:
 
 
 def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
-    """The problem on scenarios of its own for the comparison, where they can be drawn."""
+    """The problem on separate scenarios for the comparison, if they can be drawn."""
     problem, sources = setup.problem, setup.problem.sources
     others: Scenarios = sources.evaluation
     fresh = isinstance(others, Pseudo | Sobol)
@@ -180,7 +180,7 @@ def _row(
 
 
 def describe(result: Mapping[str, Any]) -> str:
-    """What choosing the best of several does to the value that is reported."""
+    """The effect of choosing the best of several on the reported value."""
     from snapo.report.quantity import decimals, finite, number
 
     rows, best = result["rows"], result["best"]
@@ -199,10 +199,10 @@ def describe(result: Mapping[str, Any]) -> str:
     if result["standard_error"] == 0:  # nothing is random
         return f"{text}."
     if result["fresh"]:
-        return f"{text}. The value of this run is on other paths, which that choice has not seen."
+        return f"{text}. The value of this run is on other paths, not used for that choice."
     return (
-        f"{text}. There are no other paths than those of the value, so that it is that of the best "
-        "of several on the same paths, and slightly high."
+        f"{text}. There are no other paths than those of the value, which is therefore that of the "
+        "best of several on the same paths, and biased slightly upwards."
     )
 
 

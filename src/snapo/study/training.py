@@ -1,4 +1,4 @@
-"""The part of a study that trains: with a checkpoint, so that a killed run goes on."""
+"""The part of a study that trains: with a checkpoint, so that a killed run can continue."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -174,7 +174,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
 
 
 def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
-    """The parts with these names, and all that they need; all where none is named."""
+    """The parts with these names, and those that they need; all if none is named."""
     if not requested:
         return list(parts)
     by_name = {part.name: part for part in parts}
@@ -199,7 +199,7 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
     """Why the run in a folder, with its record, has no trained policy."""
-    message = "this run has no trained policy: solve its case again, or go on with --resume"
+    message = "this run has no trained policy: solve its case again, or continue with --resume"
     if TRAINING.name in record.get("about", {}).get(LEFT_OUT, ()):
         message = "this run has no trained policy: its `[report] parts` leave out the training"
     return CaseError(str(out), "", None, message)

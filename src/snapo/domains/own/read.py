@@ -1,4 +1,4 @@
-"""Reads a case with a simulator of the user's own: its tables, `[inputs]` and `[objective]`."""
+"""Reads a case with a user-defined simulator: its tables, `[inputs]` and `[objective]`."""
 
 import math
 import re
@@ -103,7 +103,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is meant, of which the trade unit is a hundredth"
+            hint = "a fraction is meant; the display unit is one percent of it"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
             hint = "a fraction is meant, 0.0001 is 1 bp"

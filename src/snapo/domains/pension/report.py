@@ -50,7 +50,7 @@ def headline(run: PensionRun) -> Section:
         displayed = share(objective.equivalent)
         spread = plus_minus(100 * np.nan_to_num(objective.equivalent_error), 2)
         over = " to today's pension" if name == "pension" else ""
-        note = f"The sure ratio{over} that is worth as much as the policy's, at risk aversion"
+        note = f"The certain ratio{over} with the same utility as the policy, at risk aversion"
         note = f"{note} {number(objective.aversion, 1)};"
     else:
         label, displayed = f"Value of the objective ({run.measure})", number(value)
@@ -145,7 +145,7 @@ def _facts_of_pots(run: PensionRun) -> dict[str, list[Fact]]:
         now, last = share(pots.reserve[0, 1]), share(pots.reserve[-1, 1])
         left = f"of the assets; median {last} a year before the end"
         facts[POTS.name] = [
-            ("Pension today", share(pots.level), "of what was earned"),
+            ("Pension today", share(pots.level), "of the accrued pension"),
             ("Years with a cut", share(worst), "of those of payment, most of any cohort"),
             ("Solidarity reserve", now, left),
         ]

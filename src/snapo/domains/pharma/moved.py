@@ -1,4 +1,4 @@
-"""A process without a policy, calculated at other inputs: what the live page shows of it.
+"""A process without a policy, calculated at other inputs for the live page.
 
 Every number is that of a run of the moved case, to the bits: the same functions on the same draws.
 """
@@ -151,7 +151,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
 
 
 def _deltas(process: Process) -> Iterator[dict[str, Any]]:
-    """Every attribute by every number, per unit of the input, at the set point."""
+    """Derivatives of every attribute with respect to every number, per unit, at the set point."""
     entries = every_entry(process.inputs)
     jacobian = matrix(process, entries=entries, mode="adjoint").jacobian
     values = pharma_inputs(process.case)

@@ -302,7 +302,7 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
 
 
 def _paths(view: np.ndarray, slots: Seats, axes: int) -> np.ndarray:
-    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in separate memory."""
     lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
     moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
     lanes = view.shape[0] * view.shape[-1]

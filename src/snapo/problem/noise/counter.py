@@ -98,8 +98,8 @@ def only(draws: Draws, selected: np.ndarray) -> Draws:
 def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, "..."]):
     """Threefry-2x32 with 20 rounds (Salmon et al. 2011): two words for the counter (x, y).
 
-    Written out so that it fuses with what follows and every engine traces the same operations;
-    JAX's own primitive computes the same words.
+    Written out so that it fuses with later operations and every engine traces the same ones;
+    JAX's primitive computes the same words.
     """
     keys = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(0x1BD11BDA))
     x, y = x + keys[0], y + keys[1]
@@ -114,7 +114,7 @@ def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, 
 def normal(text: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     """Standard normals from 32-bit words, by the inverse of the distribution function.
 
-    The top bit is the sign; the other 31 bits m give the tail probability (m + 1/2) / 2^32.
+    The top bit is the sign; the other 31 bits m determine the tail probability (m + 1/2) / 2^32.
     Wichura's AS241 (Applied Statistics 37, 1988): routine PPND16 (relative error 1e-16) in
     float64, PPND7 (1e-7) in float32. The tail probability is exact, so tails lose no digits.
     """

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 
 class Costs(NamedTuple):
-    """Of a period: by unit held, by unit short, by unit ordered, and by order."""
+    """Costs of a period: per unit held, per unit short, per unit ordered, and per order."""
 
     holding: float
     shortage: float
@@ -21,7 +21,7 @@ class Costs(NamedTuple):
 
 
 class ExactOptimum(NamedTuple):
-    """The least average cost of a period, between `low` and `high`, and the best orders.
+    """The minimum average cost of a period, between `low` and `high`, and the best orders.
 
     - `orders`: by stock [0 …] and the orders on their way, the next one to arrive first; of
       backlogged demand by inventory position, from `first`.

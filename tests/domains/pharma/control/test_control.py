@@ -46,7 +46,7 @@ def test_what_is_measured_must_be_known_in_time():
     ("of", "low", "high", "words"),
     [
         ("charge.volume", "50 L", "70 L", "none of a unit"),
-        ("crystalliser.seed.size", "10 um", "30 um", "what may change over time"),
+        ("crystalliser.seed.size", "10 um", "30 um", "fields that change over time"),
     ],
 )
 def test_what_cannot_be_decided_over_time_is_refused(of, low, high, words):
@@ -70,7 +70,7 @@ def test_what_is_held_cannot_be_decided():
             "The best fixed recipe does better than the policy: 95.9 % under",
         ),
         (0.016, 0.002, "policy", "The policy does better than the best fixed recipe"),
-        (0.003, 0.002, "", "The policy is not told from the best fixed recipe"),
+        (0.003, 0.002, "", "The policy and the best fixed recipe do not differ"),
     ],
 )
 def test_the_headline_says_which_rival_is_better(gain, error, which, words):

@@ -110,7 +110,7 @@ def test_a_first_order_process_is_found_from_its_step():
     found = first_order(times, 0.1 * GAIN * shape, 0.1)
     assert found.gain == pytest.approx(GAIN, rel=0.02)
     assert found.lag == pytest.approx(LAG, rel=0.1) and abs(found.dead - DEAD) < 3
-    with pytest.raises(ValueError, match="does not answer"):
+    with pytest.raises(ValueError, match="does not respond"):
         first_order(times, 0 * times, 0.1)
 
 

@@ -154,7 +154,7 @@ def _glossary(run: StorageRun) -> Table:
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
-        ("Smooth delta", gas, "through the smooth policy's own reaction; a diagnostic"),
+        ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
         ("Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"),
         ("Standard error", "", "of the estimate; 95 % is ± 1.96 of them, of a delta ± 2.04"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),

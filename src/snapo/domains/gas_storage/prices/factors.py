@@ -283,7 +283,7 @@ def _correlation(section: TableContext, values, size: int) -> list[float]:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12:
         message = (
-            "a correlation matrix must be positive definite, and the least eigenvalue of this "
+            "a correlation matrix must be positive definite, and the smallest eigenvalue of this "
             f"one is {smallest:.3g}; factors that move as one are one factor"
         )
         raise section.error("correlation", values, message)

@@ -1,7 +1,7 @@
-"""A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
+"""A price process of a gas store: the core's `Process`, with the additions for a storage.
 
 Everything that depends on the kind of price is in its class: its table in the case file, its
-parameters, noise, dynamics, forward price, description. Nothing outside asks which kind it is.
+parameters, noise, dynamics, forward price, description. Nothing outside depends on the kind.
 """
 
 import abc
@@ -56,8 +56,8 @@ class SingleFactorTable(CaseTable):
 class Delivery(NamedTuple):
     """The days that a process has prices for, and the market around it.
 
-    - `days`: the T decision days; `end`: the end date, which comes after them as number T.
-    - `price_days`: those that need a price: the end date only where gas left is paid by it.
+    - `days`: the T decision days; `end`: the end date, which follows them as number T.
+    - `price_days`: those that need a price: the end date only if remaining gas is paid by it.
     - `valuation`: the day on which the curve is known.
     - `curve`: the forward price of each of `price_days`.
     """
@@ -177,12 +177,12 @@ class PriceProcess(Process):
         return jnp.ones(())
 
     def factors(self, schedule) -> GaussianFactors | None:
-        """Factors for dynamic programs, from the process's own prepared schedule; None: none, and
+        """Factors for dynamic programs, from the process's prepared schedule; None: none, and
         the policy begins without the values of a dynamic program."""
         return None
 
     def sources(self, seed: int) -> Sources | None:
-        """Scenarios of its own for every role, instead of drawn normals."""
+        """Separate scenarios for every role, instead of drawn normals."""
         return None
 
 

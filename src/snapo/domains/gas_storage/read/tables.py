@@ -74,7 +74,7 @@ FORWARD = Quantity(
 
 
 class AfterDays(CaseTable):
-    """{ days = 10 }: so many calendar days after the flow."""
+    """{ days = 10 }: this number of calendar days after the flow."""
 
     days: Annotated[int, Range(0, 36500)]
 
@@ -86,7 +86,7 @@ class OnDate(CaseTable):
 
 
 class MonthsAfter(CaseTable):
-    """{ months = 1, day = 20 }: that day of the month so many months after delivery."""
+    """{ months = 1, day = 20 }: that day, this number of months after the month of delivery."""
 
     months: Annotated[int, Range(0, 1200)]
     day: Annotated[int, Range(1, 31)]

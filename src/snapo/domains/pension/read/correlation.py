@@ -27,9 +27,7 @@ def read_correlations(
     folded = [name.lower() for name in available]
     for i, name in enumerate(folded):
         if name in folded[:i]:
-            message = (
-                "ratings, currencies and classes with a shock of their own need different names"
-            )
+            message = "ratings, currencies and classes with a separate shock need different names"
             raise section.error("file", available[i], message)
     if table is None:
         return Correlation((), empty("correlation"))
@@ -72,7 +70,9 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
     for row in rows:
         name = row.cells["name"].lower()
         if name not in folded:
-            raise row.error("name", f"nothing of this name moves; known are {', '.join(available)}")
+            raise row.error(
+                "name", f"nothing random is called this; known are {', '.join(available)}"
+            )
         names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]
     if columns != [name.lower() for name in names]:

@@ -128,7 +128,7 @@ def quotes(
     rates = quantity.from_rows(name, rows, [years(t) for t in tenor])
     if annual and column != "swap":
         rates = _continuous(rates)
-        text = "annual rates were made continuous; sensitivities are per continuous rate."
+        text = "annual rates were converted to continuous; sensitivities are per continuous rate."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
         message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
@@ -191,7 +191,7 @@ def read_inflation(
     section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
     """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
-    rates of the case, where the table has none of its own."""
+    rates of the case, by default."""
     annual = (table.compounding or compounding) == "annual"
 
     def input(key: str) -> CaseInput:

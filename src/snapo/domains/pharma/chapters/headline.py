@@ -37,7 +37,7 @@ LOST = 1e-3  # share of batches without a finite result from which a run is not 
 
 
 def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
-    """(name of the check, whether it held, where it is off most in brackets)."""
+    """(name of the check, whether it passed, position of the largest error in brackets)."""
     rows = []
     if balances := BALANCES.of(run):
         off = [x for x in balances if not closed(x)]
@@ -90,14 +90,14 @@ def status(run: StudyRun | RunFiles) -> str:
 
 
 def reservations(fit: ParameterFit) -> str:
-    """Why a fit is in doubt, or ""."""
+    """Why a fit is not reliable, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
     if not fit.tail < DOUBT:
         return ""
     return (
         f"the fit does not describe its data: chi² {fit.chi2:.4g} at {fit.freedom} degrees of "
-        f"freedom, which chance exceeds in {fit.tail:.1g} of all cases"
+        f"freedom, which a correct model exceeds with probability {fit.tail:.1g}"
     )
 
 
@@ -231,7 +231,7 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """All that is known before the run; a training says its own versions and seed."""
+        """All that is known before the run; a training records its versions and seed itself."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(

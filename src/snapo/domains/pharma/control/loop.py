@@ -89,7 +89,7 @@ class NextStage:
 
 
 def nominal_recipe(case: PharmaCase, stages: list[Stage], inputs: dict[str, Input]) -> np.ndarray:
-    """[T, size] actions that follow the case's own profiles and numbers."""
+    """[T, size] actions that follow the case's profiles and numbers."""
     assert case.control is not None
     size = max(stage.action.size for stage in stages)
     table = np.full((stages[-1].total, size), 0.5)

@@ -18,7 +18,7 @@ from .records import Measurement
 def history_length(sensors: Sequence[Measurement], interval: float) -> int:
     """How many true readings must be known, `interval` s apart; 0 without any dead time.
 
-    One more than the dead time needs, as a unit's duration may vary from batch to batch.
+    One more than needed for the dead time, since a unit's duration may vary from batch to batch.
     """
     longest = max((sensor.delay for sensor in sensors), default=0.0)
     return math.ceil(longest / interval * (1 + 1e-9)) + 2 if longest else 0

@@ -309,7 +309,7 @@ class Stage(Simulator):
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _dosed(self, problem: Dynamics, state: StageState, flow, seconds) -> Float[Array, ""]:
-        """The share of a `flow` over this decision that what waits to be dosed is enough for."""
+        """The share of a `flow` over this decision that is covered by the remaining feed."""
         assert problem.to_dose is not None
         requested = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
         waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
@@ -355,7 +355,8 @@ class Stage(Simulator):
         for attribute in self.form.record.attributes:
             value = attribute.scale * measures[attribute.measure]
             outputs[f"attribute.{attribute.name}"] = value
-            # What cannot be is no success; it has no slope, as no good batch comes near it.
+            # An impossible result is a failure; it has no slope, since no good batch is close to
+            # it.
             success = success * jnp.where(
                 value >= attribute.scale * smallest(attribute.measure), 1.0, 0.0
             )
@@ -372,6 +373,6 @@ class Stage(Simulator):
         return outputs | {"success": success, "violation": violation}
 
     def _manipulated(self, name: str) -> int:
-        """The number of the `Manipulated` with this input, -1 if nobody decides it."""
+        """The number of the `Manipulated` with this input, -1 if it is not decided."""
         names = [item.input for item in self.control.manipulated]
         return names.index(name) if name in names else -1

@@ -21,7 +21,7 @@ LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ..
 
 
 class DerivativeBlock(NamedTuple):
-    """Derivatives of one unit by itself: of its outlets and measures by its inlets and own numbers.
+    """Derivatives of a single unit: of outlets and measures with respect to inlets and numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
@@ -54,7 +54,7 @@ class Local(NamedTuple):
 
 
 def local(process: Process, inputs=None) -> Local:
-    """The derivatives of every unit by itself at the streams that flow at `inputs`."""
+    """The derivatives of every single unit at the streams for `inputs`."""
     case, values = process.case, process.nominal_inputs(inputs)
     streams = process.run(inputs).streams
     fed, blocks = sources(case.flowsheet), {}

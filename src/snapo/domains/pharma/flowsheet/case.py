@@ -1,6 +1,6 @@
 """A pharmaceutical process as resolved data: its flowsheet, and the questions to it.
 
-Conventions for every record. Numbers are in the domain's own units, to which reading converts:
+Conventions for every record. Numbers are in the domain's units, to which reading converts:
 K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
 number; shares are fractions, but attributes are in the unit that their measure states. A
 `CaseInput` named "unit.field" becomes an input with a sensitivity under that name; where it is used
@@ -33,7 +33,7 @@ class Connection:
 
     @property
     def stream(self) -> str:
-        """The name of what flows: "unit.outlet", or that of a feed."""
+        """The name of the stream: "unit.outlet", or that of a feed."""
         return f"{self.source}.{self.outlet}" if self.outlet else self.source
 
 

@@ -98,7 +98,7 @@ def through(
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """The `streams` with those that a group makes; a loop's come to their steady state first."""
+    """The `streams` with those of the outlets of a group; a loop is solved for its steady state."""
     loops = {}
     if group.torn:
         torn, loops[group.loop] = _torn(sheet, group, streams, inputs)

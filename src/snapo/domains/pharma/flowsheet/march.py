@@ -1,8 +1,8 @@
-"""The time loops of many batches by the native engine: its lanes are batches, its steps the mesh's.
+"""The time loops of many batches on the native engine: lanes are batches, steps those of the mesh.
 
-Between the units all is algebra, which XLA does for many batches side by side. What takes time,
-a unit's steps, is one kernel. Derivatives go forward with the values, and a unit carries only
-those by numbers that act on it.
+All between the units is algebra, which XLA does for many batches in parallel. The expensive part, a
+unit's steps, is one kernel. Derivatives are propagated forward with the values, and a unit carries
+only those with respect to numbers that affect it.
 """
 
 from collections.abc import Callable, Sequence
@@ -61,10 +61,10 @@ class March(Simulator):
     noise_size = 0
 
     def prepare(self, inputs) -> Schedule:
-        raise NotImplementedError("The schedule of a march comes with it.")
+        raise NotImplementedError("A march has its schedule already.")
 
     def initial(self, constants, noise):
-        raise NotImplementedError("A march begins where it is told to.")
+        raise NotImplementedError("A march begins from a supplied state.")
 
     def observe(self, constants, now, state):
         return jnp.zeros(1)
@@ -82,8 +82,8 @@ class March(Simulator):
 
 
 class _Leg(NamedTuple):
-    """One unit: its `march`, the march's `steps`, which of the sensitivities reach it (`columns`),
-    the size of its y, and `enter(draws, ends, d_ends, inputs)`, what is shared and the state
+    """One unit: its `march`, the march's `steps`, the sensitivities that reach it (`columns`), the
+    size of its y, and `enter(draws, ends, d_ends, inputs)`, the shared constants and the state
     before the first step."""
 
     march: March
@@ -94,7 +94,7 @@ class _Leg(NamedTuple):
 
 
 class Batches(Protocol):
-    """What marching asks of a process: `flowsheet.process.Process`."""
+    """The interface of a process for marching: `flowsheet.process.Process`."""
 
     @property
     def case(self) -> PharmaCase: ...
@@ -144,12 +144,12 @@ class Marches:
             return np.asarray(values), np.asarray(jacobian)
 
     def _given(self, numbers, draw, inputs):
-        """The inputs of one batch, with `numbers` at the places of `by`."""
+        """The inputs of one batch, with `numbers` at the positions of `by`."""
         shifted = self.process.shifted
         return shifted(numbers, self.by, shifted(draw, self.entries, inputs))
 
     def _numbers(self, draw, inputs) -> list:
-        """What stands at the places of `by` in one batch."""
+        """The values at the positions of `by` in one batch."""
         drawn = self.process.shifted(draw, self.entries, inputs)
         return [drawn[name][position] for name, position in self.by]
 

@@ -24,7 +24,7 @@ class Location(Protocol):
     """The position of a quantity: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
-        """The mistake at this place."""
+        """The mistake at this position."""
         ...
 
 
@@ -117,7 +117,7 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with all that is known of them; used in order unless `index` says else.
+    """Numbers of a case with their metadata; used in order unless there is an `index`.
 
     `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
@@ -249,7 +249,7 @@ def _shares(section: TableContext, raw: Any, count: int) -> np.ndarray:
 
 
 def suggest(name: str, available, noun: str) -> str:
-    """The known name nearest to one that is not known, or all that are."""
+    """The known name nearest to an unknown one, or all known names."""
     plural = noun if noun.endswith("s") else f"{noun}s"
     return (
         nearest(name, available)

@@ -2,8 +2,8 @@
 
 Per kg of crystals, X kg/kg of liquid leaves at w = k a max(f p_v(T) - p, 0), where a = 6 / (rho
 d32) is the crystals' surface in m2/kg, p_v the liquid's vapour pressure and p the pressure above
-the cake. Wet, f = 1: the rate is constant once the cake has warmed to where the shelf's heat, U A
-(T_shelf - T), is what evaporation takes. Below the critical moisture X_c the surface dries out
+the cake. Wet, f = 1: the rate is constant once the cake is so warm that the shelf's heat, U A
+(T_shelf - T), equals the heat of evaporation. Below the critical moisture X_c the surface dries out
 and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within 0.1 % of either
 branch outside 0.6 < r < 1.7. In the end X_c p / p_v is left, in equilibrium.
 

@@ -6,8 +6,8 @@ Solid and liquid are in equilibrium where ln(x gamma) = -dH_m / R (1/T - 1/T_m) 
     ln gamma_0 = sum_j tau_j0 G_j0 x_j / S_0
         + sum_j x_j G_0j / S_j (tau_0j - sum_m x_m tau_mj G_mj / S_j),
 
-S_j = sum_k G_kj x_k, tau_ij = a_ij + b_ij / T, G_ij = exp(-alpha_ij tau_ij). x is found by
-bisection of ln x, and its derivatives by two steps more with the slope held, as a loop's are.
+S_j = sum_k G_kj x_k, tau_ij = a_ij + b_ij / T, G_ij = exp(-alpha_ij tau_ij). x is computed by
+bisection of ln x, and its derivatives by two further steps with the slope held, as for a loop.
 """
 
 from dataclasses import dataclass
@@ -133,7 +133,7 @@ class Mixture(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Constants that the case does not have are those of `chemicals` by name."""
+        """Missing constants are taken from `chemicals` by name."""
         table, count = read.table, len(read.table.solvents) + 1
         liquid, masses = _read_liquid(read, count)
 
