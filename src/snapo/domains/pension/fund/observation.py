@@ -49,7 +49,7 @@ def _no(case: PensionCase) -> bool:
 class Feature:
     """A part of the observation: the numbers of one name.
 
-    - `see`: its numbers from a `View`. `size`: how many they are in a case.
+    - `see`: its numbers from a `View`. `size`: the length of the part in a case.
     - `usual`: whether a policy sees it where the case does not say.
     """
 
@@ -151,7 +151,7 @@ def observe(
 
 
 def scales(case: PensionCase) -> np.ndarray:
-    """[g] standard deviation of each factor after ten years, from the case's own numbers."""
+    """[g] standard deviation of each factor after ten years, from the case's numbers."""
     rates, inflation = case.rates, case.inflation
     a = np.append(rates.mean_reversion.used(), inflation.mean_reversion.used())
     used = np.column_stack([rates.volatility.used(), inflation.volatility.used()]).mean(axis=0)

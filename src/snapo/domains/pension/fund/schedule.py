@@ -180,7 +180,7 @@ def added_rate(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> 
 
 @lru_cache(maxsize=4)
 def _annual_bond(case: PensionCase, years: tuple[float, ...]) -> np.ndarray:
-    """1 / (1 + annual zero rate) of the case's own curve, at each of `years`."""
+    """1 / (1 + annual zero rate) of the case's curve, at each of `years`."""
     when = np.maximum(years, case.step)  # a payment now needs no rate
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
         return np.exp(np.asarray(log_bond(case.curve, {}, when)) / when)

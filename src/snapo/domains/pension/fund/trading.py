@@ -46,7 +46,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
     size = weights
     if case.assets.short:
-        # A fee is paid on what is held, on either side of zero.
+        # A fee is paid on holdings of either sign.
         either = smooth.absolute(weights, SHARE)
         size = jnp.where(np.asarray(case.assets.low) < 0, either, weights)
     cost = assets * (traded + jnp.sum(terms.fee * size))

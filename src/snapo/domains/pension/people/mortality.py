@@ -78,8 +78,8 @@ class Yearly(NamedTuple):
 def yearly(
     case: PensionCase, inputs: dict[str, Any], sex: np.ndarray, age: np.ndarray, year: np.ndarray
 ) -> Yearly:
-    """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside the table take
-    its ends."""
+    """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside it use its
+    ends."""
     mortality = _mortality(case)
     position = _place(mortality, sex, age)
     trend = use(inputs, mortality.improvement).ravel()

@@ -23,7 +23,7 @@ from ..records.market import SuppliedScenarios
 
 
 class OutcomeMeasure(NamedTuple):
-    """The output that summarises a fund, a ratio of which 1 is the mark; words for it."""
+    """The output that summarises a fund, a ratio with 1 as its target; its description."""
 
     output: str
     mean: str
@@ -46,7 +46,7 @@ PENSION = OutcomeMeasure(
 
 
 def outcome_measure(case: PensionCase) -> OutcomeMeasure:
-    """The funding ratio; the mean pension over that of today where nothing is promised."""
+    """The funding ratio; without promised rights the mean pension over that of today."""
     return FUNDING if case.pots is None else PENSION
 
 
