@@ -109,6 +109,18 @@ def test_independent_markets_add_in_squares():
     assert result.standard_error == pytest.approx(np.hypot(*errors))
 
 
+def test_contracts_of_other_worlds_have_no_error_together():
+    """Path p of one is not path p of the other: neither a common sum nor one of squares is right."""
+    x = np.random.default_rng(0).normal(size=512)
+    total = BookTotal("base")
+    total.add("a", {"base": x}, "counted from 1 January")
+    total.add("a", {"base": x}, "counted from 1 February")
+    result = total.at("base")
+    assert result is not None and result.value == pytest.approx(2 * x.mean())
+    assert result.standard_error is None and result.change_error is None
+    assert total.mean_change(["base"]) == (0.0, None)
+
+
 def test_the_interval_covers_the_truth():
     """Of 400 books of correlated contracts with a mean of nothing, 95 % intervals hold nothing
     370 to 390 times (two standard deviations of a binomial number are 9)."""

@@ -33,11 +33,13 @@ class BookPosition:
     """All points of a contract in the book.
 
     - `points`: {stress: its point, with the cost and the shape of its answer}.
+    - `world`: equal for contracts whose path p is the same world.
     """
 
     contract: BookContract
     points: dict[str, tuple[BookPoint, Cost | None, str]]
     policy: bytes | None = None
+    world: str = ""
 
     @property
     def base(self) -> BookPoint:
@@ -80,7 +82,8 @@ def position(
 
     base = plan.base(contract, answer_of)
     answer = None if base is None else take(base)
-    result.policy = None if answer is None else answer.policy
+    if answer is not None:
+        result.policy, result.world = answer.policy, answer.world
     for order in () if base is None else plan.further(base, result.policy):
         take(order)
     for name in waiting:
@@ -109,8 +112,7 @@ class Results:
     def add(self, member: BookPosition) -> None:
         """Adds a contract."""
         contract = member.contract
-        failed_count = member.worst
-        self.cases["ok" if failed_count.status == "ok" else failed_count.status] += 1
+        self.cases[member.worst.status] += 1
         for stress, (point, cost, _) in member.points.items():
             if point.status != "ok":
                 row = {"case": contract.name, "stress": stress}
@@ -125,11 +127,11 @@ class Results:
             stress: contract.quantity * point.shares if point.status == "ok" else None
             for stress, (point, _, _) in member.points.items()
         }
-        self.total.add(contract.market, shares)
+        self.total.add(contract.market, shares, member.world)
         for column in self.book.by:
             label = contract.labels.get(column, "")
             self.groups.setdefault(column, {}).setdefault(label, BookTotal(BASE)).add(
-                contract.market, shares
+                contract.market, shares, member.world
             )
         for delta in member.base.deltas:
             labels = delta.labels if len(delta.labels) == delta.blocks.shape[1] else ("",)
@@ -160,6 +162,13 @@ class Results:
             },
             "risk": [risk._asdict() for risk in self.risk(stresses)],
             "deltas": self._deltas(),
+            "notes": [
+                f"contracts of the market {market or 'of the book'} are not valued on common paths "
+                "(jumps with several starts, or quasi-random points with several ends): their sums "
+                "have no error"
+                for market in self.total.shares
+                if not self.total.is_common(market)
+            ],
             "failures": self.failures[:1000],
             "shapes": len(self.shapes),
             "cpu_seconds": self.cpu_seconds,
@@ -176,7 +185,8 @@ class Results:
         for key in months.blocks:
             value, error = months.estimate(key)
             names = dict(zip(("market", "input", "label"), key))
-            rows.append(names | {"held": value, "held_error": error})
+            common = self.total.is_common(key[0])
+            rows.append(names | {"held": value, "held_error": error if common else None})
         return rows
 
 

@@ -104,9 +104,10 @@ def summary(result: Mapping[str, Any]) -> str:
             if row["value"] is None:
                 lines.append(f"{row['stress']:<24}{'none':>16}")
                 continue
-            change = f"   change {row['change']:+,.2f} ± {row['change_error']:,.2g}"
-            line = f"{row['stress']:<24}{row['value']:>16,.2f} ± {row['standard_error']:,.2g}"
+            change = f"   change {row['change']:+,.2f}{_plus_minus(row['change_error'])}"
+            line = f"{row['stress']:<24}{row['value']:>16,.2f}{_plus_minus(row['standard_error'])}"
             lines.append(line + (change if row is not rows[0] else ""))
+        lines += [f"note: {note}" for note in result["notes"]]
         lines += [f"{x['case']} under {x['stress']}: {x['note']}" for x in result["failures"][:5]]
     else:
         number, count = result["shard"]
@@ -115,6 +116,10 @@ def summary(result: Mapping[str, Any]) -> str:
     if "sums" in result:
         lines.append(f"report: {Path(result['run']) / REPORT}")
     return "\n".join(lines)
+
+
+def _plus_minus(error: float | None) -> str:
+    return "" if error is None else f" ± {error:,.2g}"
 
 
 def _worst(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 from snapo.case.error import CaseError
 from snapo.lanes.machine.disk import cache_home
 
-from .workers import WorkerPool, Submits, Work
+from .workers import Submits, Work, WorkerPool
 
 MAX_CACHE = 256 << 20  # bytes of XLA's programs on disk
 IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself

@@ -375,5 +375,5 @@ def _day(text: str, end: bool) -> datetime.date:
     first = datetime.date.fromisoformat(f"{text}-01")
     if not end:
         return first
-    following = (first.replace(day=28) + datetime.timedelta(days=4)).replace(day=1)
-    return following - datetime.timedelta(days=1)
+    next_month = (first.replace(day=28) + datetime.timedelta(days=4)).replace(day=1)
+    return next_month - datetime.timedelta(days=1)

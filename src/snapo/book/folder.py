@@ -33,7 +33,7 @@ class BookFolder:
     def __init__(self, path: Path):
         self.path = path
 
-    def begin(self, record: Mapping[str, Any], keep: bool) -> None:
+    def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
         """Makes the folder ready; `keep`: with the answers that it has.
 
         **Raises:** `CaseError` where it cannot be written, or holds something else.

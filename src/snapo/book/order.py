@@ -153,11 +153,13 @@ class OrderAnswer(NamedTuple):
 
     - `points`: the base first where the order has one, then those of its stresses.
     - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
+    - `world`: equal for answers whose path p is the same world (`Scenarios.world`).
     """
 
     points: tuple[BookPoint, ...]
     policy: bytes | None = None
     shape: str = ""
+    world: str = ""
 
     def pack(self) -> bytes:
         """The answer as bytes, an archive of arrays; equal answers have equal bytes."""
@@ -174,7 +176,7 @@ class OrderAnswer(NamedTuple):
             )
         if self.policy is not None:
             arrays["policy"] = np.frombuffer(self.policy, np.uint8)
-        table = json.dumps({"points": points, "shape": self.shape})
+        table = json.dumps({"points": points, "shape": self.shape, "world": self.world})
         out = io.BytesIO()
         np.savez(out, allow_pickle=False, table=np.array(table), **arrays)
         return out.getvalue()
@@ -190,7 +192,8 @@ class OrderAnswer(NamedTuple):
         except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
             raise ValueError(f"not an answer: {error}") from None
         policy = arrays.get("policy")
-        return cls(points, None if policy is None else policy.tobytes(), table["shape"])
+        policy = None if policy is None else policy.tobytes()
+        return cls(points, policy, table["shape"], table["world"])
 
 
 def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> BookPoint:

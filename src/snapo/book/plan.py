@@ -97,8 +97,8 @@ class BookPlan:
         return by_contract * sum(map(len, self.similar.values()))
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All whose orders some contracts need, twins once, in sequence: the judged ones of those
-        that are alike, and then the others."""
+        """All whose orders some contracts need, equal cases once: first the judged ones of similar
+        contracts, then the others."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
         groups = [
@@ -109,12 +109,12 @@ class BookPlan:
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The first order of a contract; None as long as it waits for judged ones that are alike.
+        """The first order of a contract; None as long as it waits for similar judged ones.
 
-        Where a bump refuted a derivative of one, those of all that are alike are judged.
+        Where a bump refuted a derivative of one, those of all similar contracts are judged.
         """
         twin = self.first_of_case[contract.name]
-        if twin.name in self.judged or not self.book.tasks.judge:
+        if twin.name in self.judged or not self.judged:
             return self._base(twin, twin.name in self.judged)
         refuted = self._refuted(self.similarity_keys[twin.name], read)
         return None if refuted is None else self._base(twin, refuted)

@@ -63,6 +63,7 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
     value, error = measured(base["value"], base["standard_error"], digits)
     note = f"{valued}. The standard error counts the paths that contracts of one market share."
     blocks = [Headline("value of the book", value, error, note)]
+    blocks += [Text(f"{text[0].upper()}{text[1:]}.", caveat=True) for text in result["notes"]]
     if result["risk"]:
         tiles = []
         for risk in result["risk"]:

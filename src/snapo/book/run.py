@@ -121,7 +121,7 @@ def run_book(
     book = read_book(path)
     folder = BookFolder(book.file.parent / "run" if out is None else out)
     plan = plan_of(book)
-    folder.begin(_record(book), keep=resume or shard is not None)
+    folder.prepare(_record(book), keep=resume or shard is not None)
     contracts = plan.needed(book.contracts)
     if shard is not None:
         slice_ends = (len(contracts) * n // shard.count for n in (shard.number - 1, shard.number))

@@ -15,12 +15,15 @@ from snapo.solver import statistics
 
 
 class Sum(NamedTuple):
-    """A sum under a stress, and its change against the base on the same paths."""
+    """A sum under a stress, and its change against the base on the same paths.
+
+    The errors are None where the positions of a market are not valued on common paths.
+    """
 
     value: float
-    standard_error: float
+    standard_error: float | None
     change: float
-    change_error: float
+    change_error: float | None
 
 
 @dataclass
@@ -29,20 +32,27 @@ class BookTotal:
 
     - `shares`: {market: {stress: [B] of its positions together}}.
     - `missing`: {stress: positions without a value there}.
+    - `worlds`: {market: those of its positions}.
     """
 
     base: str
     shares: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
     missing: dict[str, int] = field(default_factory=dict)
+    worlds: dict[str, set[str]] = field(default_factory=dict)
 
-    def add(self, market: str, shares: Mapping[str, np.ndarray | None]) -> None:
+    def add(self, market: str, shares: Mapping[str, np.ndarray | None], world: str = "") -> None:
         """Adds a position: {stress: its shares [B]}, None where it has no value."""
+        self.worlds.setdefault(market, set()).add(world)
         totals = self.shares.setdefault(market, {})
         for stress, x in shares.items():
             if x is None:
                 self.missing[stress] = self.missing.get(stress, 0) + 1
             else:
                 totals[stress] = _sum(totals[stress], x) if stress in totals else x
+
+    def is_common(self, market: str) -> bool:
+        """Whether path p is the same world in all positions of a market."""
+        return len(self.worlds.get(market, ())) <= 1
 
     def at(self, stress: str) -> Sum | None:
         """The sum under a stress; None where a position has no value there, or at the base."""
@@ -53,16 +63,20 @@ class BookTotal:
             values.append(statistics.of_shares(totals[stress]))
             changes.append(statistics.of_shares(_sum(totals[stress], -totals[self.base])))
         value, change = (math.fsum(x.value for x in parts) for parts in (values, changes))
+        if not all(map(self.is_common, self.shares)):
+            return Sum(value, None, change, None)
         errors = [math.hypot(*(x.standard_error for x in parts)) for parts in (values, changes)]
         return Sum(value, errors[0], change, errors[1])
 
-    def mean_change(self, stresses: Sequence[str]) -> tuple[float, float]:
+    def mean_change(self, stresses: Sequence[str]) -> tuple[float, float | None]:
         """The mean change over some stresses, and its standard error."""
         means = []
         for totals in self.shares.values():
             parts = [_sum(totals[stress], -totals[self.base]) for stress in stresses]
             means.append(statistics.of_shares(np.mean(parts, 0)))
-        return math.fsum(x.value for x in means), math.hypot(*(x.standard_error for x in means))
+        error = math.hypot(*(x.standard_error for x in means))
+        common = all(map(self.is_common, self.shares))
+        return math.fsum(x.value for x in means), error if common else None
 
 
 def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -80,9 +94,9 @@ class Risk(NamedTuple):
 
     level: float
     var: float
-    var_error: float
+    var_error: float | None
     shortfall: float
-    shortfall_error: float
+    shortfall_error: float | None
 
 
 LEVELS = (0.95, 0.99)

@@ -48,7 +48,7 @@ LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
 def answer(data: bytes) -> bytes:
-    """The answer to an order, with its cost. A mistake in a case and non-finite numbers are answers too."""
+    """The answer to an order, with its cost. A mistake in a case is an answer too."""
     order, started = BookOrder.unpack(data), time.process_time()
     if not _same_bits(order):
         return OTHER
@@ -123,18 +123,19 @@ class _Contract:
 
     def answer(self) -> OrderAnswer:
         """The points of the order, and the policy where it was trained."""
-        order, shape = self.order, _shape(self.setup)
+        order, problem = self.order, self.setup.problem
+        labels = _shape(self.setup), repr(problem.sources.evaluation.world(problem.simulator))
         if order.policy is not None:
             policy = _policy(order.policy)
-            return OrderAnswer((*self._base(policy), *self._stressed(policy)), shape=shape)
+            return OrderAnswer((*self._base(policy), *self._stressed(policy)), None, *labels)
         if not order.base:
-            return OrderAnswer(tuple(self._stressed(None)), shape=shape)
+            return OrderAnswer(tuple(self._stressed(None)), None, *labels)
         solution = self._solved(self.setup)
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = _point(self.setup, solution.totals, {}, deltas)
         points = (base, *self._stressed(solution.policy))
-        return OrderAnswer(points, _file(solution.policy), shape)
+        return OrderAnswer(points, _file(solution.policy), *labels)
 
     def _solved(self, setup: Setup) -> Solution:
         return solve(
@@ -192,8 +193,8 @@ def _shape(setup: Setup) -> str:
 
 def _settings(order: BookOrder) -> list[str]:
     """The settings of a case that the book decides."""
-    judge = [] if order.judged else ["evaluation.judge_paths=0"]
-    return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}", *judge]
+    untested = [] if order.judged else ["evaluation.judge_paths=0"]
+    return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}", *untested]
 
 
 def _input(key: str, inputs: Mapping[str, Input]) -> str:
