@@ -93,7 +93,7 @@ def _same(executor: Submits) -> Submits:
 
 def _dask(address: str, trust_network: bool) -> WorkerPool:
     try:
-        from distributed import Client
+        from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise _missing("dask") from None
     parts = urlsplit(address if "//" in address else f"tcp://{address}")
@@ -113,7 +113,7 @@ def _dask(address: str, trust_network: bool) -> WorkerPool:
 
 def _ray(address: str, trust_network: bool) -> WorkerPool:
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise _missing("ray") from None
     parts = urlsplit(address if "//" in address else f"ray://{address}")
@@ -133,7 +133,7 @@ class RayExecutor:
     """Ray as an executor: it has none of its own (ray issue 29456)."""
 
     def __init__(self):
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
 
         self.remote: Any = ray.remote(num_cpus=1, max_retries=0)(_called)
 
