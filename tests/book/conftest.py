@@ -32,6 +32,6 @@ def valued(tmp_path_factory) -> Valued:
     """The first four contracts: all are in order."""
     folder = tmp_path_factory.mktemp("book")
     file = write_book(folder, ROWS[:4])
-    result = run_book(file, lambda _: None, HERE, out=folder / "run")
+    result = run_book(read_book(file), lambda _: None, HERE, out=folder / "run")
     assert json.loads((folder / "run" / "result.json").read_text()) == result
     return Valued(read_book(file), folder / "run", result)

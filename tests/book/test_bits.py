@@ -15,7 +15,6 @@ from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.run import Shard, run_book
 from snapo.case.load import load
-from snapo.solver.solve import solve
 from snapo.study.assign import assigned
 from snapo.study.domain import Options, find
 
@@ -42,13 +41,7 @@ def solved(file: Path, row):
         data["evaluation"][key] = value
     domain = find("gas-storage", "")
     setup = domain.study(domain.read(path, data), Options()).setup()
-    return solve(
-        setup.problem,
-        policy=setup.policy if setup.recipe is None else setup.recipe,
-        training=setup.training,
-        evaluation=setup.evaluation,
-        engine=setup.engines,
-    )
+    return setup.solve()
 
 
 def equal_to_solve(answer, solution, tmp_path):
@@ -63,7 +56,7 @@ def equal_to_solve(answer, solution, tmp_path):
 
 def test_a_contract_equals_solve(tmp_path):
     file = write_book(tmp_path, ROWS[1:2])
-    run_book(file, lambda _: None, HERE, out=tmp_path / "run")
+    run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")
     answer = answers_of(read_book(file), tmp_path / "run")["store 1"]
     equal_to_solve(answer, solved(file, ROWS[1]), tmp_path)
 
@@ -105,7 +98,7 @@ def test_twelve_contracts_on_every_executor(tmp_path):
     book = read_book(file)
 
     def valued(name, where):
-        result = run_book(file, lambda _: None, where, out=tmp_path / name)
+        result = run_book(read_book(file), lambda _: None, where, out=tmp_path / name)
         assert result["status"] == "ok", result["failures"]
         return {x: answer.pack() for x, answer in answers_of(book, tmp_path / name).items()}
 
@@ -113,7 +106,9 @@ def test_twelve_contracts_on_every_executor(tmp_path):
     assert len(one) == 12
     assert valued("two", worker_pools("", 2)) == one
     for part in (1, 2):
-        run_book(file, lambda _: None, HERE, out=tmp_path / "parts", shard=Shard(part, 2))
+        run_book(
+            read_book(file), lambda _: None, HERE, out=tmp_path / "parts", shard=Shard(part, 2)
+        )
     assert {x: a.pack() for x, a in answers_of(book, tmp_path / "parts").items()} == one
     for name, cluster in (("dask", dask), ("ray", ray)):
         with cluster() as where:

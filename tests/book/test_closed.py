@@ -25,7 +25,9 @@ def test_no_port_is_opened(valued, tmp_path, monkeypatch):
 
     monkeypatch.setattr(socket.socket, "bind", refuse)
     monkeypatch.setattr(socket.socket, "listen", refuse)
-    result = run_book(write_book(tmp_path, ROWS[:1]), lambda _: None, HERE, out=tmp_path / "run")
+    result = run_book(
+        read_book(write_book(tmp_path, ROWS[:1])), lambda _: None, HERE, out=tmp_path / "run"
+    )
     assert result["status"] == "ok"
 
 
@@ -91,7 +93,7 @@ def test_an_executor_of_others(valued, tmp_path, monkeypatch):
     made = executors.worker_pools("mine:two")
     assert len(made) == 2
     file = write_book(tmp_path / "book", ROWS[:4])
-    result = run_book(file, lambda _: None, made, out=tmp_path / "run")
+    result = run_book(read_book(file), lambda _: None, made, out=tmp_path / "run")
     assert result["sums"] == valued.result["sums"]
 
 

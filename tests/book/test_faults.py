@@ -51,7 +51,7 @@ def test_an_exception_is_a_loss_too():
 def test_an_unreadable_contract_fails_alone(valued, tmp_path):
     """The others have their values; the sum has none, as it would be that of another book."""
     file = write_book(tmp_path, ROWS)
-    result = run_book(file, lambda _: None, HERE, out=valued.out.parent / "with wrong")
+    result = run_book(read_book(file), lambda _: None, HERE, out=valued.out.parent / "with wrong")
     assert result["status"] == "failed" and result["cases"] == {"ok": 4, "failed": 1}
     assert {row["case"] for row in result["failures"]} == {"wrong"}
     assert "max_inventory" in result["failures"][0]["note"]
@@ -65,15 +65,17 @@ def test_resume_computes_what_is_missing(valued, tmp_path):
     rows = [row | {"contract.injection_cost": 0.06} if row["name"] == "dearer" else row
             for row in ROWS[:4]]  # fmt: skip
     file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
-    first = run_book(file, lambda _: None, HERE, out=out)
-    repeated = run_book(write_book(tmp_path, rows), lambda _: None, HERE, out=out, resume=True)
+    first = run_book(read_book(file), lambda _: None, HERE, out=out)
+    repeated = run_book(
+        read_book(write_book(tmp_path, rows)), lambda _: None, HERE, out=out, resume=True
+    )
     assert repeated["orders"] == {"computed": 1, "reused": 1, "lost": 0}
     assert repeated["by"]["desk"]["A"] == first["by"]["desk"]["A"]
     assert repeated["sums"][0]["value"] != first["sums"][0]["value"]
 
     largest = max(out.glob("answers/*/*"), key=lambda x: x.stat().st_size)
     largest.write_bytes(largest.read_bytes()[:-100])
-    complete = run_book(file, lambda _: None, HERE, out=out, resume=True)
+    complete = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
     assert complete["orders"]["computed"] == 1
     assert complete["sums"] == repeated["sums"]
 
@@ -81,9 +83,9 @@ def test_resume_computes_what_is_missing(valued, tmp_path):
 def test_shards_meet(valued, tmp_path):
     """Two parts in one folder give the numbers of the whole, whichever is the last."""
     file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
-    second = run_book(file, lambda _: None, HERE, out=out, shard=Shard(2, 2))
+    second = run_book(read_book(file), lambda _: None, HERE, out=out, shard=Shard(2, 2))
     assert "sums" not in second and not (out / "result.json").exists()
-    first = run_book(file, lambda _: None, HERE, out=out, shard=Shard(1, 2))
+    first = run_book(read_book(file), lambda _: None, HERE, out=out, shard=Shard(1, 2))
     assert first["sums"] == valued.result["sums"]
     assert json.loads((out / "result.json").read_text())["sums"] == first["sums"]
 
@@ -100,9 +102,9 @@ def test_a_full_disk_keeps_what_is_written(valued, tmp_path, monkeypatch):
     before = BookFolder.write
     monkeypatch.setattr(BookFolder, "write", full)
     with pytest.raises(CaseError, match=r"No space left on device.*--resume"):
-        run_book(file, lambda _: None, HERE, out=out)
+        run_book(read_book(file), lambda _: None, HERE, out=out)
     monkeypatch.undo()
-    result = run_book(file, lambda _: None, HERE, out=out, resume=True)
+    result = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
     assert result["orders"] == {"computed": 1, "reused": 1, "lost": 0}
     assert result["sums"] == valued.result["sums"]
 
@@ -116,12 +118,12 @@ def test_a_lost_order_is_named_and_tried_again(valued, tmp_path, monkeypatch):
         return real(order)
 
     monkeypatch.setattr(run, "answer", dies)
-    result = run_book(file, lambda _: None, HERE, out=out)
+    result = run_book(read_book(file), lambda _: None, HERE, out=out)
     assert result["status"] == "failed" and result["orders"]["lost"] == 1
     assert {(x["case"], x["status"]) for x in result["failures"]} == {("dearer", "lost")}
     assert "killed" in result["failures"][0]["note"]
     monkeypatch.undo()
-    result = run_book(file, lambda _: None, HERE, out=out, resume=True)
+    result = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
     assert result["sums"] == valued.result["sums"]
 
 
@@ -130,7 +132,7 @@ def test_a_folder_of_something_else_is_not_touched(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     with pytest.raises(CaseError, match="this folder has other files"):
-        run_book(file, lambda _: None, HERE, out=tmp_path / "other")
+        run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "other")
     assert [x.name for x in (tmp_path / "other").iterdir()] == ["notes.txt"]
 
 
@@ -159,7 +161,7 @@ def test_sixty_contracts_with_everything_killed(tmp_path):
     assert result["status"] == "ok" and result["cases"] == {"ok": 60, "failed": 0}
     orders = result["orders"]
     assert orders["computed"] + orders["reused"] == 60 and orders["reused"] >= 20
-    quiet = run_book(file, lambda _: None, HERE, out=tmp_path / "quiet")
+    quiet = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "quiet")
     assert quiet["sums"] == result["sums"]
     book = read_book(file)
     mine, other = answers_of(book, out), answers_of(book, tmp_path / "quiet")

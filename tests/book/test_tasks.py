@@ -1,20 +1,25 @@
 """The tasks of a book: policies for each stress, further orders, derivatives, judged contracts,
 markets, and cases of their own folders."""
 
+import platform
+
 import numpy as np
 import pytest
 from tests.book.books import HERE, write_book
 from tests.book.conftest import ROWS
 from tests.miniatures import thirty_days
 
-from snapo.book import run
+from snapo.book import run, work
 from snapo.book.collect import position
+from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.order import STRESSES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
 from snapo.book.plan import BookPlan
 from snapo.book.run import plan_of, run_book
+from snapo.book.workers import OTHER
 from snapo.case.error import CaseError
+from snapo.lanes.machine import pipeline
 
 TASKS = "[tasks]\npaths = 512\njudge = 0\n"
 ONE = ROWS[:1]
@@ -22,7 +27,7 @@ ONE = ROWS[:1]
 
 def points(file, out):
     """{contract: {stress: its point}}."""
-    result = run_book(file, lambda _: None, HERE, out=out)
+    result = run_book(read_book(file), lambda _: None, HERE, out=out)
     assert result["status"] == "ok", result["failures"]
     book, folder = read_book(file), BookFolder(out)
     members = [position(plan_of(book), x, folder, {}) for x in book.contracts]
@@ -93,7 +98,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
         return enclosed(OrderAnswer((point,)).pack(), Cost(1.0, 1.0, "here"))
 
     monkeypatch.setattr(run, "answer", answer)
-    assert run_book(file, lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
+    assert run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
     assert judged == [True, True, True, refuted, refuted]
     assert plan_of(read_book(file)).judged == {"0", "1", "2"}
     nobody = BookPlan(read_book(write_book(tmp_path / "b", rows, stresses="", more=TASKS)))
@@ -154,7 +159,7 @@ def test_axes_make_a_grid_of_contracts(tmp_path):
     assert values == {(i, j) for i in (4, 6) for j in (40, 50, 60)}
     assert contracts[-1].labels["max_inventory"] == "60"
     # A larger store is worth more on the same paths.
-    result = run_book(file, lambda _: None, HERE, out=tmp_path / "run")
+    result = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")
     small, middle, large = (rows[0]["value"] for rows in result["by"]["max_inventory"].values())
     assert small < middle < large
     for wrong in ('"5:35"', '"5:35:1"', '"a:b:c"', "[]"):
@@ -176,3 +181,46 @@ def test_cases_of_their_own_folders(tmp_path):
     book.write_text(outside)
     with pytest.raises(CaseError, match="in the folder of the book"):
         read_book(book)
+
+
+def test_a_worker_of_another_processor_refuses(valued):
+    """Its bits would be others: the order goes elsewhere."""
+    order = BookOrder.of(valued.book.contracts[0], valued.book.tasks, 0, fingerprint="elsewhere")
+    assert work.answer(order.pack()) == OTHER
+
+
+def test_a_level_is_the_target_of_all_code(monkeypatch):
+    """Where the processor has it; a level that it has not is refused."""
+    monkeypatch.setenv(pipeline.PROCESSOR, "")
+    actual = pipeline.actual()
+    narrow = actual._replace(triple="x86_64-unknown-linux-gnu", register=32)
+    monkeypatch.setattr(pipeline, "actual", lambda: narrow)
+    pipeline.host.cache_clear()
+    try:
+        assert not pipeline.use_processor("x86-64-v4") and pipeline.host() == narrow
+        assert pipeline.use_processor("x86-64-v2")
+        target = pipeline.host()
+        assert (target.name, target.features, target.register) == ("x86-64-v2", "", 16)
+        assert target.lanes("float64") == 4
+    finally:
+        monkeypatch.undo()
+        pipeline.host.cache_clear()
+    assert pipeline.host() == actual
+
+
+@pytest.mark.prove
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="levels are those of x86-64")
+def test_a_book_for_a_level_has_its_values(tmp_path):
+    """Compiled for the oldest level in two processes: equal bits; but for rounding the values of
+    code for this processor."""
+    one, two = (
+        write_book(tmp_path / name, ONE, stresses="", more=f"{TASKS}[run]\n{run}")
+        for name, run in (("level", 'processor = "x86-64-v2"\n'), ("own", ""))
+    )
+    values = []
+    for file, out in ((one, "a"), (one, "b"), (two, "c")):
+        result = run_book(read_book(file), lambda _: None, worker_pools("", 1), out=tmp_path / out)
+        assert result["status"] == "ok", result["failures"]
+        values.append(result["sums"][0]["value"])
+    assert values[0] == values[1]
+    assert values[0] == pytest.approx(values[2], rel=1e-4)  # two steps of training in float32

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from snapo.solver import statistics
 
 from .file import BASE, Book, BookContract
@@ -15,17 +13,10 @@ from .folder import POLICIES, TABLES, BookFolder
 from .order import BookOrder, BookPoint, Cost, OrderAnswer, name_of
 from .parquet import TableRows, TableWriter
 from .plan import BookPlan
-from .sums import BookTotal, DeltaTotal, Risk, Sum, risks
+from .sums import BookTotal, DeltaTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
 TOGETHER = 32
-
-NOT_A_NUMBER = float("nan")
-
-
-def none(status: str, note: str) -> BookPoint:
-    """A point that has no value."""
-    return BookPoint(status, note, NOT_A_NUMBER, NOT_A_NUMBER, np.full(1, np.nan), {})
 
 
 @dataclass
@@ -59,7 +50,7 @@ def position(
 
     def read(name: str) -> tuple[OrderAnswer, Cost | None] | None:
         if name in lost:
-            return OrderAnswer((none("lost", lost[name]),)), None
+            return OrderAnswer((BookPoint.without_value("lost", lost[name]),)), None
         return folder.read(name)
 
     def answer_of(name: str) -> OrderAnswer | None:
@@ -73,7 +64,11 @@ def position(
         entry = read(name_of(order.pack()))
         for i, name in enumerate(itertools.islice(waiting, len(order.stresses) + order.base)):
             if entry is None:
-                result.points[name] = none("missing", "it has not been computed"), None, ""
+                result.points[name] = (
+                    BookPoint.without_value("missing", "it has not been computed"),
+                    None,
+                    "",
+                )
             else:
                 answer, cost = entry
                 point = answer.points[min(i, len(answer.points) - 1)]
@@ -87,9 +82,11 @@ def position(
     for order in () if base is None else plan.further(base, result.policy):
         take(order)
     for name in waiting:
-        point = none("missing", "its base has not been computed")
+        point = BookPoint.without_value("missing", "its base has not been computed")
         if answer is not None:
-            point = none(answer.points[0].status, f"its base: {answer.points[0].note}")
+            point = BookPoint.without_value(
+                answer.points[0].status, f"its base: {answer.points[0].note}"
+            )
         result.points[name] = point, None, ""
     return result
 
@@ -107,7 +104,7 @@ class Results:
     explained: dict[str, float] = field(default_factory=dict)
     cpu_seconds: float = 0.0
     peak_mb: float = 0.0
-    shapes: Counter[str] = field(default_factory=Counter)
+    shapes: set[str] = field(default_factory=set)
 
     def add(self, member: BookPosition) -> None:
         """Adds a contract."""
@@ -122,7 +119,7 @@ class Results:
                 self.peak_mb = max(self.peak_mb, cost.peak_mb)
             more = contract.quantity * explained(member.base, point)
             self.explained[stress] = self.explained.get(stress, 0.0) + more
-        self.shapes[member.points[BASE][2]] += 1
+        self.shapes |= {shape for _, _, shape in member.points.values() if shape}
         shares = {
             stress: contract.quantity * point.shares if point.status == "ok" else None
             for stress, (point, _, _) in member.points.items()
@@ -160,7 +157,7 @@ class Results:
                 }
                 for column, totals in self.groups.items()
             },
-            "risk": [risk._asdict() for risk in self.risk(stresses)],
+            "risk": [risk._asdict() for risk in risks(self.total, stresses)],
             "deltas": self._deltas(),
             "notes": [
                 f"contracts of the market {market or 'of the book'} are not valued on common paths "
@@ -174,10 +171,6 @@ class Results:
             "cpu_seconds": self.cpu_seconds,
             "peak_mb": self.peak_mb,
         }
-
-    def risk(self, stresses: Sequence[str]) -> list[Risk]:
-        """Of the whole book."""
-        return risks(self.total, stresses)
 
     def _deltas(self) -> list[dict[str, Any]]:
         months = self.deltas.by_month()

@@ -36,10 +36,10 @@ def solve(
 
     **Raises:** `CaseError` for a mistake in the book, or where its workers cannot be reached.
     """
-    read_book(path)  # a mistake in it is named before workers start
+    book = read_book(path)  # a mistake in it is named before a cluster is joined
     made = worker_pools(on, workers, trust_network)
     part = None if shard is None else Shard(*shard)
-    return run_book(path, progress, made, out=out, shard=part, resume=resume)
+    return run_book(book, progress, made, out=out, shard=part, resume=resume)
 
 
 def check(path: Path) -> list[str]:

@@ -22,12 +22,11 @@ from snapo.study.assign import assigned
 from snapo.study.domain import find
 from snapo.study.run_folder import case_files
 
-KIND = "book"
 BASE = "base"  # the name of the unstressed point
 NAME = re.compile(r"[^\x00-\x1f/\\]{1,80}")
 PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 SHARED = ("market", "model")  # tables of a case that its market gives
-MAX_STRESSES, MAX_CONTRACTS = 10_000, 100_000
+MAX_CONTRACTS = 100_000
 
 CaseKey = Annotated[str, Field(pattern=r"^[^.]+(\.[^.]+)*$")]
 
@@ -250,7 +249,7 @@ def _contracts(
 
 
 def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
-    """The template with the values of a row: columns with a point, or named as a key, are keys."""
+    """The template with the values of a row: columns with a point are keys."""
     labels = {column: text for column, text in row.cells.items() if column not in ("name", "")}
     keys = [column for column in labels if "." in column and labels[column] != ""]
     try:

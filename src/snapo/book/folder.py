@@ -1,6 +1,6 @@
 """The folder of a book: answers, and the tables that are made from them.
 
-book.json           the book: its contracts, stresses and tasks, and all that decides its numbers
+book.json           the book: its contracts, stresses and tasks, and versions
 answers/            the answers by the hash of their orders, each written whole or not at all
 values/, deltas/, shares/     Parquet, a file for each contract (for 32 of them beyond 500)
 policies/           the trained policies, as `policy.save` writes them
@@ -83,8 +83,3 @@ class BookFolder:
             return OrderAnswer.unpack(data), cost
         except (OSError, ValueError):
             return None
-
-
-def is_book_folder(path: Path) -> bool:
-    """Whether a folder is that of a book."""
-    return (path / BOOK).is_file()

@@ -1,7 +1,7 @@
 """An order: one contract with some of the book's stresses, as bytes; and its answer, as bytes.
 
 The answer depends on nothing but the order. An order has neither the contract's name nor its
-quantity, so that twins are computed once; it is called by the hash of its bytes.
+quantity, so that contracts with equal cases are computed once; its name is the hash of its bytes.
 """
 
 import base64
@@ -132,6 +132,11 @@ class BookPoint(NamedTuple):
     shares: np.ndarray
     changes: Mapping[str, np.ndarray]
     deltas: "tuple[Delta, ...]" = ()
+
+    @classmethod
+    def without_value(cls, status: str, note: str) -> "BookPoint":
+        """A point that was not valued, and the reason."""
+        return cls(status, note, np.nan, np.nan, np.full(1, np.nan), {})
 
 
 class Delta(NamedTuple):

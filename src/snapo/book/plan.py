@@ -4,7 +4,6 @@ The base of a contract is ordered first; its policy travels with its further str
 contracts come one after the other, so that a worker has their code.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,9 +16,8 @@ from .order import STRESSES, BookOrder, OrderAnswer, name_of
 
 MIN_JUDGED = 3  # of similar contracts
 
-AnswerReader = Callable[
-    [str], OrderAnswer | None
-]  # the answer of this name; None where there is none
+# The answer to the order of this name; None where there is none.
+AnswerReader = Callable[[str], OrderAnswer | None]
 
 
 def similarity_key(contract: BookContract) -> str:
@@ -66,7 +64,7 @@ class BookPlan:
 
     @cached_property
     def similar(self) -> dict[str, list[BookContract]]:
-        """{likeness: contracts}, twins once."""
+        """{similarity key: contracts}, equal cases once."""
         groups = dict[str, list[BookContract]]()
         for contract in self.book.contracts:
             if self.first_of_case[contract.name] is contract:
@@ -75,7 +73,7 @@ class BookPlan:
 
     @cached_property
     def similarity_keys(self) -> dict[str, str]:
-        """{name of a contract: its likeness}."""
+        """{name of a contract: its similarity key}."""
         return {contract.name: similarity_key(contract) for contract in self.book.contracts}
 
     @cached_property
@@ -89,7 +87,7 @@ class BookPlan:
 
     @property
     def size(self) -> int:
-        """The orders of the whole book, twins once."""
+        """How many orders the whole book has, equal cases once."""
         stresses = len(self.book.stresses)
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
@@ -113,11 +111,11 @@ class BookPlan:
 
         Where a bump refuted a derivative of one, those of all similar contracts are judged.
         """
-        twin = self.first_of_case[contract.name]
-        if twin.name in self.judged or not self.judged:
-            return self._base(twin, twin.name in self.judged)
-        refuted = self._refuted(self.similarity_keys[twin.name], read)
-        return None if refuted is None else self._base(twin, refuted)
+        first = self.first_of_case[contract.name]
+        if first.name in self.judged or not self.judged:
+            return self._base(first, first.name in self.judged)
+        refuted = self._refuted(self.similarity_keys[first.name], read)
+        return None if refuted is None else self._base(first, refuted)
 
     def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
         if kind not in self._verdicts:
@@ -160,10 +158,3 @@ class BookPlan:
         for i in range(STRESSES, len(moves), STRESSES):
             stresses = tuple(moves[i : i + STRESSES])
             yield replace(base, base=False, judged=False, stresses=stresses, policy=policy)
-
-
-def digest(book: Book) -> str:
-    """The hash of all that the book's numbers depend on."""
-    orders = [BookOrder.of(x, book.tasks, book.run.seed).pack() for x in book.contracts]
-    text = repr([book.stresses, [name_of(order) for order in orders]])
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

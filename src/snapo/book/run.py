@@ -13,11 +13,11 @@ from snapo.solver.provenance import versions
 from snapo.solver.tables import write_text
 from snapo.study.study import ProgressCallback
 
-from .collect import collect, none
-from .file import Book, BookContract, read_book
+from .collect import collect
+from .file import Book, BookContract
 from .folder import REPORT, RESULT, BookFolder
-from .order import BookOrder, OrderAnswer, name_of, opened
-from .plan import BookPlan, digest
+from .order import BookOrder, BookPoint, OrderAnswer, name_of, opened
+from .plan import BookPlan
 from .work import answer
 from .workers import Lost, WorkerPool, answers
 
@@ -73,7 +73,7 @@ class Driver:
 
     def _read(self, name: str) -> OrderAnswer | None:
         if name in self.lost:
-            return OrderAnswer((none("lost", self.lost[name]),))
+            return OrderAnswer((BookPoint.without_value("lost", self.lost[name]),))
         entry = self.folder.read(name)
         return None if entry is None else entry[0]
 
@@ -101,7 +101,7 @@ class Driver:
 
 
 def run_book(
-    path: Path,
+    book: Book,
     progress: ProgressCallback,
     worker_pools: Sequence[WorkerPool],
     *,
@@ -115,10 +115,9 @@ def run_book(
     - `resume`: answers that the folder has are not computed again.
 
     Returns the content of result.json. Where interrupted, or on a full disk, answers that have been
-    written stay. **Raises:** `CaseError` for a mistake in the book.
+    written stay. **Raises:** `CaseError` where the folder cannot be written.
     """
     began = time.perf_counter()
-    book = read_book(path)
     folder = BookFolder(book.file.parent / "run" if out is None else out)
     plan = plan_of(book)
     folder.prepare(_record(book), keep=resume or shard is not None)
@@ -195,7 +194,6 @@ def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
 def _record(book: Book) -> dict[str, Any]:
     return {
         "title": book.title,
-        "digest": digest(book),
         "cases": [
             {"name": x.name, "market": x.market, "quantity": x.quantity, "labels": dict(x.labels)}
             for x in book.contracts

@@ -33,8 +33,6 @@ from snapo.solver import statistics
 from snapo.solver.derivatives.interval import HELD
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import Sensitivities, sensitivities
-from snapo.solver.solution import Solution
-from snapo.solver.solve import solve
 from snapo.study.assign import assigned
 from snapo.study.domain import Domain, Options, find
 from snapo.study.prepare import use_every_core
@@ -57,7 +55,7 @@ def answer(data: bytes) -> bytes:
         try:
             result = _Contract(order, Path(folder)).answer()
         except (CaseError, ValueError, ArithmeticError) as error:
-            failed = _failed(_sentence(error, folder))
+            failed = BookPoint.without_value("failed", _sentence(error, folder))
             result = OrderAnswer((failed,) * (len(order.stresses) + order.base))
     packed = result.pack()
     _keep_small()
@@ -90,10 +88,6 @@ def _keep_small() -> None:
             forget_kernels()
             jax.clear_caches()
             gc.collect()
-
-
-def _failed(note: str) -> BookPoint:
-    return BookPoint("failed", note, np.nan, np.nan, np.full(1, np.nan), {})
 
 
 def _sentence(error: Exception, folder: str) -> str:
@@ -130,21 +124,12 @@ class _Contract:
             return OrderAnswer((*self._base(policy), *self._stressed(policy)), None, *labels)
         if not order.base:
             return OrderAnswer(tuple(self._stressed(None)), None, *labels)
-        solution = self._solved(self.setup)
+        solution = self.setup.solve()
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = _point(self.setup, solution.totals, {}, deltas)
         points = (base, *self._stressed(solution.policy))
         return OrderAnswer(points, _file(solution.policy), *labels)
-
-    def _solved(self, setup: Setup) -> Solution:
-        return solve(
-            setup.problem,
-            policy=setup.policy if setup.recipe is None else setup.recipe,
-            training=setup.training,
-            evaluation=setup.evaluation,
-            engine=setup.engines,
-        )
 
     def _base(self, policy: Policy) -> Iterator[BookPoint]:
         if self.order.base:
@@ -156,7 +141,7 @@ class _Contract:
             try:
                 yield self._under(moves, policy)
             except (CaseError, ValueError, ArithmeticError) as error:
-                yield _failed(_sentence(error, str(self.file.parent)))
+                yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
 
     def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
         """The value under a stress, with guide and control variate of its numbers."""
@@ -170,7 +155,7 @@ class _Contract:
         changes = {name: (x - self.inputs[name].value).ravel() for name, x in values.items()}
         if policy is not None:
             return self._valued(setup, policy, changes)
-        solution = self._solved(setup)
+        solution = setup.solve()
         deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return _point(setup, solution.totals, changes, deltas)
 
@@ -228,7 +213,7 @@ def _point(
     controls = problem.simulator.control_variates()
     shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
     if not np.isfinite(shares).all():
-        return _failed("too many paths are non-finite")
+        return BookPoint.without_value("failed", "too many paths are non-finite")
     shares = batched(shares)
     result = statistics.of_shares(shares)
     return BookPoint("ok", "", result.value, result.standard_error, shares, changes, deltas)
@@ -241,7 +226,7 @@ def batched(shares: np.ndarray) -> np.ndarray:
 
 
 def _deltas(table: Sensitivities | None) -> tuple[Delta, ...]:
-    """The held derivatives; none where the objective is no mean: they do not add up."""
+    """The held derivatives of a table, none of none."""
     if table is None:
         return ()
     verdicts = table.verdicts or {}

@@ -38,7 +38,7 @@ class WorkerPool:
 
     make: Callable[[], Executor | Submits]
     waiting: int = 2
-    close: Callable[[], object] = bool
+    close: Callable[[], object] = lambda: None
 
 
 class Lost(NamedTuple):
