@@ -26,7 +26,7 @@ from snapo.book.file import read_book
 from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
 from snapo.book.run import plan_of, run_book
 from snapo.book.work import answer
-from snapo.book.workers import answers
+from snapo.engine.workers import answers
 from snapo.study.domain import find
 
 from .machine import machine

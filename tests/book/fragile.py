@@ -19,7 +19,7 @@ def echo(order: bytes) -> bytes:
     if kind == "fails":
         raise MemoryError("too large")
     if kind == "other":
-        from snapo.book.workers import OTHER
+        from snapo.engine.workers import OTHER
 
         return OTHER
     return order + b"!"

@@ -100,6 +100,7 @@ def _add_solve(commands) -> None:
         help="train with this number of seeds, or those of a list (0,3,7); the run is that of the "
         "best",
     )
+    _add_workers(solve, "processes of this machine that compute a part of a large problem's paths")
 
 
 def _add_book(commands) -> None:
@@ -110,21 +111,7 @@ def _add_book(commands) -> None:
     book.add_argument(
         "--out", metavar="DIR", type=Path, help="folder of the results (default: run, next to it)"
     )
-    where = book.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers", metavar="N", type=_count, help="processes of this machine (default: its cores)"
-    )
-    where.add_argument(
-        "--on",
-        metavar="WHERE",
-        default="",
-        help="dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns an executor",
-    )
-    book.add_argument(
-        "--trust-network",
-        action="store_true",
-        help="join a scheduler without TLS or token that is not on this machine",
-    )
+    _add_workers(book, "processes of this machine (default: its cores)")
     book.add_argument(
         "--shard",
         metavar="K/N",
@@ -135,6 +122,22 @@ def _add_book(commands) -> None:
         "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
     )
     book.add_argument("--sql", metavar="QUERY", help="query the tables values, deltas and shares")
+
+
+def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=_count, help=processes)
+    where.add_argument(
+        "--on",
+        metavar="WHERE",
+        default="",
+        help="dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns an executor",
+    )
+    parser.add_argument(
+        "--trust-network",
+        action="store_true",
+        help="join a scheduler without TLS or token that is not on this machine",
+    )
 
 
 def _add_certify(commands) -> None:
