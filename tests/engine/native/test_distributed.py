@@ -1,5 +1,7 @@
 """Groups of paths that other processes compute have the bits of one process."""
 
+from concurrent.futures.process import BrokenProcessPool
+
 import jax
 import numpy as np
 import pytest
@@ -17,9 +19,9 @@ PATHS = 333
 WEIGHTS = {"cash": np.linspace(0, 1, PATHS), "left": np.linspace(1, -1, PATHS)}
 
 
-def over(count: int, least: float = 0.0, precision="float32") -> Native:
+def over(count: int, precision="float32") -> Native:
     pools = [WorkerPool(InProcess) for _ in range(count)]
-    return Native(precision, distributed=Distributed(Workers(pools), least))
+    return Native(precision, distributed=Distributed(Workers(pools)))
 
 
 def drawn(simulator, stored: bool):
@@ -45,7 +47,9 @@ def same(one, two) -> None:
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
+    """Workers that know no kernel, and are used for everything."""
     monkeypatch.setattr(distributed, "_runners", {})
+    monkeypatch.setattr(distributed, "LEAST", 0.0)
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -112,8 +116,41 @@ def test_without_workers_that_can_this_process_computes(reply, monkeypatch):
     assert ("too large" if reply is None else "processor") in note and engine.distributed.runs == 0
 
 
-def test_short_runs_stay_here():
-    engine = over(2, 0.05)
+def test_a_lost_answer_is_computed_again(monkeypatch):
+    lost, before = [], distributed.compute
+
+    def compute(order: bytes) -> bytes:
+        answer = before(order)
+        if answer != UNKNOWN and not lost:
+            lost.append(order)
+            raise BrokenProcessPool("killed")
+        return answer
+
+    monkeypatch.setattr(distributed, "compute", compute)
+    engine = over(2)
+    same(gradient(engine), gradient(Native()))
+    assert lost and engine.distributed.runs == 1 and not engine.distributed.note
+
+
+class Shut(InProcess):
+    """An executor that somebody has shut down."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+
+def test_an_executor_that_was_shut_down_is_left_out():
+    pools = [WorkerPool.of(Shut()), WorkerPool.of(InProcess())]
+    for part, runs in ((pools, 1), (pools[:1], 0)):
+        engine = Native(distributed=Distributed(Workers(part)))
+        same(gradient(engine), gradient(Native()))
+        assert engine.distributed.runs == runs
+        assert ("broken" in engine.distributed.note) == (not runs)
+
+
+def test_short_runs_stay_here(monkeypatch):
+    monkeypatch.setattr(distributed, "LEAST", 0.05)
+    engine = over(2)
     for _ in range(3):
         same(gradient(engine), gradient(Native()))
     assert engine.distributed.runs == 0
@@ -121,8 +158,9 @@ def test_short_runs_stay_here():
 
 
 def test_long_runs_go_to_workers_after_one_of_them_was_timed(monkeypatch):
+    monkeypatch.setattr(distributed, "LEAST", 1e-9)
     monkeypatch.setattr(distributed, "RATE", np.inf)
-    engine = over(2, 1e-9)
+    engine = over(2)
     for runs in (0, 1, 2):
         gradient(engine)
         assert engine.distributed.runs == runs

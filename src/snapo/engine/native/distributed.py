@@ -1,14 +1,17 @@
 """Groups of paths computed by other processes: a part of a run of a kernel, as bytes.
 
-An order has the rows that some groups read, and the name of the kernel; a worker that does not know
-it asks for its text. It needs neither the simulator nor the policy. The answer has the rows that
-the kernel wrote, with the sums of every group by themselves: they are added where all runs add
-them, so that the bits are those of one process.
+An order has the rows that some groups read. The kernel and the numbers of its steps, which are the
+same at every step of training, are sent to a worker that does not know them. It needs neither the
+simulator nor the policy. The answer has the rows that the kernel wrote, with the sums of every
+group by themselves: they are added where all runs add them, so that the bits are those of one
+process.
 """
 
+import hashlib
 import json
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import partial
 from itertools import pairwise
 from time import perf_counter
@@ -27,9 +30,9 @@ from .runtime import GroupRunner, KernelInputs, Runner
 
 LEAST = 0.05  # seconds of a run on this machine from which on workers compute it
 RATE = 2e8  # bytes a second that orders and answers move
-UNKNOWN = b"unknown kernel"  # the answer of a worker that needs the kernel's text
-KERNELS = 16  # that a worker keeps
-SHARED = ("table", "steps", "keys", "noise", "noise_initial")  # rows that belong to no block
+UNKNOWN = b"unknown"  # the answer of a worker that needs the kernel, or the numbers of its steps
+LASTING = 16  # kernels that a worker keeps, and numbers of steps
+SHARED = ("table", "keys", "noise", "noise_initial")  # rows that belong to no block
 BY_COLUMN = ("weights", "start_cotangent")  # rows of all blocks, column after column
 
 Rows = Mapping[str, np.ndarray]
@@ -39,13 +42,13 @@ class Distributed:
     """Runs of kernels whose groups of paths workers compute, where that is worth it.
 
     A kernel's first run is timed on this machine. Others go to workers where they would take
-    `least` seconds here, and the time to move their rows. After the loss of an order this process
+    `LEAST` seconds here, and the time to move their rows. After the loss of an order this process
     computes everything.
     """
 
-    def __init__(self, workers: Workers, least: float = LEAST):
-        self.workers, self.least = workers, least
-        self.runs, self.longest, self.needed, self.lost = 0, 0.0, least, ""
+    def __init__(self, workers: Workers):
+        self.workers = workers
+        self.runs, self.longest, self.needed, self.lost = 0, 0.0, 0.0, ""
         self._seconds: WeakKeyDictionary[GroupRunner, float] = WeakKeyDictionary()
 
     @property
@@ -87,12 +90,11 @@ class Distributed:
 
     def _needed(self, runner: Runner, inputs: KernelInputs, groups: int) -> float:
         """The seconds on this machine from which on workers help."""
-        if not self.least:
+        if not LEAST:
             return 0.0
-        results = runner.results(inputs, groups).values()
-        return (
-            self.least + (sum(x.nbytes for x in inputs.memory.rows.values()) + sum(results)) / RATE
-        )
+        rows = [*_rows(runner, inputs, 0, inputs.blocks).values()]
+        size = sum(row.nbytes for row in rows) + sum(runner.results(inputs, groups).values())
+        return LEAST + size / RATE
 
     def _from_workers(
         self, runner: Runner, inputs: KernelInputs, edges: np.ndarray
@@ -101,8 +103,10 @@ class Distributed:
         groups = len(edges) - 1
         count = min(groups, self.workers.parallel)
         cuts = (groups * np.arange(count + 1) // count).tolist()
+        steps = _filled(runner, "steps", inputs.memory["steps"])
+        steps_name = hashlib.blake2b(steps, digest_size=16).hexdigest()
         parts = {
-            _order(runner, inputs, edges[first : last + 1]): (first, last)
+            _order(runner, steps_name, inputs, edges[first : last + 1]): (first, last)
             for first, last in pairwise(cuts)
         }
         memory = KernelMemory(runner.results(inputs, groups))
@@ -110,7 +114,7 @@ class Distributed:
         for order, result in self.workers.answers(partial(_next, waiting), compute):
             first, last = parts[order]
             if result == UNKNOWN:
-                complete = order + runner.code.text.encode()
+                complete = order + _packed(asdict(runner.code), {"steps": steps})
                 parts[complete] = first, last
                 waiting.append(complete)
             elif isinstance(result, Lost):
@@ -136,49 +140,80 @@ def _blocks(name: str, row: np.ndarray, inputs: KernelInputs, first: int, last: 
     return row.reshape(columns, inputs.blocks, -1)[:, first:last]
 
 
-def _order(runner: Runner, inputs: KernelInputs, edges: np.ndarray) -> bytes:
-    """The order of the groups between these edges."""
-    code, first, last = runner.code, int(edges[0]), int(edges[-1])
+def _filled(runner: Runner, name: str, rows: np.ndarray) -> np.ndarray:
+    """The bytes of rows that `prepare` does not compute."""
+    filled = rows.reshape(-1, runner.code.strides[name])[:, : runner.code.filled[name]]
+    return np.ascontiguousarray(filled)
+
+
+def _rows(runner: Runner, inputs: KernelInputs, first: int, last: int) -> dict[str, np.ndarray]:
+    """What some blocks read of the inputs, but for the numbers of the steps."""
     rows = {
         name: row if name in SHARED else _blocks(name, row, inputs, first, last)
         for name, row in inputs.memory.rows.items()
+        if name != "steps"
     }
-    paths = inputs.paths
+    rows["table"] = _filled(runner, "table", rows["table"])
     if "positions" in rows:  # stored noise: that of the part's paths
         positions = np.ascontiguousarray(rows["positions"]).view(np.int64)
         start, stop = int(positions.min()), int(positions.max()) + 1
         rows |= {"positions": positions - start, "noise": rows["noise"][:, start:stop]}
         rows |= {"noise_initial": rows["noise_initial"][start:stop]}
-        paths = stop - start
-    kernel = {"adjoint": code.adjoint, "strides": code.strides, "sizes": code.sizes}
+    return rows
+
+
+def _order(runner: Runner, steps: str, inputs: KernelInputs, edges: np.ndarray) -> bytes:
+    """The order of the groups between these edges."""
+    first, last = int(edges[0]), int(edges[-1])
+    rows = _rows(runner, inputs, first, last)
+    paths = rows["noise"].shape[1] if "noise" in rows else inputs.paths
     run = {"paths": paths, "blocks": last - first, "length": inputs.length, "first": inputs.first}
     run |= {"records": inputs.records, "columns": inputs.columns}
-    table = {"name": runner.name, "kernel": kernel, "run": run, "edges": edges.tolist()}
+    table = {"kernel": runner.name, "steps": steps, "run": run, "edges": edges.tolist()}
     return _packed(table, rows)
 
 
 def compute(order: bytes) -> bytes:
     """The answer to an order: the same on all processors for which its kernel has the same name."""
-    table, rows, text = _unpacked(order)
-    runner = _runners.get(table["name"])
-    if runner is None:
-        if not text:
-            return UNKNOWN
-        code = KernelCode(text.decode(), **table["kernel"])
-        if disk.key(code.text) != table["name"]:
-            return OTHER
-        runner = _runners[table["name"]] = GroupRunner(code, linked(code))
-        while len(_runners) > KERNELS:
-            del _runners[next(iter(_runners))]
-    memory = KernelMemory({name: row.size for name, row in rows.items()})
-    for name, row in rows.items():
-        memory[name][:] = row
-    inputs, edges = KernelInputs(memory=memory, **table["run"]), np.array(table["edges"])
+    table, rows, lasting = _unpacked(order)
+    if lasting and not _learn(table, lasting):
+        return OTHER
+    runner, steps = _runners.get(table["kernel"]), _steps.get(table["steps"])
+    if runner is None or steps is None:
+        return UNKNOWN
+    strides, filled, run = runner.code.strides, runner.code.filled, table["run"]
+    sizes = {name: row.size for name, row in rows.items()}
+    sizes |= {"table": strides["table"], "steps": run["length"] * strides["steps"]}
+    memory = KernelMemory(sizes)
+    for name, row in (*rows.items(), ("steps", steps)):
+        if name in filled:
+            memory[name].reshape(-1, strides[name])[:, : filled[name]] = row
+        else:
+            memory[name][:] = row
+    inputs, edges = KernelInputs(memory=memory, **run), np.array(table["edges"])
     results = runner.groups(inputs, runner.prepared(inputs), edges - edges[0], 1).rows
     return _packed({}, {name: row for name, row in results.items() if name != "stop"})
 
 
+def _learn(table: Mapping[str, Any], lasting: bytes) -> bool:
+    """Keeps a kernel and the numbers of its steps; False where its bits would be others here."""
+    content, rows, _ = _unpacked(lasting)
+    del content["rows"]
+    code = KernelCode(**content)
+    if table["kernel"] not in _runners:
+        if disk.key(code.text) != table["kernel"]:
+            return False
+        _runners[table["kernel"]] = GroupRunner(code, linked(code))
+    shape = table["run"]["length"], code.filled["steps"]
+    _steps[table["steps"]] = rows["steps"].reshape(shape)
+    for known in (_runners, _steps):
+        while len(known) > LASTING:
+            del known[next(iter(known))]
+    return True
+
+
 _runners: dict[str, GroupRunner] = {}
+_steps: dict[str, np.ndarray] = {}
 
 
 def _packed(table: dict[str, Any], rows: Rows) -> bytes:

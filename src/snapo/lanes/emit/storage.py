@@ -5,7 +5,7 @@ strides. Neither costs an instruction.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -113,6 +113,13 @@ class Layout:
         offset = -(-self.size // align) * align
         self.fields[key] = (offset, tuple(shape), dtype)
         self.size = offset + math.prod(shape) * stored * self.lanes
+
+    def end(self, keys: Iterable[object]) -> int:
+        """Bytes of a row up to the end of these fields."""
+        ends = [0]
+        for offset, shape, dtype in (self.fields[key] for key in keys):
+            ends.append(offset + math.prod(shape) * dtype.itemsize * self.lanes)
+        return max(ends)
 
     @property
     def stride(self) -> int:

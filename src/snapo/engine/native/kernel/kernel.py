@@ -320,11 +320,13 @@ class KernelCode:
     """All that running a kernel takes: the text of its module, and the bytes of its rows.
 
     - `strides`: {layout: bytes of a row}; `sizes`: {name: bytes of scratch memory}.
+    - `filled`: {layout: bytes of a row that come from the caller}; `prepare` computes the others.
     """
 
     text: str
     adjoint: bool
     strides: dict[str, int]
+    filled: dict[str, int]
     sizes: dict[str, int]
 
     @property
@@ -348,7 +350,9 @@ class Kernel:
     def code(self) -> KernelCode:
         """What running it takes, without the way back to the caller's trees."""
         strides = {name: layout.stride for name, layout in self.layouts.items()}
-        return KernelCode(self.text, self.traced.setup.adjoint, strides, self.sizes)
+        leaves = {"table": self.traced.call, "steps": self.traced.now}
+        filled = {name: self.layouts[name].end(keys) for name, keys in leaves.items()}
+        return KernelCode(self.text, self.traced.setup.adjoint, strides, filled, self.sizes)
 
 
 def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:
