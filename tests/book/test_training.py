@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.book.books import SHORT, InProcess
 from tests.book.fragile import MARK, dies_once
+from tests.book.test_bits import dask, ray
 from tests.miniatures import thirty_days
 
 from snapo.book.executors import worker_pools
@@ -57,7 +58,7 @@ def equal(one, two) -> None:
 
 
 def test_a_solution_has_the_same_bits(setup, alone, monkeypatch):
-    monkeypatch.setattr(distributed, "LEAST", 0.0)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     executors = [Counting(), Counting()]
     solution = setup.solve(executor=executors)
     equal(solution, alone)
@@ -66,7 +67,7 @@ def test_a_solution_has_the_same_bits(setup, alone, monkeypatch):
 
 
 def test_small_steps_have_one_note(setup, alone, monkeypatch):
-    monkeypatch.setattr(distributed, "LEAST", 1e3)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 1e3)
     executor = Counting()
     solution = setup.solve(executor=executor)
     assert executor.orders == 0
@@ -84,7 +85,7 @@ def test_another_engine_is_refused(case, capfd):
 @pytest.mark.prove
 def test_the_command_has_the_same_result(case, tmp_path, monkeypatch, capfd):
     """`--on MODULE:FUNCTION`: values, derivatives and notes."""
-    monkeypatch.setattr(distributed, "LEAST", 0.0)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     (tmp_path / "mine.py").write_text(
         "from tests.book.test_training import Counting\n"
         "made = [Counting(), Counting()]\ndef two():\n    return made\n"
@@ -104,9 +105,19 @@ def test_the_command_has_the_same_result(case, tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.prove
+@pytest.mark.parametrize("cluster", [dask, ray])
+def test_clusters_have_the_same_bits(cluster, setup, alone, monkeypatch):
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
+    with cluster() as pools, Workers(pools) as workers:
+        engines = setup.engines.over(workers)
+        equal(setup._replace(engines=engines).solve(), alone)
+    assert workers.parallel == 2 and engines.train.distributed.runs > 2
+
+
+@pytest.mark.prove
 def test_a_killed_worker_changes_no_bit(setup, alone, tmp_path, monkeypatch):
     """Two processes; one is killed with an answer that it has not given."""
-    monkeypatch.setattr(distributed, "LEAST", 0.0)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     monkeypatch.setenv(MARK, str(tmp_path / "killed"))
     monkeypatch.setattr(distributed, "compute", dies_once)
     with Workers(worker_pools("", 2)) as workers:

@@ -1,4 +1,4 @@
-"""Where the work of a book, or of one large problem, is computed: processes of this machine, Dask, Ray, or any executor.
+"""Where orders are computed: processes of this machine, Dask, Ray, or any executor.
 
 snapo starts no cluster: it joins one. Whoever reaches the port of a scheduler can run code there,
 so that an address beyond this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.

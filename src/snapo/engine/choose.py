@@ -27,7 +27,7 @@ class Engines(NamedTuple):
     reason: str
 
     def over(self, workers: Workers) -> "Engines":
-        """These engines, with workers that compute groups of paths where that is worth it.
+        """These engines, with workers that compute groups of paths where that saves time.
 
         **Raises:** `ValueError` for other engines than the native one.
         """

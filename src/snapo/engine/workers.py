@@ -17,7 +17,7 @@ from concurrent.futures import (
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-PARALLEL = 32  # orders at once of an executor that does not tell how many it computes
+PARALLEL = 32  # orders at once of an executor without a number of workers
 LOSSES = 3  # after which an order is given up
 REFUSALS = 20  # of an order by workers of another processor, after which it is given up
 OTHER = b"other processor"  # the answer of a worker that would compute other bits

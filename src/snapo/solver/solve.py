@@ -132,7 +132,7 @@ def solve(
 def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
     executors = [executor] if isinstance(executor, Executor) else executor
     try:
-        return engines.over(Workers([WorkerPool.of(each) for each in executors]))
+        return engines.over(Workers(list(map(WorkerPool.of, executors))))
     except ValueError as error:
         raise ValueError(f"solve: executor: {error}.") from None
 

@@ -209,10 +209,10 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
         message = f"{file} trains no policy, so that an initial one has no use"
         raise CaseError("--policy", "", str(values.source), message)
 
-    def fitted(setup: Setup) -> Setup:
+    def adopt(setup: Setup) -> Setup:
         return setup._replace(policy=values.adopted_by(setup.policy), recipe=None)
 
-    setup = with_change(study.setup, fitted)
+    setup = with_change(study.setup, adopt)
     setup()  # a misfit is refused before anything is written
     after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
     parts = [

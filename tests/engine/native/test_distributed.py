@@ -49,7 +49,7 @@ def same(one, two) -> None:
 def fresh(monkeypatch):
     """Workers that know no kernel, and are used for everything."""
     monkeypatch.setattr(distributed, "_runners", {})
-    monkeypatch.setattr(distributed, "LEAST", 0.0)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -72,11 +72,12 @@ def test_values_and_records_have_the_same_bits():
         same(over(2, precision="float64").values(*args, record=record), one)
 
 
-def test_parts_of_the_paths_have_the_same_bits():
+@pytest.mark.parametrize("stored", [False, True])
+def test_parts_of_the_paths_have_the_same_bits(stored):
     """Sensitivities by block: recorded decisions, and a sum for every part."""
     store = Store()
     actions = np.random.default_rng(1).uniform(size=(9, PATHS, 2))
-    values = store, None, store.prepare(None), drawn(store, False), Exact(), WEIGHTS
+    values = store, None, store.prepare(None), drawn(store, stored), Exact(), WEIGHTS
     parts = (100, 33, 64, 64, 72)
     one, two = (
         engine.adjoints(*values, parts, actions=actions, wrt=("schedule",))
@@ -149,7 +150,7 @@ def test_an_executor_that_was_shut_down_is_left_out():
 
 
 def test_short_runs_stay_here(monkeypatch):
-    monkeypatch.setattr(distributed, "LEAST", 0.05)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 0.05)
     engine = over(2)
     for _ in range(3):
         same(gradient(engine), gradient(Native()))
@@ -158,7 +159,7 @@ def test_short_runs_stay_here(monkeypatch):
 
 
 def test_long_runs_go_to_workers_after_one_of_them_was_timed(monkeypatch):
-    monkeypatch.setattr(distributed, "LEAST", 1e-9)
+    monkeypatch.setattr(distributed, "MIN_SECONDS", 1e-9)
     monkeypatch.setattr(distributed, "RATE", np.inf)
     engine = over(2)
     for runs in (0, 1, 2):

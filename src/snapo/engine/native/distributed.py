@@ -28,21 +28,21 @@ from .call import linked
 from .kernel.kernel import KernelCode
 from .runtime import GroupRunner, KernelInputs, Runner
 
-LEAST = 0.05  # seconds of a run on this machine from which on workers compute it
+MIN_SECONDS = 0.05  # seconds of a run on this machine from which on workers compute it
 RATE = 2e8  # bytes a second that orders and answers move
 UNKNOWN = b"unknown"  # the answer of a worker that needs the kernel, or the numbers of its steps
 LASTING = 16  # kernels that a worker keeps, and numbers of steps
 SHARED = ("table", "keys", "noise", "noise_initial")  # rows that belong to no block
 BY_COLUMN = ("weights", "start_cotangent")  # rows of all blocks, column after column
 
-Rows = Mapping[str, np.ndarray]
+ByteRows = Mapping[str, np.ndarray]
 
 
 class Distributed:
-    """Runs of kernels whose groups of paths workers compute, where that is worth it.
+    """Runs of kernels whose groups of paths workers compute, where that saves time.
 
     A kernel's first run is timed on this machine. Others go to workers where they would take
-    `LEAST` seconds here, and the time to move their rows. After the loss of an order this process
+    `MIN_SECONDS` here, and the time to move their rows. After the loss of an order this process
     computes everything.
     """
 
@@ -90,11 +90,11 @@ class Distributed:
 
     def _needed(self, runner: Runner, inputs: KernelInputs, groups: int) -> float:
         """The seconds on this machine from which on workers help."""
-        if not LEAST:
+        if not MIN_SECONDS:
             return 0.0
         rows = [*_rows(runner, inputs, 0, inputs.blocks).values()]
         size = sum(row.nbytes for row in rows) + sum(runner.results(inputs, groups).values())
-        return LEAST + size / RATE
+        return MIN_SECONDS + size / RATE
 
     def _from_workers(
         self, runner: Runner, inputs: KernelInputs, edges: np.ndarray
@@ -206,9 +206,9 @@ def _learn(table: Mapping[str, Any], lasting: bytes) -> bool:
         _runners[table["kernel"]] = GroupRunner(code, linked(code))
     shape = table["run"]["length"], code.filled["steps"]
     _steps[table["steps"]] = rows["steps"].reshape(shape)
-    for known in (_runners, _steps):
-        while len(known) > LASTING:
-            del known[next(iter(known))]
+    for cache in (_runners, _steps):
+        while len(cache) > LASTING:
+            del cache[next(iter(cache))]
     return True
 
 
@@ -216,7 +216,7 @@ _runners: dict[str, GroupRunner] = {}
 _steps: dict[str, np.ndarray] = {}
 
 
-def _packed(table: dict[str, Any], rows: Rows) -> bytes:
+def _packed(table: dict[str, Any], rows: ByteRows) -> bytes:
     """A line of JSON, and the bytes of the rows one after another."""
     head = json.dumps(table | {"rows": {name: row.nbytes for name, row in rows.items()}})
     return b"".join(
@@ -224,7 +224,7 @@ def _packed(table: dict[str, Any], rows: Rows) -> bytes:
     )
 
 
-def _unpacked(data: bytes) -> tuple[dict[str, Any], Rows, bytes]:
+def _unpacked(data: bytes) -> tuple[dict[str, Any], ByteRows, bytes]:
     """The table, the rows, and what comes after them."""
     at = data.index(b"\n") + 1
     table, rows = json.loads(data[:at]), {}

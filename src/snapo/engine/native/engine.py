@@ -30,7 +30,7 @@ class Native(Engine):
 
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
     - `threads`: None uses every processor available to this process.
-    - `distributed`: workers that compute groups of paths, where that is worth it.
+    - `distributed`: workers that compute groups of paths, where that saves time.
 
     Results depend on neither.
 

@@ -114,12 +114,11 @@ class Layout:
         self.fields[key] = (offset, tuple(shape), dtype)
         self.size = offset + math.prod(shape) * stored * self.lanes
 
-    def end(self, keys: Iterable[object]) -> int:
-        """Bytes of a row up to the end of these fields."""
-        ends = [0]
-        for offset, shape, dtype in (self.fields[key] for key in keys):
-            ends.append(offset + math.prod(shape) * dtype.itemsize * self.lanes)
-        return max(ends)
+    def size_to(self, keys: Iterable[object]) -> int:
+        """Bytes of a row as far as these fields go."""
+        fields = [self.fields[key] for key in keys]
+        sizes = (math.prod(shape) * dtype.itemsize for _, shape, dtype in fields)
+        return max((field[0] + self.lanes * size for field, size in zip(fields, sizes)), default=0)
 
     @property
     def stride(self) -> int:

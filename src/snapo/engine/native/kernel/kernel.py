@@ -351,7 +351,7 @@ class Kernel:
         """What running it takes, without the way back to the caller's trees."""
         strides = {name: layout.stride for name, layout in self.layouts.items()}
         leaves = {"table": self.traced.call, "steps": self.traced.now}
-        filled = {name: self.layouts[name].end(keys) for name, keys in leaves.items()}
+        filled = {name: self.layouts[name].size_to(keys) for name, keys in leaves.items()}
         return KernelCode(self.text, self.traced.setup.adjoint, strides, filled, self.sizes)
 
 
