@@ -121,7 +121,7 @@ def test_independent_years_are_products_of_blacks_caplets_and_floorlets(floor, c
 def ready():
     """LPI(0, 2.5): the fund's schedule, drawn paths and totals of the native engine."""
     one, paths = scheme(cap=0.025), 8192
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
         made = jax.jit(simulator.prepare)(plain(pension_inputs(one)))
         schedule = jax.tree.map(np.asarray, made)

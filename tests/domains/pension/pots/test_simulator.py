@@ -24,7 +24,7 @@ ROUND_OFF = 1e-12 * 8000  # of the assets
 
 def rolled(case, paths=6, actions=None):
     """Every state [T+1, N, …] and output [T, N] on paths with weights drawn at random, or these."""
-    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator: Any = PotSimulator.of(case)
     rng = np.random.default_rng(3)
     inputs = plain(pension_inputs(case))
     with jax.enable_x64(True):
