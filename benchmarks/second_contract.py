@@ -110,7 +110,7 @@ def _fund(name: str, second: bool) -> Setup:
                 "valuation_date": day.replace(year=day.year + 1),
             }
             data["rates"]["volatility"] = 0.009
-            data["plan"] |= {"retirement_age": 68.0, "offset": 16000.0}
+            data["plan"]["retirement_age"] = 68.0
             for table, found, other in (
                 ("cohorts.csv", r"(male,)(\d+)", _older),
                 ("assets.csv", r"(Equity,equity,[\d.]+,[\d.]+,[\d.]+,0,)0.6,", r"\g<1>0.65,"),
