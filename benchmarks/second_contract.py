@@ -138,6 +138,36 @@ def plant(second: bool) -> Setup:
     return study.make_setup(read.read_case(file, data), "native")
 
 
+def reactor(second: bool) -> Setup:
+    """The reactor of the template of a process, in closed loop; the second one is fed more, and
+    its reactions are faster."""
+    from snapo.domains.pharma import study
+    from snapo.domains.pharma.control.closed_loop import ClosedLoop
+    from snapo.domains.pharma.read.case import resolve
+
+    file, data = load(Path(study.__file__).parent / "template")
+    data = {
+        key: data[key] for key in ("kind", "species", "reactions", "feeds", "units", "parameters")
+    }
+    if second:
+        data["feeds"]["charge"]["volume"] = "65 L"
+        data["reactions"][0]["prefactor"] = "2.8e4 L/mol/s"
+    data["units"] = {"reactor": data["units"]["reactor"]}
+    data["parameters"] = data["parameters"][:1]  # the temperature of the reactor
+    data["connections"] = [{"from": "charge", "to": "reactor.feed"}]
+    concentration = {"measure": "reactor.concentration.C", "unit": "mol/L", "low": "0.11 mol/L"}
+    data["attributes"] = [{"name": "product", "citation": "made up", **concentration}]
+    varied = {"kind": "lognormal", "spread": 0.1}
+    data["uncertainty"] = [{"of": "kinetics.prefactor", "distribution": varied}]
+    decided = {"of": "reactor.temperature", "low": "303 K", "high": "323 K"}
+    sensor = {"state": "reactor.concentration.C", "error": "1e-3 mol/L"}
+    sensor |= {"centre": "0.1 mol/L", "width": "0.05 mol/L"}
+    control = {"manipulated": [decided], "measurements": [sensor]}
+    data["control"] = {"steps": {"reactor": 3}, "substeps": 16, **control}
+    data["training"], data["evaluation"] = SHORT, FEW
+    return ClosedLoop(resolve(file, data), "xla").setup()
+
+
 DOMAINS: dict[str, Callable[[bool], Setup]] = {
     "gas-storage": storage,
     "inventory": stores,

@@ -1,5 +1,6 @@
 """For all tests: quick compiling, caches of their own, the same examples every time, solved cases."""
 
+import gc
 import os
 import time
 from importlib.metadata import version
@@ -18,10 +19,12 @@ if LEVEL == "low":
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {LOW}".strip()
 
 # Compiled code is kept between runs, by version and level, under the user's cache folder. (JAX's
-# own keys hold both too; a folder of its own can be removed when its version is gone.)
+# own keys hold both too; a folder of its own can be removed when its version is gone.) All of it:
+# tests compile thousands of small programs, many of them several times in one run, and to read one
+# takes a tenth of the time.
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "snapo" / "tests"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / f"jax-{version('jaxlib')}-{LEVEL}"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import jax
 import pytest
@@ -42,6 +45,9 @@ def pytest_configure(config):
     `make prove` makes the code that users run. All of it is made in the process of the tests.
     """
     disk.HERE = 10**6
+    # Tracing makes many objects that are all still needed: to look for cycles among them after
+    # every 700, as Python does, is a tenth of the processor time.
+    gc.set_threshold(20_000, 20, 20)
     if LEVEL == "low" and "not prove" in config.option.markexpr:
         disk.PIPELINE = pipeline.PIPELINE = pipeline.Pipeline(speed_level=0, code_level=0)
 

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -45,23 +46,25 @@ def module(file: Path) -> tuple[str, ...]:
 MODULES = {module(file): file for file in FILES}
 
 
-def imports(file: Path, late: bool = True):
+@cache
+def imports(file: Path, late: bool = True) -> list[tuple[str, ...]]:
     """The modules that a file imports, relative names resolved; `late` ones in functions too."""
     package = module(file) if file.name == "__init__.py" else module(file)[:-1]
-    tree = ast.parse(file.read_text())
+    tree, found = ast.parse(file.read_text()), []
     for node in ast.walk(tree) if late else _at_import(tree):
         if isinstance(node, ast.Import):
-            yield from (tuple(alias.name.split(".")) for alias in node.names)
+            found += (tuple(alias.name.split(".")) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             stem = (*base, *(node.module.split(".") if node.module else ()))
-            for alias in node.names:
-                yield (*stem, alias.name) if (*stem, alias.name) in MODULES else stem
+            names = ((*stem, alias.name) for alias in node.names)
+            found += (name if name in MODULES else stem for name in names)
+    return found
 
 
 def _at_import(tree: ast.Module):
     """Statements that run when the module is imported; not those for type checkers alone."""
-    found = [tree]
+    found: list[ast.AST] = [tree]
     while found:
         node = found.pop()
         yield node

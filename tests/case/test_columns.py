@@ -1,6 +1,7 @@
 """The same table as CSV, as a European CSV, as Parquet and from frames: read alike, to the digit."""
 
 import datetime
+import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import snapo
-from snapo.case.csv import FileReference, read_rows
+from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import TableContext
 
@@ -84,7 +85,22 @@ def test_a_mistake_in_a_parquet_file_has_its_line(tmp_path):
 
 
 def test_what_is_no_frame_or_no_such_file_is_refused(tmp_path):
-    with pytest.raises(TypeError, match="a list is no data frame"):
+    with pytest.raises(TypeError, match="a list is not a data frame"):
         snapo.write_table([1, 2], tmp_path / "curve.csv")
     with pytest.raises(ValueError, match=r"allowed are \.csv and \.parquet"):
         snapo.write_table(polars.DataFrame({"a": [1]}), tmp_path / "curve.xls")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cell", "allowed"),
+    [
+        (-math.inf, math.inf, "much", "a finite number, written like 12.5"),
+        (-math.inf, 5.0, "7", "a number of at most 5"),
+        (8.0, math.inf, "7", "a number of at least 8"),
+        (8.0, 9000.0, "7", "a number from 8 to 9,000"),
+    ],
+)
+def test_a_cell_out_of_its_range_is_refused_with_both_ends(low, high, cell, allowed):
+    row = Row("prices.csv", 3, {"price": cell})
+    with pytest.raises(CaseError, match=f"line 3, column price: .* allowed is {allowed}"):
+        row.number("price", low, high)

@@ -3,11 +3,13 @@
 import datetime
 import math
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SheetCell
@@ -24,7 +26,7 @@ from snapo.case.quantity import (
     quantity_of,
     stacked,
 )
-from snapo.case.table import CaseTable, parse
+from snapo.case.table import CaseTable, NotNegative, optional, parse
 
 ENDS = ("[]", "[)", "(]", "()")
 NUMBERS = st.floats(-1e6, 1e6)
@@ -179,3 +181,73 @@ def test_a_table_of_declarations_has_a_schema_and_a_documentation():
         "a number, or the name of a CSV file with columns date,value"
     )
     assert fields["cost"].default == 0.0 and fields["share"].is_required()
+
+
+SHARE_KEPT = Range(0.0, 1.0, "(]")
+
+
+class Settings(CaseTable):
+    """Keys that their types describe."""
+
+    kind: Literal["one", "two", "three"] = "one"
+    paths: Annotated[int, Range(2, 10_000, note=": more do not fit")] = 2
+    starts: Annotated[int, Range(1, noun="a number of weights")] = 1
+    keep: Annotated[float, SHARE_KEPT] | Literal["auto"] = "auto"
+    rate: Annotated[float, POSITIVE] | None = None
+    level: Annotated[float, BELOW_ONE] = Field(0.0, description="a level")
+    values: NotNegative | Annotated[str, Field(description="a CSV file")] = 0.0
+    name: str = ""
+
+
+DESCRIPTIONS = {
+    "kind": '"one", "two" or "three"',
+    "paths": "a whole number, 2 to 10,000: more do not fit",
+    "starts": "a number of weights, 1 or more",
+    "keep": 'a number above 0, at most 1, or "auto"',
+    "rate": "a number above 0",
+    "level": "a level",
+    "values": "a number of at least 0, or a CSV file",
+}
+LEFT_OUT = ", or left out: 5"
+
+
+@optional("paths", "level", note=LEFT_OUT)
+class Chosen(Settings):
+    """Settings of which some are chosen."""
+
+
+def test_a_key_is_described_by_its_type():
+    fields, schema = Settings.model_fields, Settings.model_json_schema()["properties"]
+    for key, text in DESCRIPTIONS.items():
+        assert fields[key].description == schema[key]["description"] == text
+    assert fields["name"].description is None and "description" not in schema["name"]
+    assert (schema["paths"]["minimum"], schema["paths"]["maximum"]) == (2, 10_000)
+    assert schema["keep"]["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1.0}
+    with pytest.raises(CaseError, match=r"keep: got 0.*allowed is a number above 0, at most 1, or"):
+        parse(Settings, {"keep": 0.0}, "case.toml", "settings")
+
+
+@given(st.sampled_from(["paths", "starts", "keep", "level"]), st.integers(-3, 3))
+def test_a_type_takes_the_numbers_of_its_range_and_no_others(key, number):
+    ranges = {"paths": Range(2, 10_000), "starts": Range(1), "keep": SHARE_KEPT, "level": BELOW_ONE}
+    data = {key: number}
+    if ranges[key].contains(number):
+        assert getattr(parse(Settings, data, "case.toml", "settings"), key) == number
+        return
+    with pytest.raises(CaseError) as refused:
+        parse(Settings, data, "case.toml", "settings")
+    assert refused.value.allowed == f"allowed is {DESCRIPTIONS[key]}"
+
+
+def test_numbers_that_may_be_left_out_keep_their_range():
+    assert Chosen.__name__ == "Chosen" and Chosen.__doc__ == "Settings of which some are chosen."
+    assert issubclass(Chosen, Settings) and Chosen.__module__ == __name__
+    table = Chosen()
+    assert (table.paths, table.level, table.starts) == (None, None, 1)
+    assert Chosen(paths=7).paths == 7 and Settings().paths == 2
+    fields = Chosen.model_fields
+    assert fields["paths"].description == DESCRIPTIONS["paths"] + LEFT_OUT
+    assert fields["level"].description == "a number from 0 up to but not 1" + LEFT_OUT
+    assert fields["starts"].description == DESCRIPTIONS["starts"]
+    with pytest.raises(CaseError, match="2 to 10,000: more do not fit, or left out: 5"):
+        parse(Chosen, {"paths": 1}, "case.toml", "settings")

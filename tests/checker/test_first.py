@@ -152,7 +152,7 @@ def test_a_loop_that_nothing_passes_backwards_is_refused_by_its_line(kind):
     text = refused(kind)
     assert "error: step, " in text and "test_first.py:" in text
     assert f"In: return jax.lax.{'while_loop' if kind is While else 'fori_loop'}" in text
-    assert "jax.lax.scan with a fixed number of rounds" in text
+    assert "jax.lax.scan with a fixed number of iterations" in text
     assert "jax.lax.while_loop" in str(check(kind(), INPUTS))
 
 
@@ -203,7 +203,7 @@ def test_an_init_that_sets_what_is_no_field_says_what_is_missing():
         def __init__(self):
             self.rate = 0.5
 
-    with pytest.raises(TypeError, match="__init__ sets 'rate', which is no field"):
+    with pytest.raises(TypeError, match="__init__ sets 'rate', which is not a field"):
         Sets()
 
     class Declared(Plain):

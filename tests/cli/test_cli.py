@@ -98,7 +98,7 @@ def test_wrong_arguments_are_one_sentence(arguments, named, tmp_path, monkeypatc
         ([*SIMULATOR, "--set", "training.step=5"], ["training.step", "steps"]),
         ([*SIMULATOR, "--set", "training.steps=many"], ["training.steps", "quotation marks"]),
         ([*SIMULATOR, "--set", "training"], ["contract.inventory=2000"]),
-        ([*SIMULATOR, "--out", "."], ["--out", "a folder of its own"]),
+        ([*SIMULATOR, "--out", "."], ["--out", "a separate folder"]),
     ],
 )
 def test_mistakes_are_found_before_any_work(more, named, own, monkeypatch, capsys):

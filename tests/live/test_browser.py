@@ -340,5 +340,5 @@ def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):
         assert waiting.value.suggested_filename.startswith(name)
         assert Path(waiting.value.path()).stat().st_size > 500
     page.click("#bound")
-    page.locator("#bounds", has_text="No policy is worth more than").wait_for()
+    page.locator("#bounds", has_text="No policy has a value above").wait_for()
     home(page)

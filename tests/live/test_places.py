@@ -1,10 +1,14 @@
 """Inputs are written where the case's own reader finds them again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.files import read_files
+from snapo.case.given import ConvertedNumber, NoPosition
+from snapo.domains.pension.quantities import AMOUNT
+from snapo.live.files import read_files, readable
 from snapo.live.positions import InputPositions
 from snapo.live.terms import usual
 from snapo.study import commands
@@ -191,11 +195,88 @@ def test_a_written_case_is_a_case(storage, tmp_path):
     assert (tmp_path / "moved" / "ratchets.csv").is_file()
 
 
-def test_every_input_of_a_fund_has_its_place(tmp_path):
+def fund(folder, size="small", **files):
+    """The positions of the numbers of a fund, some of whose files are rewritten by a function."""
     from snapo.domains.pension.records.inputs import pension_inputs
 
-    commands.new("pension", tmp_path / "fund", "small")
-    loaded = commands.load(commands.CaseRequest(tmp_path / "fund"))
-    inputs = pension_inputs(loaded.case)
-    places = InputPositions(loaded.domain.read, read_files(tmp_path / "fund", loaded.data), inputs)
-    assert [name for name in inputs if places.writer(name) is None] == []
+    commands.new("pension", folder, size)
+    for stem, changed in files.items():
+        (file,) = folder.glob(f"{stem}.*")
+        file.write_text(changed(file.read_text()))
+    loaded = commands.load(commands.CaseRequest(folder))
+    files = read_files(folder, loaded.data)
+    return InputPositions(loaded.domain.read, files, pension_inputs(loaded.case), case=loaded.case)
+
+
+@pytest.mark.parametrize("size", ["small", "medium", "large", "wtp"])
+def test_every_input_of_a_fund_has_its_position(size, tmp_path):
+    places = fund(tmp_path, size)
+    assert sorted(places.recorded) == sorted(places.inputs)
+
+
+def moved_to(places, name, wanted):
+    """The files of a case with other numbers of an input, which are read as exactly these."""
+    from snapo.domains.pension.records.inputs import pension_inputs
+
+    moved = places.case_at({name: np.array(wanted)})
+    for key, x in pension_inputs(moved.case).items():
+        expected = wanted if key == name else places.inputs[key].value
+        assert np.array_equal(x.value.ravel(), np.ravel(expected))
+    return moved.files
+
+
+CONTINUOUS = '# compounding = "continuous"'
+
+
+def test_an_annual_rate_is_written_so_that_the_same_continuous_one_is_read(tmp_path):
+    places = fund(tmp_path, case=lambda text: text.replace(CONTINUOUS, 'compounding = "annual" #'))
+    rates = places.inputs["zero_rate"].value
+    sheet = moved_to(places, "zero_rate", rates + 1e-4).sheets["curve.csv"]
+    column = np.array(sheet.column(sheet.header.index("zero")), float)
+    assert np.allclose(column, np.expm1(rates + 1e-4), rtol=1e-15)
+
+
+def test_an_inverse_is_exact_where_a_float_is_and_else_next_to_it():
+    """Of annual rates of 0 to 3 %, and of what is paid in a step of a third of a year."""
+    numbers = np.random.default_rng(0).uniform(0.0, 0.03, 200)
+    annual = ConvertedNumber(None, np.log1p, np.expm1)
+    assert all(np.log1p(annual.inverse(x)) == x for x in [0.0, *numbers])
+    thirds = ConvertedNumber(None, lambda x: x / 3, lambda x: 3 * x)
+    read = np.array([thirds.inverse(x) / 3 for x in numbers])
+    assert 0.5 < np.mean(read == numbers) < 1 and (np.abs(read - numbers) <= np.spacing(read)).all()
+    assert all(thirds.inverse(x) / 3 == x for x in read)
+    entry = AMOUNT.input("cost", numbers, [""] * 200, positions=(thirds,) * 200)
+    assert np.array_equal(readable(entry, numbers), read)
+
+
+def test_both_cells_of_a_correlation_are_written(tmp_path):
+    def mirrored(text):
+        rows = [line.split(",") for line in text.splitlines() if line and line[0] != "#"]
+        for i, row in enumerate(rows[1:], 1):
+            row += [""] * (len(rows) - len(row))
+            row[i + 1 :] = [other[i] for other in rows[i + 1 :]]
+        return "\n".join(map(",".join, rows)) + "\n"
+
+    places = fund(tmp_path, "large", correlations=mirrored)
+    wanted = places.inputs["correlation"].value * 0.99
+    sheet = moved_to(places, "correlation", wanted).sheets["correlations.csv"]
+    matrix = np.array([row[1:] for row in sheet.rows], float)
+    assert np.array_equal(matrix, matrix.T)
+    assert np.array_equal(matrix[np.tril_indices(len(matrix), -1)], wanted)
+
+
+def test_volatilities_in_a_file_that_a_cell_names_are_written_there(tmp_path):
+    places = fund(tmp_path, "large")
+    wanted = places.inputs["asset_volatility"].value * 1.01
+    files = moved_to(places, "asset_volatility", wanted)
+    assert files.changed == {"assets.csv", "equity_volatility.csv"}
+
+
+def test_a_repaired_correlation_says_why_it_stays(tmp_path):
+    places = fund(tmp_path, "large")
+    name, repaired = "correlation", places.recorded["correlation"]
+    reason = NoPosition("the matrix was repaired")
+    places.recorded[name] = replace(repaired, positions=(reason,) * len(repaired.values))
+    places.case_at({name: repaired.values})
+    with pytest.raises(CaseError, match=r"correlation.*the matrix was repaired"):
+        places.case_at({name: repaired.values * 0.99})

@@ -191,5 +191,5 @@ def test_a_memory_must_be_outermost_and_recipes_say_so():
         snapo.GRU(hidden=0)
     with pytest.raises(ValueError, match="steps is 1"):
         snapo.LastObservations(1)
-    with pytest.raises(ValueError, match="memory of its own"):
+    with pytest.raises(ValueError, match="has a memory already"):
         snapo.LastObservations(2, snapo.GRU())

@@ -122,12 +122,12 @@ def test_a_solution_and_check_say_what_is_not_told():
         "training": snapo.Training(steps=1, paths=16, validation_paths=16),
         "evaluation": snapo.Evaluation(paths=64, sensitivity_paths=0),
     }
-    said = "The observation does not tell all of the state that matters: x."
+    said = "The observation does not contain all of the state that matters: x."
     for policy, more in ((snapo.Linear(), True), (snapo.GRU(hidden=2), False)):
         (note,) = [each for each in snapo.solve(of, policy, **few).notes if said in each]
         assert ("policy with a memory" in note) == more and "decisions held" in note
     assert said in str(snapo.check(of, paths=4))
-    assert "does not tell" not in str(snapo.check(Plant(), INPUTS, paths=4))
+    assert "does not contain" not in str(snapo.check(Plant(), INPUTS, paths=4))
 
 
 @pytest.mark.prove

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.report.evidence import history
-from snapo.report.folder import RunFiles
+from snapo.report.folder import RunFiles, RunResult
 
 
 def run(growth, **result):
@@ -12,7 +12,7 @@ def run(growth, **result):
     norms = [f"{norm:.6g}" for norm in np.geomspace(growth, 1.0, 10)]
     steps = [str(step) for step in range(10)]
     adjoints = {"step": steps, "usual": norms, "largest": norms, "angle": norms}
-    return RunFiles(result, {}, {}, (), {}, {"step": steps, "best": steps}, adjoints)
+    return RunFiles(RunResult(**result), {}, {}, (), {}, {"step": steps, "best": steps}, adjoints)
 
 
 @pytest.mark.parametrize(
@@ -21,10 +21,10 @@ def run(growth, **result):
         (
             5000.0,
             {"clip": 12.5},
-            ["5e+03-fold", "'angle'", "bounded each path's own adjoint at 12"],
+            ["5e+03-fold", "'angle'", "bounded each path's adjoint at 12"],
         ),
-        (5000.0, {"window": 25}, ["back through windows of 25 steps"]),
-        (5000.0, {"clip": 3.0, "keep": 0.9}, ["A share of 0.9", "of it went on"]),
+        (5000.0, {"window": 25}, ["used windows of 25 steps"]),
+        (5000.0, {"clip": 3.0, "keep": 0.9}, ["A share of 0.9", "of it was passed on"]),
         (5000.0, {}, ["5e+03-fold"]),
         (50.0, {}, ["no more than usual"]),
     ],

@@ -99,8 +99,8 @@ def test_a_mistake_is_named_before_anything_compiles(kind, monkeypatch):
         (Mean("cost") + Mean("gain"), (), "no output 'gain'"),
         (-Mean("cost"), (AtMost("costly", 1.0),), "error: constraints[0]\n    There is no output 'costly'"),
         ("gain", (), "error: objective\n    There is no output 'gain'."),
-        (1.0, (), "It is no objective, such as Mean(output): 1.0."),
-        (-Mean("cost"), ("cost",), "constraints[0]\n    It is no constraint, such as Mean(output) <= level: 'cost'"),
+        (1.0, (), "It is not an objective, such as Mean(output): 1.0."),
+        (-Mean("cost"), ("cost",), "constraints[0]\n    It is not a constraint, such as Mean(output) <= level: 'cost'"),
     ],
 )  # fmt: skip
 def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, limits, said):

@@ -3,6 +3,7 @@
 import pytest
 from tests.study.fake import DONE, install
 
+from snapo.study import carry_out
 from snapo.study import domain as domains
 
 
@@ -22,3 +23,9 @@ def case(tmp_path):
     folder.mkdir()
     (folder / "case.toml").write_text('kind = "fake"\nnumbers = [1, 2, 4]\n')
     return folder
+
+
+@pytest.fixture
+def without_page(monkeypatch):
+    """No report is drawn, which takes most of a small run: for tests that do not look at it."""
+    monkeypatch.setattr(carry_out, "write_report", lambda domain, folder: folder / "report.html")

@@ -23,9 +23,7 @@ from snapo.study.initial_policy import read
 from snapo.study.prepare import Wanted, made_ready
 from snapo.testing.miniature import quiet
 
-OWN = MINIATURES["own"]
-assert OWN.simulator is not None
-CODE = ":".join(OWN.simulator)
+SMALL = MINIATURES["inventory"]
 KEY = jax.random.key(3)
 
 
@@ -99,7 +97,11 @@ def test_files_that_hold_no_policy_are_refused(tmp_path):
     text.write_text("a,b\n")
     np.savez(arrays, leaf_0=np.array([object()], object))  # pickled inside: never opened
     checkpoint.save_arrays(state, {"policy": net(), "halfway": None}, {"mark": "x", "step": 1})
-    for file, why in ((text, "no .npz"), (arrays, "cannot be read"), (state, "state of a train")):
+    for file, why in (
+        (text, "not an .npz"),
+        (arrays, "cannot be read"),
+        (state, "state of a train"),
+    ):
         with pytest.raises(CaseError, match=why) as refused:
             given(file)
         assert file.name in str(refused.value)
@@ -110,11 +112,11 @@ def test_files_that_hold_no_policy_are_refused(tmp_path):
 # Whole runs.
 
 
-def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys):
+def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys, request):
     """Into the folder of the earlier run, whose policy is removed there; then resumed."""
-    run = Path(shutil.copytree(solved("own") / "run", tmp_path / "run"))
+    run = Path(shutil.copytree(solved("inventory") / "run", tmp_path / "run"))
     before = json.loads((run / "result.json").read_text())
-    asked = OWN.request(solved("own"))
+    asked = SMALL.request(solved("inventory"))
     result = commands.solve(asked, quiet, out=run, policy=run)
     start = result["start"]
     assert result["status"] == "trained" and start["policy"] == str(run)
@@ -122,27 +124,34 @@ def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys):
     assert start["before"] == before["value"] and start["standard_error"] >= 0
     assert any("began with the policy of" in note for note in result["notes"])
     assert "began with the policy of" in (run / "report.html").read_text(encoding="utf-8")
+    request.getfixturevalue("without_page")
     again = commands.solve(asked, quiet, out=run, policy=run, resume=True)
     assert again["value"] == result["value"]
     with pytest.raises(CaseError, match=r"policy = .*now it is not given"):
         commands.solve(asked, quiet, out=run, resume=True)
     capsys.readouterr()
-    line = ["solve", str(asked.path), "--simulator", CODE, "--out", str(run)]
-    more = [part for each in OWN.assignments for part in ("--set", each)]
+    line = ["solve", str(asked.path), "--out", str(run)]
+    more = [part for each in SMALL.assignments for part in ("--set", each)]
     assert main([*line, *more, "--policy", str(run), "--resume"]) == 0
     assert "given policy" in capsys.readouterr().out
 
 
 def test_nothing_is_written_where_it_does_not_fit(solved, tmp_path, capsys):
     file = saved(net(), tmp_path / "policy.npz")
-    line = ["solve", str(solved("own") / "case"), "--simulator", CODE]
+    line = ["solve", str(solved("inventory") / "case")]
     assert main([*line, "--out", str(tmp_path / "new"), "--policy", str(file)]) == 2
     assert "does not fit the case" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("kind", sorted(MINIATURES))
+# The code of the kind "own" is loaded again for every command.
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=[] if kind == "own" else [pytest.mark.prove])
+        for kind in sorted(MINIATURES)
+    ],
+)
 def test_every_kind_begins_with_its_own_run_and_with_no_other(kind, solved, tmp_path):
     run, out = solved(kind) / "run", tmp_path / "run"
     loaded = commands.load(MINIATURES[kind].request(solved(kind)))

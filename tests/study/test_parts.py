@@ -9,7 +9,7 @@ from tests.study.fake import parts
 
 from snapo.problem.inputs import Input
 from snapo.report.evidence import history, making
-from snapo.report.folder import RunFiles
+from snapo.report.folder import RunFiles, RunResult
 from snapo.report.missing import not_asked, unless_left_out
 from snapo.report.page import Chart, Missing, Page, Text, render
 from snapo.study import training
@@ -119,7 +119,7 @@ def test_a_part_that_was_not_asked_for_is_no_part_that_is_missing(tmp_path):
         assert unless_left_out(sensitivities, *names)(run).blocks != []
     (sentence,) = not_asked(run)
     assert sentence.text.endswith("(`[report] parts`): profile, bound.")
-    assert not_asked(RunFiles({}, {}, {}, (), {}, {})) == []
+    assert not_asked(RunFiles(RunResult(), {}, {}, (), {}, {})) == []
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def test_a_result_comes_back_from_its_file_as_it_was_measured(tmp_path, key):
     assert np.isnan(first.height) and second.height == 2.0
     assert first.line[0] == 1.0 and np.isnan(first.line[1]) and second.line.size == 0
     assert chapter(run).blocks == [Text("None")] and chapter(run).name == "the-lake"
-    assert chapter.of(RunFiles({}, {}, {}, (), {}, {})) is None
+    assert chapter.of(RunFiles(RunResult(), {}, {}, (), {}, {})) is None
 
 
 def test_a_file_of_another_form_is_a_missing_result(tmp_path):

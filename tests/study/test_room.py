@@ -17,7 +17,7 @@ def test_the_room_is_that_of_the_tightest_bound():
     assert room(78_375.0, 2.0) is None
     found = room(78_375.0, 2.0, bound(88.0, 94.2))
     assert found.near and found.description == (
-        "At most 0.12 % can be gained over this policy: no policy is worth more than 78,463 ± 9."
+        "At most 0.12 % can be gained over this policy: no policy has a value above 78,463 ± 9."
     )
     exact = room(78_374.0, 2.0, bound(88.0, 94.2), exact=78_370.0)
     assert exact.share == 0

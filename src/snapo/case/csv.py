@@ -19,7 +19,7 @@ import numpy as np
 from .dialect import AmbiguousFormat, Dialect, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .given import SheetCell
-from .table import LARGEST, TOO_LARGE, TableContext, not_utf8
+from .table import LARGEST, TOO_LARGE, Range, TableContext, not_utf8
 
 PARQUET = "Parquet needs the package pyarrow: pip install 'snapo[parquet]'"
 FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
@@ -64,15 +64,15 @@ def cell(value: Any) -> str:
 def write_table(frame: Any, file: Path | str) -> Path:
     """Writes a data frame (pandas, polars, pyarrow …) as a file that a case can name.
 
-    The file's suffix determines how: `.csv` or `.parquet`. Column names are those of the file; an
-    index is left out. Returns the path.
+    The file's suffix determines the format: `.csv` or `.parquet`. Column names are those of the
+    frame; an index is omitted. Returns the path.
 
     **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
-    another ending, `TypeError` for an object that is no frame.
+    another ending, `TypeError` for an object that is not a frame.
 
     >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")
     Traceback (most recent call last):
-    TypeError: write_table: a dict is no data frame; give one of pandas, polars or pyarrow.
+    TypeError: write_table: a dict is not a data frame; use one of pandas, polars or pyarrow.
     """
     try:
         import narwhals as nw
@@ -83,7 +83,7 @@ def write_table(frame: Any, file: Path | str) -> Path:
         table = nw.from_native(frame, eager_only=True)
     except TypeError:
         message = (
-            f"a {type(frame).__name__} is no data frame; give one of pandas, polars or pyarrow."
+            f"a {type(frame).__name__} is not a data frame; use one of pandas, polars or pyarrow."
         )
         raise TypeError(f"write_table: {message}") from None
     match file.suffix.lower():
@@ -116,7 +116,7 @@ class FileReference:
     name: str
 
     def error(self, allowed: str) -> CaseError:
-        """The mistake lies in the name itself."""
+        """The mistake is in the name itself."""
         return self.section.error(self.key, self.name, allowed)
 
 
@@ -139,7 +139,8 @@ class Row:
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
     ) -> float:
         """A finite number within [low, high]; `allowed`: the same as text."""
-        text, allowed = self.cells[column], allowed or within(low, high)
+        text, noun = self.cells[column], "a finite number" if low == -high == -math.inf else ""
+        allowed = allowed or str(Range(low, high, noun=noun))
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
             raise self.error(column, f"allowed is {allowed}, written like 12.5")
@@ -191,21 +192,29 @@ class Row:
             return self.cells[column]
 
 
-def within(low: float, high: float) -> str:
-    """The text of a range: "a number of at least 0"."""
-    if low == -math.inf:
-        return "a finite number"
-    if high == math.inf:
-        return f"a number of at least {low:g}"
-    return f"a number from {low:g} to {high:g}"
+def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
+    """[n] proleptic Gregorian day numbers, int64."""
+    return np.array([day.toordinal() for day in days], np.int64)
+
+
+def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.date]:
+    """The dates of all rows, each after the one before."""
+    dates: list[datetime.date] = []
+    for row in rows:
+        date = row.day(column)
+        if dates and date <= dates[-1]:
+            message = f"dates must rise, and the row before has {dates[-1].isoformat()}"
+            raise row.error(column, message)
+        dates.append(date)
+    return dates
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
-    """The plain file that a case names, which must lie in the folder of the case or below it."""
+    """The plain file named in a case, which must be in the folder of the case or below it."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
-        raise reference.error(f"allowed is the name of a {kinds} file beside the case")
+        raise reference.error(f"allowed is the name of a {kinds} file in the folder of the case")
     folder = reference.section.file.parent.resolve()
     path = folder / name
     try:
@@ -213,7 +222,7 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # the last: links in a circle
         raise reference.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
-        raise reference.error("a file that a case names must lie beside the case")
+        raise reference.error("a file that a case names must be in the folder of the case")
     if not exists:
         present = [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
         hint = f" (there are {', '.join(present)})" if present else ""

@@ -1,4 +1,4 @@
-"""How a CSV was written: by which separator, with which decimal mark, and days in which order.
+"""The dialect of a CSV: separator, decimal mark, and order of day and month.
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
 where the file is unambiguous, and the case gets a note of it; where one file could mean two things
@@ -60,9 +60,7 @@ class Dialect:
         one, mark, two, year = match.groups()
         first = "day" if mark == "." else self.first
         if first is None:
-            raise AmbiguousFormat(
-                cell, "day and month cannot be told apart; a date is written YYYY-MM-DD"
-            )
+            raise AmbiguousFormat(cell, "day and month are ambiguous; a date is written YYYY-MM-DD")
         day, month = (one, two) if first == "day" else (two, one)
         return f"{year}-{int(month):02}-{int(day):02}"
 
@@ -100,7 +98,7 @@ def _decimal_comma(cells: set[str]) -> bool:
     commas = sorted(c for c in cells if COMMA.fullmatch(c) and c not in doubtful)
     points = sorted(c for c in cells if POINT.fullmatch(c) and c not in doubtful)
     if commas and points:
-        message = f"this number has a decimal comma and {points[0]} a point; write all alike"
+        message = f"this number has a decimal comma and {points[0]} a point; use one of them"
         raise AmbiguousFormat(commas[0], message)
     if doubtful and not commas and not points:
         raise AmbiguousFormat(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")

@@ -1,7 +1,7 @@
 """Numbers that the user gave, with their meaning and units."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,7 +31,7 @@ class SheetCell(NamedTuple):
 class Copies(NamedTuple):
     """The positions of a number that is in several: the two entries of a correlation."""
 
-    positions: tuple[tuple[str | int, ...], ...]
+    positions: tuple["FilePosition", ...]
 
 
 class QuantityKey(NamedTuple):
@@ -44,8 +44,55 @@ class QuantityKey(NamedTuple):
     unit: str
 
 
+class KeyedUnit(NamedTuple):
+    """The position of a number whose unit is under keys of its own.
+
+    - `path`: the keys that lead to it. `units`: such paths of the keys of its unit, and their
+      values for a number in the unit of the input; they hold for all its numbers.
+    """
+
+    path: tuple[str | int, ...]
+    units: tuple[tuple[tuple[str | int, ...], str], ...]
+
+
+class ConvertedNumber(NamedTuple):
+    """The position of a number that a case reads as another one: an annual rate as a continuous
+    one.
+
+    - `read`: of the number in the file; `written`: its inverse, up to rounding.
+    """
+
+    position: "FilePosition"
+    read: Callable[[float], float]
+    written: Callable[[float], float]
+
+    def inverse(self, number: float) -> float:
+        """What is to be written so that exactly this number is read, or, where no float does it,
+        one next to it."""
+        near = self.written(number)
+        steps = [np.nextafter(near, math.inf), np.nextafter(near, -math.inf)]
+        steps += [np.nextafter(steps[0], math.inf), np.nextafter(steps[1], -math.inf)]
+        exact = (float(x) for x in (near, *steps) if self.read(x) == number)
+        return next(exact, float(near))
+
+
+class NoPosition(NamedTuple):
+    """Why another number cannot be written."""
+
+    reason: str
+
+
 # The position of a number: a cell, the keys that lead to it in the TOML file, or none.
-FilePosition = SheetCell | Copies | QuantityKey | tuple[str | int, ...] | None
+FilePosition = (
+    SheetCell
+    | Copies
+    | QuantityKey
+    | KeyedUnit
+    | ConvertedNumber
+    | NoPosition
+    | tuple[str | int, ...]
+    | None
+)
 
 
 def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
@@ -58,8 +105,8 @@ class CaseInput:
     """Numbers that the user gave, and where each of them is used.
 
     The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
-    name, unit and labels, and takes `[index]` inside `prepare`, so that the sensitivity to every
-    number that was given comes out under its own label.
+    name, unit and labels, and takes `[index]` inside `prepare`, so that every number entered has a
+    sensitivity with its label.
 
     **Attributes:**
 
@@ -121,7 +168,7 @@ class CaseInput:
         return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
-        """The numbers on rising dates: each holds from its own date on; index [len(days)].
+        """The numbers on rising dates: each applies from its date on; index [len(days)].
 
         **Raises:** `CaseError` where the dates begin before the numbers do.
         """

@@ -1,9 +1,8 @@
-"""When a key of a case has a meaning: declared at the key itself, looked at once all tables are
-there.
+"""When a key of a case has a meaning: declared at the key, checked when all tables are read.
 
     spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
 
-A key that a case states and that nothing in it uses is a mistake of the user, and is refused.
+A key without any effect in a case is a mistake of the user, and is refused.
 """
 
 from collections.abc import Callable, Iterator, Mapping

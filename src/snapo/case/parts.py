@@ -13,7 +13,7 @@ PartNames = list[Annotated[str, Field(min_length=1)]]
 
 def names_of_parts(example: str) -> Any:
     """The field `parts: Names` of a domain's table `[report]`."""
-    message = f'names of parts such as ["{example}"]; what they need is done too'
+    message = f'names of parts such as ["{example}"]; the parts that they need are run too'
     return Field([], description=message)
 
 
@@ -23,12 +23,12 @@ def known_parts(
     available: Collection[str],
     missing: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
-    """The parts of a run that are wanted, by name; () where none is named, which means all.
+    """The requested parts of a run, by name; () where none is named, which means all.
 
     - `available`: all parts of the domain; `missing`: {one of them: why a run of this case has it
       not, in a clause}.
 
-    **Raises:** `CaseError` for a name that is not known, or of a part that is missing.
+    **Raises:** `CaseError` for an unknown name, or that of a missing part.
     """
     for i, name in enumerate(requested):
         message = ""

@@ -1,8 +1,8 @@
 """Ranges outside which a number is likely to be in another unit: a note, never a refusal.
 
-A domain declares `Plausible` ranges by name, or by group and unit; `implausible` walks the numbers
-of a case and writes one note for each input that has a number outside of its range, or, along a
-curve, far from its neighbours.
+A domain declares `Plausible` ranges by name, or by group and unit; `implausible` checks the numbers
+of a case and writes one note for each input with a number outside of its range, or, along a curve,
+far from its neighbours.
 
     RATE = Plausible(-0.02, 0.2, "fractions are meant, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
@@ -23,7 +23,15 @@ import numpy as np
 
 from .csv import NUMBER, FileReference, read_rows
 from .error import CaseError
-from .given import Copies, FilePosition, QuantityKey, SheetCell
+from .given import (
+    ConvertedNumber,
+    Copies,
+    FilePosition,
+    KeyedUnit,
+    NoPosition,
+    QuantityKey,
+    SheetCell,
+)
 from .table import TableContext
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -186,7 +194,7 @@ def around(values: np.ndarray) -> np.ndarray:
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
-    """Position, name and number of the entry, in the unit of the trade and as it is written."""
+    """Position, name and value of the entry, in the display unit and as written in the file."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
     position = in_words(entry.positions[row]) if entry.positions else ""
@@ -203,8 +211,12 @@ def in_words(position: FilePosition) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
     if isinstance(position, Copies):
         return in_words(position.positions[0])
-    if isinstance(position, QuantityKey):
+    if isinstance(position, ConvertedNumber):
+        return in_words(position.position)
+    if isinstance(position, QuantityKey | KeyedUnit):
         return in_words(position.path)
+    if isinstance(position, NoPosition):
+        return ""
     if position is None or isinstance(position, SheetCell):
         return str(position or "")
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in position)

@@ -1,9 +1,9 @@
 """A number of a case, declared once.
 
-A `Quantity` is all that is known of a number before its value: unit, range, meaning, and the size
-of a usual move. Called with a meaning it makes a field of a `Table`, and this one line yields the
-reading, the message of a mistake, the documentation, the input with its sensitivity, and the
-position in the files where another value can be written:
+A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a usual move.
+Called with a meaning it makes a field of a `Table`, and this one line yields the reading, the
+message of a mistake, the documentation, the input with its sensitivity, and the position in the
+files where another value can be written:
 
     COST = Quantity("{currency}/{volume_unit}", group="cost", move=0.01, by="date")
 
@@ -22,66 +22,11 @@ from pydantic import BaseModel, Field, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
-from .csv import FileReference, Row, read_rows
-from .dates import ordinals, rising_dates
+from .csv import FileReference, Row, ordinals, read_rows, rising_dates
 from .error import CaseError
 from .given import CaseInput
 from .plausible import Plausible
-from .table import LARGEST, TOO_LARGE, CaseTable, TableContext
-
-
-class Range(NamedTuple):
-    """The numbers from `low` to `high`; its text is in messages and in the documentation.
-
-    - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
-    - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: of one of its numbers.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    endpoints: str = "[]"
-    note: str = ""
-    noun: str = "a number"
-
-    def contains(self, number: float) -> bool:
-        """Whether a number is in the range; no NaN is."""
-        above = self.low < number if self.endpoints[0] == "(" else self.low <= number
-        return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
-
-    @property
-    def closed(self) -> tuple[float, float]:
-        """The smallest and the largest number of the range."""
-        low, high = self.low, self.high
-        low = float(np.nextafter(low, math.inf)) if self.endpoints[0] == "(" else low
-        return low, float(np.nextafter(high, -math.inf)) if self.endpoints[1] == ")" else high
-
-    def __str__(self) -> str:
-        low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
-        if self.low == -math.inf and self.high == math.inf:
-            text = self.noun
-        elif self.low == -math.inf:
-            text = f"{self.noun} {'below' if self.endpoints[1] == ')' else 'of at most'} {high}"
-        elif self.high == math.inf:
-            text = f"{self.noun} {'above' if self.endpoints[0] == '(' else 'of at least'} {low}"
-        elif self.endpoints == "()":
-            text = f"{self.noun} between {low} and {high}"
-        elif self.endpoints == "[)":
-            text = f"{self.noun} from {low} up to but not {high}"
-        elif self.endpoints == "(]":
-            text = f"{self.noun} above {low}, at most {high}"
-        else:
-            text = f"{self.noun} from {low} to {high}"
-        return text + self.note
-
-    def json(self) -> dict[str, Any]:
-        """The range as keys of a JSON schema."""
-        keys = (
-            ("exclusiveMinimum" if self.endpoints[0] == "(" else "minimum", self.low),
-            ("exclusiveMaximum" if self.endpoints[1] == ")" else "maximum", self.high),
-        )
-        return {"type": "number"} | {key: end for key, end in keys if math.isfinite(end)}
-
+from .table import LARGEST, TOO_LARGE, CaseTable, Range, TableContext
 
 ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="()")
 FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
@@ -92,13 +37,13 @@ class Quantity:
     """All that is known of a number before its value.
 
     - `unit`: a key of the same table in braces is replaced by its value.
-    - `range`: the numbers allowed; `limits`: those that occur at all, beyond which a number is
+    - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is
       refused as a mistake; `plausible`: those outside of which a note asks for the unit.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
       words.
-    - `by`: the column of a CSV by which the number may change ("date"), `column`: that of the
-      numbers; `before`: the number that holds before the first row.
-    - `text`: the values allowed, where the range does not say all.
+    - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
+      numbers; `before`: the number that applies before the first row.
+    - `text`: the allowed values, if the range is not sufficient.
     - `name`: of the input, where it is not the key.
     """
 
@@ -141,7 +86,7 @@ class Quantity:
         )
 
     def from_dated_rows(self, name: str, rows: Sequence[Row]) -> CaseInput:
-        """The numbers of a CSV, each of which holds from its date on."""
+        """The numbers of a CSV, each of which applies from its date on."""
         dates = rising_dates(rows, self.by)
         labels = [day.isoformat() for day in dates]
         return self.from_rows(name, rows, labels, starts=ordinals(dates))
@@ -224,7 +169,7 @@ class KeyContext(NamedTuple):
 
 class _Values(dict):
     def __missing__(self, key: str) -> str:
-        return key  # it is wrong, and has a message of its own
+        return key  # it is wrong, and has a separate message
 
 
 ReadKey = Callable[[Any, KeyContext], Any]
@@ -258,7 +203,7 @@ def declared(declaration: Any, default: Any, allowed: str = "") -> Any:
 
 
 def quantity_of(field: FieldInfo) -> Quantity | None:
-    """The declaration of a field; None where it is no quantity."""
+    """The declaration of a field; None if it is not a quantity."""
     return next((item for item in field.metadata if isinstance(item, Quantity)), None)
 
 
@@ -280,7 +225,7 @@ def _validator(read: ReadKey) -> core_schema.CoreSchema:
 
 
 def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
-    """{key: numbers} of a table; those that may change with time are laid on rising dates."""
+    """{key: numbers} of a table; those that may change with time are put on rising dates."""
     numbers = {key: value for key, value in table if isinstance(value, CaseInput)}
     return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}
 

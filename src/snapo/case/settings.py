@@ -6,85 +6,50 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field
 
 from .error import CaseError
-from .table import CaseTable, Count, Positive, parse
+from .table import CaseTable, Positive, Range, optional, parse
 
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
-PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
-AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
+IN_MEMORY = Range(1, MAX_PATHS, note=": more do not fit in memory")
+STEPS = Range(1, noun="a number of steps")
+EVERY = STEPS._replace(note=", or left out: 50, and in a short training a quarter of its steps")
+UP_TO_ONE = Range(0, 1, "(]")
+PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
+MaxPaths = Annotated[int, Range(0, MAX_PATHS, note=": at most so many are taken, none with 0")]
 
 
 class TrainingTable(CaseTable):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
-    steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] = Field(
-        240, description="a whole number, 0 to 1,000,000,000"
-    )
-    paths: Annotated[int, Field(ge=2, le=MAX_PATHS)] = Field(
-        512, description="a whole number, 2 to 100,000,000: more do not fit in memory"
-    )
-    learning_rate: Positive = Field(0.01, description="a number above 0")
-    warmup: Annotated[int, Field(ge=0, le=MAX_STEPS)] = Field(
-        20, description="a number of steps, 0 to 1,000,000,000"
-    )
-    decay: Annotated[float, Field(ge=0, le=1e6)] = Field(0.0, description="a number, 0 or more")
-    temperature_start: Positive = Field(0.02, description="a number above 0")
-    temperature_end: Positive = Field(0.005, description="a number above 0")
-    average: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.05, description="a number above 0, at most 1"
-    )
-    validation_paths: Annotated[int, Field(ge=1, le=MAX_PATHS)] = Field(
-        4096, description="a whole number, 1 to 100,000,000: more do not fit in memory"
-    )
-    validation_every: Count | None = Field(
-        None,
-        description="a number of steps, 1 or more, or left out: 50, and in a short training a "
-        "quarter of its steps",
-    )
-    patience: Count | None = Field(None, description="a number of validations, 1 or more")
-    window: Count | Literal["auto"] = Field(
-        "auto", description='a number of steps, 1 or more, or "auto"'
-    )
-    clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
-    keep: Annotated[float, Field(gt=0, le=1)] | Literal["auto"] = Field(
-        "auto", description='a number above 0, at most 1, or "auto"'
-    )
-    spread: Positive = Field(1.0, description="a number above 0")
-    exploration: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.0, description="a number from 0 to below 1"
-    )
-    starts: Count = Field(1, description="a number of initial weights, 1 or more")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
+    steps: Annotated[int, Range(0, MAX_STEPS)] = 240
+    paths: Annotated[int, IN_MEMORY._replace(low=2)] = 512
+    learning_rate: Positive = 0.01
+    warmup: Annotated[int, STEPS._replace(low=0, high=MAX_STEPS)] = 20
+    decay: Annotated[float, Range(0, 1e6)] = 0.0
+    temperature_start: Positive = 0.02
+    temperature_end: Positive = 0.005
+    average: Annotated[float, UP_TO_ONE] = 0.05
+    validation_paths: Annotated[int, IN_MEMORY] = 4096
+    validation_every: Annotated[int, EVERY] | None = None
+    patience: Annotated[int, Range(1, noun="a number of validations")] | None = None
+    window: Annotated[int, STEPS] | Literal["auto"] = "auto"
+    clip: Positive | Literal["auto"] = "auto"
+    keep: Annotated[float, UP_TO_ONE] | Literal["auto"] = "auto"
+    spread: Positive = 1.0
+    exploration: Annotated[float, Range(0, 1, "[)")] = 0.0
+    starts: Annotated[int, Range(1, noun="a number of initial weights")] = 1
+    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
 
 
-AUTO = "or left out: then it is chosen from the problem"
-
-
+@optional(
+    "steps", "paths", "learning_rate", "decay", "exploration", "starts",
+    note=", or left out: then it is chosen from the problem",
+)  # fmt: skip
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: six keys are chosen from the problem.
+    """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
-
-    steps: Annotated[int, Field(ge=0, le=MAX_STEPS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a whole number, 0 to 1,000,000,000, {AUTO}"
-    )
-    paths: Annotated[int, Field(ge=2, le=MAX_PATHS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None,
-        description=f"a whole number, 2 to 100,000,000, as more do not fit in memory, {AUTO}",
-    )
-    learning_rate: Positive | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number above 0, {AUTO}"
-    )
-    decay: Annotated[float, Field(ge=0, le=1e6)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number, 0 or more, {AUTO}"
-    )
-    exploration: Annotated[float, Field(ge=0, lt=1)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number from 0 to below 1, {AUTO}"
-    )
-    starts: Count | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
-        None, description=f"a number of initial weights, 1 or more, {AUTO}"
-    )
 
 
 AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
@@ -98,14 +63,12 @@ class EvaluationTable(CaseTable):
     choice between the trained policies and the starting rule. All three "at most", 0 to do without.
     """
 
-    paths: Annotated[int, Field(ge=64, le=MAX_PATHS)] = Field(65536, description=PATHS)
-    sensitivity_paths: Annotated[int, Field(ge=64, le=MAX_PATHS)] = Field(16384, description=PATHS)
-    judge_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
-    search_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
-    selection_paths: Annotated[int, Field(ge=0, le=MAX_PATHS)] = Field(16384, description=AT_MOST)
-    scenarios: Literal["pseudo-random", "sobol"] = Field(
-        "pseudo-random", description='"pseudo-random" or "sobol"'
-    )
+    paths: PathCount = 65536
+    sensitivity_paths: PathCount = 16384
+    judge_paths: MaxPaths = 16384
+    search_paths: MaxPaths = 16384
+    selection_paths: MaxPaths = 16384
+    scenarios: Literal["pseudo-random", "sobol"] = "pseudo-random"
 
 
 class ObjectiveTable(CaseTable):
@@ -113,17 +76,13 @@ class ObjectiveTable(CaseTable):
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
-    added to each path's total under "crra". `target`: currency, what "target" stays close to.
+    added to each path's total under "crra". `target`: currency, the aim of "target".
     """
 
-    kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = Field(
-        "mean", description='"mean", "cvar", "mean-variance", "entropic", "crra" or "target"'
-    )
-    level: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        None, description="a number between 0 and 1"
-    )
-    risk_aversion: Positive | None = Field(None, description="a number above 0")
-    wealth: Positive | None = Field(None, description="a number above 0")
+    kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = "mean"
+    level: Annotated[float, Range(0, 1, "()")] | None = None
+    risk_aversion: Positive | None = None
+    wealth: Positive | None = None
     target: float | None = Field(None, description="a number")
 
     @property

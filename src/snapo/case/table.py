@@ -1,6 +1,6 @@
 """What every domain's case format shares: one TOML file, plain files next to it, clear errors.
 
-A case is data: nothing in it is executed, and every file that it names lies next to it. The
+A case is data: nothing in it is executed, and the files that it names are in its folder. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
 """
 
@@ -8,12 +8,13 @@ import datetime
 import difflib
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import pydantic
 from pydantic import Field
@@ -26,11 +27,73 @@ LONGEST = 2_000  # characters of a text in a table
 TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
+class Range(NamedTuple):
+    """The numbers from `low` to `high`; its text is in messages and in the documentation.
+
+    - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
+    - `note`: text that follows, such as ": the mean of ln S".
+    - `noun`: of one of its numbers; "" is "a number", of integers "a whole number".
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    endpoints: str = "[]"
+    note: str = ""
+    noun: str = ""
+
+    def contains(self, number: float) -> bool:
+        """Whether a number is in the range; no NaN is."""
+        above = self.low < number if self.endpoints[0] == "(" else self.low <= number
+        return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
+
+    @property
+    def closed(self) -> tuple[float, float]:
+        """The smallest and the largest number of the range."""
+        low, high = self.low, self.high
+        low = math.nextafter(low, math.inf) if self.endpoints[0] == "(" else low
+        return low, math.nextafter(high, -math.inf) if self.endpoints[1] == ")" else high
+
+    def __str__(self) -> str:
+        noun = self.noun or "a number"
+        low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
+        if self.low == -math.inf and self.high == math.inf:
+            text = noun
+        elif self.low == -math.inf:
+            text = f"{noun} {'below' if self.endpoints[1] == ')' else 'of at most'} {high}"
+        elif self.high == math.inf:
+            text = f"{noun} {'above' if self.endpoints[0] == '(' else 'of at least'} {low}"
+        elif self.endpoints == "()":
+            text = f"{noun} between {low} and {high}"
+        elif self.endpoints == "[)":
+            text = f"{noun} from {low} up to but not {high}"
+        elif self.endpoints == "(]":
+            text = f"{noun} above {low}, at most {high}"
+        else:
+            text = f"{noun} from {low} to {high}"
+        return text + self.note
+
+    @property
+    def of_integers(self) -> str:
+        """The text of the integers from `low` to `high`."""
+        end = "or more" if self.high == math.inf else f"to {self.high:,}"
+        return f"{self.noun or 'a whole number'}, {self.low:,} {end}{self.note}"
+
+    def json(self) -> dict[str, Any]:
+        """The range as keys of a JSON schema."""
+        return pydantic.TypeAdapter(Annotated[float, self]).json_schema()
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        lower = "gt" if self.endpoints[0] == "(" else "ge"
+        upper = "lt" if self.endpoints[1] == ")" else "le"
+        pairs = (lower, self.low), (upper, self.high)
+        return handler(source) | {key: number for key, number in pairs if math.isfinite(number)}
+
+
 @dataclass(frozen=True)
 class TableContext:
     """A table of a case while it is read: names the place of a mistake, collects remarks.
 
-    `path`: the keys that lead to it, where its name in messages does not say them.
+    `path`: the keys to it, if they differ from its name in messages.
     """
 
     file: Path
@@ -56,12 +119,41 @@ def keys_of(name: str) -> tuple[str | int, ...]:
     return tuple(int(row) if row else key for row, key in parts)
 
 
+def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
+    """The values of a type as text: a number of a `Range`, one of a few texts, or one of several
+    such types; None of any other."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return allowed_text(parts[0], parts[1:])
+    for item in metadata:
+        if isinstance(item, Range):
+            return item.of_integers if annotation is int else str(item)
+        if isinstance(item, FieldInfo) and item.description:
+            return item.description
+    if origin is Literal:
+        *first, last = [f'"{part}"' if isinstance(part, str) else str(part) for part in parts]
+        return f"{', '.join(first)} or {last}" if first else last
+    if origin in (Union, UnionType):
+        texts = [allowed_text(part) for part in parts if part is not NoneType]
+        return ", or ".join(filter(None, texts)) if all(texts) else None
+    return None
+
+
 class CaseTable(pydantic.BaseModel):
-    """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers."""
+    """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers.
+
+    A key without a description is described by its type, as far as `allowed_text` can.
+    """
 
     model_config = pydantic.ConfigDict(
         extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        for key in cls.model_fields.values():
+            key.description = key.description or allowed_text(key.annotation, key.metadata)
+        return handler(source)
 
 
 # {name of a table: its format, or several of which a case has one}. "" is the whole file, "place[]"
@@ -70,12 +162,28 @@ Formats = Mapping[str, type[CaseTable] | Sequence[type[CaseTable]]]
 
 Title = Annotated[str, Field(max_length=200)]
 TITLE = "a text of at most 200 characters in quotation marks"
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Range(1)]
+Positive = Annotated[float, Range(0, endpoints="()")]
+NotNegative = Annotated[float, Range(0)]
 
 
 AnyTable = TypeVar("AnyTable", bound=CaseTable)
+
+
+def optional(*keys: str, note: str) -> Callable[[type[AnyTable]], type[AnyTable]]:
+    """Decorates a table of which these numbers may be left out, and are None then; `note` follows
+    the text of their range."""
+
+    def decorated(table: type[AnyTable]) -> type[AnyTable]:
+        changes: dict[str, Any] = {"__doc__": table.__doc__, "__module__": table.__module__}
+        for key in keys:
+            field = table.model_fields[key]
+            (numbers,) = field.metadata
+            kind: Any = Annotated[field.annotation, numbers._replace(note=numbers.note + note)]
+            changes[key] = (kind | None, None)
+        return pydantic.create_model(table.__name__, __base__=table, **changes)
+
+    return decorated
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:
@@ -118,7 +226,7 @@ def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
 
 
 def options_of(annotation: Any) -> tuple[str | bool, ...]:
-    """The texts and truth values of a type, as far as it lists them."""
+    """The strings and booleans that a type lists."""
     if annotation is bool:
         return (False, True)
     parts = get_args(annotation)
@@ -195,7 +303,7 @@ def _explain(table, data, file, name, item) -> CaseError:
         message = f"there is no such key; {nearest(key, table.model_fields)}"
         return CaseError(file, where, data[key], message)
     error = item.get("ctx", {}).get("error")
-    if isinstance(error, CaseError):  # of a key's own reader
+    if isinstance(error, CaseError):  # of a key's reader
         return error
     allowed = table.model_fields[key].description or item["msg"]
     if item["type"] == "missing":

@@ -10,7 +10,7 @@ BARE = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
 
 def to_toml(data: Mapping[str, Any]) -> str:
-    """Text that `tomllib` reads as `data`; numbers keep all their digits, comments there are none.
+    """Text that `tomllib` reads as `data`; numbers keep all their digits, without comments.
 
     **Raises:** `TypeError` for a value that TOML does not have.
     """
@@ -69,4 +69,4 @@ def _value(value: Any) -> str:
     if isinstance(value, Mapping):
         inside = ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items())
         return "{ " + inside + " }" if inside else "{}"
-    raise TypeError(f"to_toml: {value!r} is nothing that TOML has")
+    raise TypeError(f"to_toml: {value!r} has no form in TOML")

@@ -27,7 +27,7 @@ TEXT = "TOML"  # the word next to a value that is written as TOML
 
 
 class Unreadable(ValueError):
-    """A key or a value of a sheet that no case has: what is wrong with it."""
+    """A key or a value of a sheet that no case can have; the message is the reason."""
 
 
 def lines(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
@@ -74,7 +74,7 @@ def _is_plain(value: Any) -> bool:
 def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
     """The inverse of `lines`.
 
-    **Raises:** `Unreadable` for a key that is none, is there twice, or contradicts another.
+    **Raises:** `Unreadable` for a key that is invalid, duplicate, or contradicts another.
     """
     data: dict[str, Any] = {}
     for key, value, kind in result:
@@ -135,7 +135,7 @@ NOTE = re.compile(r"(?:# )?([\w-]+) = [^#]*# (.+)")
 def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     """Writes the tables `data` of a case, and the CSV files in its folder, to a workbook.
 
-    Keys at the top are on the sheet "case", each table has a sheet of its own name, and each CSV
+    Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV
     one of its file's name. Comments of case.toml are notes next to the keys.
 
     **Raises:** `CaseError` where openpyxl is missing.

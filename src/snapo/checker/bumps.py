@@ -1,8 +1,8 @@
 """Every input's adjoint against central differences, on the same few paths, decisions held.
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them separately. An input that does nothing under the random policy is judged where it does
-something, at low, middle or high actions. Inputs that move no path (`in_mean`) are not judged here.
+a few of them separately. An input without effect under the random policy is tested at low, middle
+or high actions. Inputs that move no path (`in_mean`) are not judged here.
 """
 
 from dataclasses import replace
@@ -237,9 +237,9 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
-        "way, or a derivative written by hand. A parameter of whole-numbered noise that is made in "
-        "prepare or in the step is right only in the mean over paths: name it, "
-        f"def in_mean(self): return ({pair.entry.name!r},).",
+        "way, or a derivative written by hand. A parameter of whole-numbered noise that is "
+        "created in prepare or in the step is correct only in the mean over paths: name it, def "
+        f"in_mean(self): return ({pair.entry.name!r},).",
     )
     return True
 
@@ -265,8 +265,8 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                     where,
                     f"Its derivative is exactly zero, but {factor * bump:.3g} more moves "
                     f"{outputs[k]}.",
-                    "A limit that does not bind yet is no mistake; an integer cast, rounding or a "
-                    "comparison is.",
+                    "A limit that does not bind yet is not a mistake; an integer cast, rounding "
+                    "or a comparison is.",
                 )
                 return True
     if any(pair.moves_decisions(bump) for pair in pairs):

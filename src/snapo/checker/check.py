@@ -41,7 +41,7 @@ from .traces import loops, lost_derivatives, repeatable
 from .watch import moments
 
 KEPT = 64
-_faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's own simulators
+_faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's simulators
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
@@ -65,7 +65,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
         if library and form in _faultless:
             return
         one_step(notes, simulator, schedule)
-        if not library:  # tests cover these for snapo's own code
+        if not library:  # tests cover these for snapo's code
             short_slices(notes, simulator, inputs, schedule)
             repeatable(notes, simulator, inputs, schedule)
             loops(notes, simulator, inputs, schedule)
@@ -81,7 +81,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
 
 
 def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Those of an objective, limits and a policy for a simulator that has none."""
+    """Mistakes in an objective, limits and a policy for a simulator that has none."""
 
     def look(notes: Notes) -> None:
         shapes = one_step(notes, problem.simulator, problem.schedule)
@@ -153,9 +153,9 @@ def check(
 
     **Arguments:**
 
-    - `problem`: a `Problem`; or a simulator, with its `inputs` after it, and `objective`,
-      `scenarios` and `constraints` by name.
-    - `scenarios`: standard normals when not given; `Supplied` where noise is something else.
+    - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
+      and `constraints` as keywords.
+    - `scenarios`: by default standard normals; `Supplied` for any other noise.
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
     simulator: Any = problem

@@ -20,7 +20,7 @@ RIGHTS = 3  # of a `Stop`, at most: every right takes a rollout
 def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: int) -> list[int]:
     """The components of the action that change an output in any of the runs.
 
-    Components of the action or of the noise that change none in any run are findings.
+    Components of the action or of the noise without effect in any run are findings.
     """
     moving = []
     fresh = _fresh_actions(simulator, runs[0], seed)
@@ -102,15 +102,15 @@ def reached(
     for component in sorted(left):
         notes.error(
             f"{notes.method('step')}: action[{component}]",
-            "It moves the outputs, but its derivative is exactly zero: nothing can be learnt.",
+            "It moves the outputs, but its derivative is exactly zero: nothing can be learned.",
             "Look for rounding, a comparison, an integer or stop_gradient on its way; "
             "write smooth.indicator or smooth.choose for a jump.",
         )
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Whether a `Stop` is used up: where all steps stop, only so many of them count as there are
-    rights, so that of one part of the steps more at least one does not."""
+    """Whether a `Stop` is used up: if all steps stop, only as many of them count as there are
+    rights, so that among one more group of steps at least one has no effect."""
     action = simulator.action
     if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return

@@ -43,7 +43,7 @@ def _guess(message: str, simulator: Any, method: str) -> str:
 
 
 def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary | None:
-    """The deepest frame in the simulator's own file, or else outside of the libraries."""
+    """The deepest frame in the simulator's file, or else outside of the libraries."""
     frames = traceback.extract_tb(error.__traceback__)
     try:
         home = inspect.getsourcefile(type(simulator))
@@ -104,8 +104,8 @@ Severity = Literal["error", "warning"]
 
 
 class Finding(NamedTuple):
-    """One mistake: `where` it is (a method, a leaf or an input, with file:line if known), `subject`
-    it is, and how to `fix` it."""
+    """One mistake: `where` it is (a method, a leaf or an input, with file:line if known), its
+    `subject`, and how to `fix` it."""
 
     severity: Severity
     where: str

@@ -1,4 +1,4 @@
-"""Indices that leave their array: those of every path, and those that move with it."""
+"""Indices out of range: those of every path, and those that depend on the path."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ class Beyond(NamedTuple):
 
 
 def within(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every known index of every method lies within its array; stops at errors."""
+    """Every known index of every method is within its array; stops at errors."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name):

@@ -1,8 +1,8 @@
 """Comparisons at which an output or the state jumps: the smooth derivative does not see the jump.
 
 Two points of the same step, on either side of a comparison, are brought together until they meet
-at the threshold. There the method is evaluated with the comparison as on the one side, and as on
-the other: at a corner both agree.
+at the threshold. There the method is evaluated with the comparison true, and with it false: at a
+corner both agree.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from .watch import SamplePoints
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 MINIMUM = 1e-4  # a jump, of the largest value of its result
-FLAG = 3  # a state with at most so many values, all whole, is a flag, which is unchanged
+FLAG = 3  # a state with at most this number of values, all whole, is a flag, which is unchanged
 
 
 class Jump(NamedTuple):
@@ -76,7 +76,7 @@ def _sides(truth: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     if not pairs:
         return np.zeros(0, int), np.zeros(0, int)
     selected = np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).astype(int)
-    # Always as many, so that nothing is compiled again.
+    # Always the same number, so that nothing is recompiled.
     first, second = np.array(pairs)[np.resize(selected, PAIRS)].T
     return first, second
 

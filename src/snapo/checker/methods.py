@@ -125,7 +125,7 @@ def said_by_user(eqn) -> bool:
 
 
 def line_among(frames: list[tuple[str, int]]) -> CodeLine | None:
-    """Of frames from the innermost one out, the user's; snapo's first one if there is none."""
+    """The innermost frame of the user's code; if there is none, the first one of snapo."""
     frames = [(file, number) for file, number in frames if _LIBRARIES not in file]
     users = [frame for frame in frames if not frame[0].startswith(_OWN)]
     if not frames:

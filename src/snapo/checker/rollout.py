@@ -70,8 +70,8 @@ class CheckedRollout(eqx.Module):
         ).totals
 
     def rounding(self) -> float:
-        """How much an output may be off just by rounding: a difference of large states, such as
-        a need that is met, is no more exact than they are."""
+        """The rounding error of an output: a difference of large states, such as a need that is
+        met, is as inexact as they are."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((self.states, self.totals))]
         finite = (leaf[np.isfinite(leaf)] for leaf in leaves if leaf.dtype.kind == "f")
         return EPSILONS * float(max((np.abs(leaf).max(initial=0.0) for leaf in finite), default=0))
@@ -179,6 +179,7 @@ def observed(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
         if largest > LARGE or 0 < largest < SMALL:
             notes.warning(
                 f"{notes.method('observe')}: feature {feature}",
-                f"Its values reach {largest:.3g} in size; networks learn badly far from order one.",
+                f"Its values reach {largest:.3g} in size; networks learn poorly far from order "
+                "one.",
                 f"Divide it by its typical size, about {largest:.2g}.",
             )

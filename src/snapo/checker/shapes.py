@@ -18,7 +18,7 @@ from .findings import Notes, StopCheck
 
 KEEP = "Keep its shape and type; start a floating number as 0.0, not as 0."
 COMPONENTS = "Outputs are single real numbers; sum it, or return one output a component."
-ONE = "A vector of one number is no number: the only one of an action, or of noise, is action[0]."
+ONE = "A vector of one number is not a number: the one of an action, or of noise, is action[0]."
 
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
@@ -217,19 +217,19 @@ class Unknown(NamedTuple):
 def unknown_outputs(
     objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> Iterator[Unknown]:
-    """Every named output that does not exist, and every object that is no objective or limit.
+    """Every named output that does not exist, and every object that is not an objective or limit.
 
     None is an objective that is not known yet.
     """
     if objective is None:
         pass
     elif not isinstance(objective, Objective):
-        yield Unknown("objective", repr(objective), "It is no objective, such as Mean(output).")
+        yield Unknown("objective", repr(objective), "It is not an objective, such as Mean(output).")
     else:
         yield from _missing("objective", objective, outputs)
     for k, limit in enumerate(as_constraints(constraints)):
         if not isinstance(limit, Limit):
-            message = "It is no constraint, such as Mean(output) <= level."
+            message = "It is not a constraint, such as Mean(output) <= level."
             yield Unknown(f"constraints[{k}]", repr(limit), message)
         else:
             yield from _missing(f"constraints[{k}]", limit.measure, outputs)

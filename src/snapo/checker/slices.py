@@ -28,7 +28,7 @@ class Short(NamedTuple):
 
 
 def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every slice of every method lies within its array."""
+    """Every slice of every method is within its array."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name), _asked() as result:
@@ -83,7 +83,7 @@ def _past(index: Any, shape: tuple[int, ...]) -> Iterator[tuple[str, int]]:
 
 
 def outside(part: slice, length: int) -> bool:
-    """Whether an end that a slice names lies outside of an axis."""
+    """Whether an end of a slice is outside of an axis."""
     endpoints = [end for end in (part.start, part.stop) if isinstance(end, int | np.integer)]
     backwards = isinstance(part.step, int) and part.step < 0
     # Backwards, [n::-1] starts at an entry, and [:-n - 1:-1] ends at an entry.

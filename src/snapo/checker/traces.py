@@ -84,7 +84,7 @@ def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:
 def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
     """`jax.lax.while_loop`, and `fori_loop` between numbers that JAX traces, as errors.
 
-    One that no derivative meets, such as a loop over whole numbers, may stay.
+    One without derivatives, such as a loop over whole numbers, is allowed.
     """
     with jax.enable_x64(True):
         made = preparation(simulator, inputs)
@@ -97,8 +97,8 @@ def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule
                     f"{method.name}, {line}" if line else notes.method(method.name),
                     "Nothing can be differentiated through a loop whose number of rounds is not "
                     "fixed (jax.lax.while_loop)." + (f" In: {line.text}" if line else ""),
-                    "Write jax.lax.fori_loop or jax.lax.scan with a fixed number of rounds, and "
-                    "jnp.where to keep results that are complete.",
+                    "Write jax.lax.fori_loop or jax.lax.scan with a fixed number of iterations, "
+                    "and jnp.where to keep results that are complete.",
                 )
     notes.stop_on_errors()
 
@@ -157,5 +157,6 @@ def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None
             "Its derivative is lost: it is rounded, made a whole number or compared on every way "
             f"to the outputs, so that the derivative is 0 on every path and not known.{texts}",
             "Draw whole numbers with snapo.noise (Poisson, Binomial, Empirical), whose derivative "
-            "is right in the mean, use smooth.indicator and smooth.round, or leave it unrounded.",
+            "is correct in the mean, use smooth.indicator and smooth.round, or leave it "
+            "unrounded.",
         )

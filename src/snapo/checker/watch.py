@@ -1,6 +1,6 @@
 """A method's program evaluated equation by equation, with records of comparisons and indices.
 
-Calls are looked into; loops, `lax.cond` and functions with a custom derivative run as a whole.
+Calls are traced inside; loops, `lax.cond` and functions with a custom derivative run as a unit.
 """
 
 from collections.abc import Callable, Iterator, Sequence

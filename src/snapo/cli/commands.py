@@ -81,7 +81,7 @@ def _new(options: argparse.Namespace) -> Answer:
         kinds = {kind: {"words": label, "sizes": sizes} for kind, label, sizes in result}
         return {"status": "ok", "kinds": kinds}, "\n".join(lines), OK
     if options.folder is None:
-        message = f"say where to write it: snapo new {options.kind} DIR"
+        message = f"specify the folder: snapo new {options.kind} DIR"
         raise CaseError("DIR", "", None, message)
     if options.xlsx:
         written = commands.new_workbook(options.kind, options.folder, options.size)

@@ -1,9 +1,9 @@
 """Completion outside of snapo: commands in a shell, the keys of a case in an editor.
 
-`snapo completion SHELL` prints a script for the shell, made from the command's own arguments, and
-`snapo schema KIND` the JSON schema of a kind of case, made from the tables that its reader checks.
-Ranges, options and descriptions are those of the tables; checks that depend on other keys are
-left to `snapo check`.
+`snapo completion SHELL` prints a script for the shell, made from the arguments of the command, and
+`snapo schema KIND` the JSON schema of a kind of case, made from the tables of its reader. Ranges,
+options and descriptions are those of the tables; checks that depend on other keys are left to
+`snapo check`.
 """
 
 import argparse

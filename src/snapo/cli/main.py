@@ -85,7 +85,7 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--reference", action="store_true", help="compute the exact references as well"
     )
-    solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    solve.add_argument("--resume", action="store_true", help="continue an interrupted run")
     solve.add_argument(
         "--policy",
         metavar="RUN",
@@ -96,8 +96,8 @@ def _add_solve(commands) -> None:
         "--seeds",
         metavar="N",
         type=_seeds,
-        help="train with so many seeds from the case's own on, or with those of a list (0,3,7); "
-        "the run is that of the best",
+        help="train with this number of seeds, or those of a list (0,3,7); the run is that of the "
+        "best",
     )
 
 
@@ -109,7 +109,7 @@ def _add_certify(commands) -> None:
         "--penalty",
         choices=PENALTIES,
         default="value",
-        help="on hindsight: none, a fitted value function, or one scaled by descent on the bound",
+        help="for foresight: none, a fitted value function, or one scaled by descent on the bound",
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto")
     _add_simulator(certify)
@@ -119,10 +119,10 @@ def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
     report.add_argument(
-        "--pdf", action="store_true", help="print it as report.pdf too, by a browser of the machine"
+        "--pdf", action="store_true", help="also print it as report.pdf, with a local browser"
     )
     report.add_argument(
-        "--xlsx", action="store_true", help="write its tables as a workbook too, tables.xlsx"
+        "--xlsx", action="store_true", help="also write its tables as a workbook, tables.xlsx"
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
-from snapo.problem.noise import Draws, Stored
+from snapo.problem.noise import Counter, Draws, Stored
 from snapo.problem.noise.counter import only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -99,11 +99,11 @@ class Clip:
 
     - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
       most this times the path's weight: it has the same meaning for any number of paths.
-    - `keep`: the share of the adjoint that goes on from one step to the one before it, 0 to 1. An
-      outcome k steps after a decision then counts keep^k in its derivative, as with a discount;
+    - `keep`: the share of the adjoint that is passed from one step to the previous one, 0 to 1. An
+      outcome k steps after a decision then counts keep^k in its derivative, like a discount factor;
       outputs of `terminal` count as part of the last step.
 
-    Totals, and all that a decision earns in its own step, are unchanged.
+    Totals, and the earnings of a decision in the same step, are unchanged.
 
     >>> snapo.Clip(keep=0.9)
     Clip(norm=inf, keep=0.9)
@@ -121,7 +121,7 @@ class Clip:
                 raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; allowed is {allowed}.")
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
-        """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
+        """[N, 2]: the bound of each path, from the largest of its weights, and `keep`."""
         sizes = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
         size = np.concatenate(sizes).max(0)
         # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
@@ -168,7 +168,7 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 class Engine(abc.ABC):
     """Simulates paths, and computes adjoints along the same paths.
 
-    `steady`: a path's totals have the same bits whatever else is recorded.
+    `steady`: the bits of a path's totals do not depend on what is recorded.
     """
 
     precision: str = "float32"
@@ -179,15 +179,15 @@ class Engine(abc.ABC):
         return np.dtype(self.precision)
 
     def numbers(self) -> AbstractContextManager:
-        """The context in which this engine's precision exists (JAX's switch is thread-local)."""
+        """The context that enables this engine's precision (JAX's switch is thread-local)."""
         return jax.enable_x64(True) if self.precision == "float64" else nullcontext()
 
     def leave(self, result: PyTree) -> PyTree:
-        """Float64 results become NumPy arrays: outside `numbers` JAX would truncate them."""
+        """Converts float64 results to NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
     def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
-        """This engine on a problem: its simulator and its schedule.
+        """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too.
         """
@@ -250,9 +250,9 @@ class Engine(abc.ABC):
         actions=None,
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
-        """`adjoint` of each part of the paths: of the first parts[0], of the next parts[1] …
+        """`adjoint` of each part of the paths: the first parts[0], the next parts[1] …
 
-        Derivatives have a leading axis of parts; there are none at the start.
+        Derivatives have a leading axis of parts; those with respect to initial states are omitted.
         """
         adjoints, first = [], 0
         for size in parts:
@@ -273,7 +273,7 @@ class Engine(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class BoundEngine:
-    """An engine with a simulator and its schedule; each call supplies the other arguments.
+    """An engine bound to a simulator and its schedule; each call supplies the other arguments.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
     """
@@ -341,7 +341,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
     """Either a policy or recorded actions decide."""
     if policy is None and actions is None:
         raise ValueError(
-            "engine: neither a policy nor actions were given; one of them must decide."
+            "engine: neither a policy nor actions were specified; one of them is needed."
         )
     if actions is not None and (
         np.ndim(actions) != 3 or np.shape(actions)[2] != simulator.action.size
@@ -353,9 +353,14 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """There are paths, and noise for each of their steps: else a kernel would read past an end."""
+    """Checks that there are paths, with noise for each step, or a kernel reads out of range."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
+    if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
+        raise ValueError(
+            f"engine: the draws give `initial` the noise of {draws.before} steps, and "
+            f"initial_noise_size is {simulator.initial_noise_size}, no multiple of that."
+        )
     if isinstance(draws, Stored):
         shapes = {
             "step_noise": (simulator.horizon, draws.size, simulator.noise_size),
@@ -370,7 +375,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
 
 
 def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
-    """Every step has its numbers: one must not serve for all, and none may be left over."""
+    """Checks that every step has its numbers, without broadcasting and without a remainder."""
     horizon = simulator.horizon
     other = [
         isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] != (horizon,)
@@ -385,7 +390,7 @@ def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
 
 
 def check_window(simulator: Simulator, window: Window) -> None:
-    """A window lies within the horizon."""
+    """Checks that a window is within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
         raise ValueError(
             f"engine: window {tuple(window)} (first, length) leaves the horizon of "

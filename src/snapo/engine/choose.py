@@ -18,7 +18,7 @@ NAMES = ("auto", "xla", "native")
 
 
 class Engines(NamedTuple):
-    """The engine that trains (float32) and the one that evaluates (float64), and why these."""
+    """The engines of training (float32) and evaluation (float64), and the reason for the choice."""
 
     train: Engine
     evaluate: Engine
@@ -35,7 +35,7 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     "auto" takes the native engine where it can run this problem, even if there is a GPU: its
     gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
     paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
-    whatever its own precision.
+    independently of its precision.
 
     **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
     nothing at all where llvmlite is not installed.

@@ -38,16 +38,16 @@ class Xla(Engine):
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
     - `segments`: the horizon is rematerialised in this many segments, so that the adjoint keeps
       T / segments + segments states instead of T; None keeps the state of every step.
-    - `devices`: the paths are sharded over these JAX devices, where their number is a multiple;
-      None uses the default one.
+    - `devices`: the paths are sharded over these JAX devices, if their number is a multiple of that
+      of the devices; None uses the default one.
     """
 
     segments: int | None = None
     devices: tuple[Any, ...] | None = None
 
     def numbers(self) -> AbstractContextManager:
-        """As the other engines', with the factors of products in full: by default a GPU rounds
-        float32 factors to ten bits, and gradients move by a thousandth."""
+        """As for other engines, with full precision of products: by default a GPU rounds float32
+        factors to ten bits, which changes gradients by a thousandth."""
         kind = jax.default_backend() if self.devices is None else self.devices[0].platform
         if self.precision == "float64" or kind == "cpu":
             return super().numbers()
@@ -99,7 +99,7 @@ class Xla(Engine):
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
     ) -> "XlaCall":
-        """Everything a rollout needs, checked, in this engine's precision and on its devices."""
+        """The checked arguments of a rollout, in this engine's precision and on its devices."""
         simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
         is_last = window.is_last(simulator.horizon)
@@ -231,7 +231,7 @@ def _pulled_back(engine: Xla, call: XlaCall, weights, bounds: Array | None, wrt)
 
 
 def _rollout(engine: Xla, call: XlaCall, record, bounds) -> Rollout:
-    """All paths at once: `_path` mapped over the paths' own arrays."""
+    """All paths at once: `_path` mapped over the paths' arrays."""
 
     noise = _noise(engine, call)
 

@@ -24,11 +24,11 @@ class Agent:
     - `features`: from the environment's observations [N, k] to those that the policy was trained
       on; by default the same.
     - `action`: from decisions [N, size] to N actions of the environment; or its `action_space`, or
-      the set of the problem whose environment it is. By default the policy's own set: the number
+      the set of the problem whose environment it is. By default the set of the policy: the number
       of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
 
     An agent whose policy remembers keeps the memory of every episode, [N, m] in `memory`; call
-    `reset` where episodes begin. One of which the number of observations changes must be reset.
+    `reset` where episodes begin. If the number of observations changes, it must be reset.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Agent:
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it remembers {len(memory)} episodes, and here are {len(observed)} "
+                f"Agent: it has the memory of {len(memory)} episodes, and here are {len(observed)} "
                 "observations; call reset() where other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)

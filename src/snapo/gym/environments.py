@@ -36,7 +36,7 @@ class NextState(NamedTuple):
     """After a step: the state, its observation, the reward and all outputs.
 
     - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
-    - `late`: a limit of time cuts the episode off, and the problem would go on.
+    - `late`: a time limit truncates the episode, and the problem would continue.
     - `outputs`: of the step, and at an end those of the terminal state as well; a name that only
       the terminal state has is 0 before.
     """
@@ -58,11 +58,11 @@ class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
-    with the step that ends the problem. With `endless` the horizon is a limit of time, after which
-    the problem would go on: a state at which only the horizon ends the path has no terminal
+    with the step that ends the problem. With `endless` the horizon is a time limit, after which
+    the problem would continue: a state at which only the horizon ends the path has no terminal
     rewards.
 
-    **Raises:** `ValueError` where the objective is no mean of sums, which has no reward of a step.
+    **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
     """
 
     def __init__(self, problem: Problem, endless: bool = False):
@@ -88,7 +88,7 @@ class GymDynamics:
         """Step `t` of one path."""
         constants, now = self.schedule.constants, at(self.schedule.steps, t)
         after, outputs = self.simulator.step(constants, now, state, action, noise, Exact())
-        # A state may start as a whole number and go on as a float of the same meaning.
+        # A state may start as a whole number and continue as a float of the same meaning.
         after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, state)
         last = self.simulator.terminal(constants, after, Exact())
         due = t + 1 >= self.horizon
@@ -100,7 +100,7 @@ class GymDynamics:
         return NextState(after, self._seen(t + 1, after), reward, combined, ended, due & ~ended)
 
     def only_last(self) -> tuple[str, ...]:
-        """The outputs that only the terminal state has, none of a step."""
+        """The outputs of the terminal state that are not outputs of a step."""
 
         def both():
             constants, now = self.schedule.constants, at(self.schedule.steps, 0)
@@ -164,8 +164,8 @@ class Environment(gymnasium.Env):
       of the terminal state are in the step that ends the problem.
     - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
-      (`terminated`), and outputs of the terminal state are not paid there. An end of the
-      simulator's own (`over`) terminates in both, also at the last step.
+      (`terminated`), and outputs of the terminal state are not paid there. An end by the simulator
+      (`over`) terminates in both cases, also at the last step.
     - `decisions`: the set that its actions are elements of.
     """
 
@@ -267,7 +267,7 @@ def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
 
 
 def made(environment: "str | Callable[[], Any]"):
-    """The environment of this name, or the one that the function makes."""
+    """The environment of this name, or that created by the function."""
     if isinstance(environment, str):
         return gymnasium.make(environment, disable_env_checker=True)
     return environment()

@@ -18,7 +18,7 @@ except ImportError as error:
         "snapo.gym needs Gymnasium, which is not installed: pip install 'snapo[gym]'."
     ) from error
 
-Space = Any  # of Gymnasium, which has no types of its own for all of them
+Space = Any  # of Gymnasium, which has no common type for them
 Elements = Any  # N of a space
 SpaceReader = Callable[[Elements], np.ndarray]  # to [N, size] of the set
 Writer = Callable[[np.ndarray], Elements]  # and back
@@ -27,8 +27,8 @@ Writer = Callable[[np.ndarray], Elements]  # and back
 def space_of(action: Actions) -> tuple[Space, SpaceReader]:
     """The space of a set of actions, and the function from its elements to the exact set.
 
-    A `Choice` is `Discrete`, a `Product` a `Dict` of its sets by name; of a `Simplex` any numbers
-    from 0 to 1 are taken in proportion, whole numbers are rounded; bounds are kept by clipping.
+    A `Choice` is `Discrete`, a `Product` a `Dict` of its sets by name; for a `Simplex` any numbers
+    from 0 to 1 are normalised, whole numbers are rounded; bounds are enforced by clipping.
 
     **Raises:** `ValueError` for a set that has no space.
     """
@@ -63,7 +63,7 @@ def writer(space: Space, action: Actions | None = None) -> Writer:
     - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from its
       start; `MultiDiscrete` and `MultiBinary` take whole numbers.
     - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers unchanged.
-    - `action`: the set, where it is known; otherwise the number of decisions decides.
+    - `action`: the set, if known; otherwise the number of decisions is used.
 
     **Raises:** `ValueError` where the set and the space have nothing in common.
     """

@@ -41,7 +41,7 @@ def loops(op: Op) -> tuple[int, ...] | None:
 
 
 def regions(ops: list[Op], values: set[ProgramValue]) -> list[Region]:
-    """Orders the operations; loops are put off until nothing else can go on.
+    """Orders the operations; loops are postponed until nothing else can be done.
 
     `values` are values that must exist after the last region.
     """

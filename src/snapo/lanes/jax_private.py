@@ -13,7 +13,7 @@ import jax
 # The first tested release, and the first that was not tested.
 TESTED = (0, 10), (0, 13)
 
-# Calls are primitives whose names and parameters are JAX's own affair: name -> parameter.
+# Calls are primitives whose names and parameters are JAX's affair: name -> parameter.
 CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
@@ -28,7 +28,7 @@ CALLS = {
 }
 # The function inside `jnp.searchsorted`, or its own class, which is compiled as one operation.
 _SEARCHES = ("_searchsorted_scan_impl", "SearchSorted")
-# A primitive of a class of its own, with a list of its parts.
+# A primitive of a separate class, with a list of its parts.
 _OWN_CLASS = "call_hi_primitive"
 # Modules, and the names that are used of each.
 _NAMES = {

@@ -11,14 +11,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.csv import NUMBER, FileReference, read_rows
+from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, Copies, FilePosition, QuantityKey, SheetCell
+from snapo.case.given import (
+    CaseInput,
+    ConvertedNumber,
+    Copies,
+    FilePosition,
+    KeyedUnit,
+    NoPosition,
+    QuantityKey,
+    SheetCell,
+)
 from snapo.case.table import TableContext
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
 
 Key = tuple[str | int, ...]  # the way to a value in the tables
+PlainPosition = SheetCell | QuantityKey | KeyedUnit | Key
 
 
 class Sheet(NamedTuple):
@@ -49,10 +59,6 @@ class Files:
     sheets: Mapping[str, Sheet] = field(default_factory=dict)
     changed: frozenset[str] = frozenset()
 
-    def leaves(self) -> Iterator[tuple[Key, Any]]:
-        """All values of the tables that are no tables, with the way to each."""
-        return _leaves(self.tables, ())
-
     def with_value(self, key: Key, value: Any) -> "Files":
         """The case with another value at one place of its tables."""
         return replace(self, tables=_put(self.tables, key, value))
@@ -66,7 +72,7 @@ class Files:
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """The case in a folder of its own: case.toml and its files; returns the file."""
+        """The case in a separate folder: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
         for case_file in case_files(self.folder):
             if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:
@@ -81,12 +87,15 @@ class Files:
 
 
 def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
-    """The case whose tables were read from `folder`, with the CSVs that they name."""
-    by_name = {value for _, value in _leaves(tables, ()) if isinstance(value, str)}
-    sheets = {}
-    for case_file in case_files(folder):
-        if case_file.name in by_name and case_file.suffix.lower() == ".csv":
-            sheets[case_file.name] = _sheet(folder, case_file.name)
+    """The case whose tables were read from `folder`, with the CSVs that they name, and those that
+    cells of these name."""
+    available = {file.name for file in case_files(folder) if file.suffix.lower() == ".csv"}
+    requested = {value for _, value in _leaves(tables, ()) if isinstance(value, str)} & available
+    sheets: dict[str, Sheet] = {}
+    while new := requested - sheets.keys():
+        sheets |= {name: _sheet(folder, name) for name in sorted(new)}
+        rows = [row for name in new for row in sheets[name].rows]
+        requested |= {cell for row in rows for cell in row if cell in available}
     return Files(folder, tables, sheets)
 
 
@@ -108,25 +117,49 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
 
     **Raises:** `CaseError` for a number that no file has, or that is in a file which is no CSV.
     """
-    changes: dict[FilePosition, dict[str, float]] = {}
+    changes: dict[PlainPosition, dict[str, float]] = {}
     for i, (position, label) in enumerate(zip(entry.positions, entry.labels)):
         number = float(numbers.ravel()[i])
-        if position is not None:
-            changes.setdefault(position, {})[label] = number
-        elif number != entry.values[i]:
-            raise CaseError(entry.name, label, None, "this number is in no file of the case")
+        if position is None or isinstance(position, NoPosition):
+            if number == entry.values[i]:
+                continue
+            reason = position.reason if position else "this number is in no file of the case"
+            raise CaseError(entry.name, label, None, reason)
+        for plain, written in _plain(position, number):
+            changes.setdefault(plain, {})[label] = written
     for position, by_label in changes.items():
         number = next(iter(by_label.values()))
         if isinstance(position, SheetCell):
             files = files.with_sheet(position.file, _with_cell(files, position, by_label))
-        elif isinstance(position, Copies):
-            for path in position.positions:
-                files = files.with_value(path, number)
         elif isinstance(position, QuantityKey):
             files = files.with_value(position.path, f"{number!r} {position.unit}")
-        elif position is not None:
+        elif isinstance(position, KeyedUnit):
+            for path, unit in position.units:
+                files = files.with_value(path, unit)
+            files = files.with_value(position.path, number)
+        else:
             files = files.with_value(position, number)
     return files
+
+
+def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPosition, float]]:
+    """Where a number is written, and what."""
+    if isinstance(position, ConvertedNumber):
+        yield from _plain(position.position, position.inverse(number))
+    elif isinstance(position, Copies):
+        for copy in position.positions:
+            yield from _plain(copy, number)
+    elif position is not None and not isinstance(position, NoPosition):
+        yield position, number
+
+
+def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
+    """What is read once `with_numbers` has written these: where a case converts a number, the next
+    one that a float in its files becomes."""
+    pairs = zip(entry.positions, numbers.ravel().tolist())
+    return np.array(
+        [at.read(at.inverse(x)) if isinstance(at, ConvertedNumber) else x for at, x in pairs]
+    )
 
 
 def _with_cell(files: Files, cell: SheetCell, numbers: Mapping[str, float]) -> Sheet:
@@ -153,13 +186,6 @@ def _with_cell(files: Files, cell: SheetCell, numbers: Mapping[str, float]) -> S
 
 def _replaced(row: list[str], column: int, number: float) -> list[str]:
     return [*row[:column], repr(number), *row[column + 1 :]]
-
-
-def numbers_in(cells: Sequence[str]) -> list[float] | None:
-    """A column as numbers; None where a cell is something else."""
-    if not cells or not all(NUMBER.fullmatch(cell) for cell in cells):
-        return None
-    return [float(cell) for cell in cells]
 
 
 def _leaves(value: Any, path: Key) -> Iterator[tuple[Key, Any]]:

@@ -1,7 +1,7 @@
 """Moved inputs and choices of a run on the page, with a policy or without, and their files.
 
 Choices are keys of a case with a list of allowed texts, or switches; the table of a key declares
-the list. Every option is tried; one that the case cannot have with its other keys is not offered.
+the list. Every option is tested; one that the case cannot have with its other keys is not offered.
 """
 
 from abc import abstractmethod
@@ -18,7 +18,7 @@ from snapo.solver import statistics
 from snapo.study.study import Recalculated, Study
 
 from .files import Files, Key
-from .positions import ChangedCase, InputPositions, tables
+from .positions import ChangedCase, InputPositions
 from .terms import described, handles
 
 OWN = ("title", "name", "label")  # keys by which the row of a table names itself
@@ -74,8 +74,20 @@ LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy"
 MAX_KEYS, MAX_WORDS = 60, 12
 
 
+def tables(table: Mapping[str, Any], path: Key) -> Iterator[tuple[Key, Mapping[str, Any]]]:
+    """Every table, those in tables and those in rows of tables."""
+    yield path, table
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from tables(value, (*path, key))
+        elif isinstance(value, list):
+            for i, item in enumerate(value):
+                if isinstance(item, Mapping):
+                    yield from tables(item, (*path, key, i))
+
+
 class MenuChoice(NamedTuple):
-    """A key, its value in the run (where the case has none, the default), and all allowed ones.
+    """A key, its value in the run (or its default), and all allowed values.
 
     `title`: the key for people, "Granule size: distribution".
     """
@@ -105,7 +117,7 @@ def choices(files: Files, bumped: Tried) -> list[MenuChoice]:
 def case_with(files: Files, available: Sequence[MenuChoice], requested: Mapping[str, Any]) -> Files:
     """The case with other values of these keys.
 
-    **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.
+    **Raises:** `CaseError` for an unknown choice, or a value that it cannot have.
     """
     by_name = {item.name: item for item in available}
     for name, value in requested.items():
@@ -184,7 +196,7 @@ class WhatIf:
     ) -> Iterator[tuple[str, Any]]:
         """(name, table) one after another, of the page's tables at these numbers and choices.
 
-        **Raises:** `CaseError` where the case's own reader refuses them.
+        **Raises:** `CaseError` if the reader of the case refuses them.
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
@@ -229,7 +241,7 @@ class WhatIf:
     def changed(self, values: InputValues) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.
 
-        **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
+        **Raises:** `CaseError` for a name that is not an input, or numbers that do not fit.
         """
         changes = {}
         for name, value in values.items():
@@ -256,7 +268,7 @@ EXACT = {"low": None, "high": None}  # a derivative without noise has no interva
 
 
 class Recalculation(WhatIf):
-    """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
+    """A run without training: its figures at other inputs, calculated by its domain."""
 
     def __init__(
         self, study: Study, values: Recalculated, positions: InputPositions, rebuilt: Rebuild

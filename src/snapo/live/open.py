@@ -15,7 +15,7 @@ from snapo.study.training import no_policy
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
-    """All that is known of a run from its files: nothing is computed.
+    """The contents of a run's files: nothing is computed.
 
     **Raises:** `CaseError` where there is no run, or one without a policy.
     """

@@ -38,7 +38,7 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
-        """As many paths as the value needs by the run's own error, and no more than it had.
+        """As many paths as the value needs, by the error of the run, and at most those of the run.
 
         `numbers`: of the trajectory of one path; a wide one has fewer paths, so that an answer
         comes in time.
@@ -57,7 +57,7 @@ class Simulated(NamedTuple):
     """The policy on the first paths of the evaluation, in the order of their numbers.
 
     - `totals`: {output: [paths]} for the value.
-    - `actions`: [T, paths, A] for the deltas; None where they roll their own.
+    - `actions`: [T, paths, A] for the deltas; None if they simulate themselves.
     - `tables`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
     """
 
@@ -67,7 +67,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
-    """Every path once, where its totals have the same bits whatever is recorded; else apart.
+    """Every path once, if the bits of totals do not depend on the record; else separately.
 
     The complete trajectory is always recorded: another record would be compiled again.
     """

@@ -22,7 +22,7 @@ HEADER = ("what", "input", "label", "number", "standard_error", "low", "high")
 
 
 def csv_of(rows: Iterable[Sequence[Any]]) -> str:
-    """Rows as CSV; a text that a spreadsheet would take for a formula is marked as text."""
+    """Rows as CSV; text that a spreadsheet would read as a formula is marked as text."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     for row in rows:
@@ -70,7 +70,7 @@ def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
 
 
 def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
-    """Today's decision and the domain's own sections: every number with its column's name."""
+    """Today's decision and the domain's sections: every number with its column's name."""
     today = tables.get("today") or {}
     for name, number, unit in today.get("facts", ()):
         yield ("today", name, unit, number, None)
@@ -114,9 +114,9 @@ class SavedScenarios:
         return sorted((item for item in results if item), key=lambda entry: entry["made"])
 
     def keep(self, name: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
-        """Keeps a scenario under a name, instead of one of the same name; returns its id.
+        """Saves a scenario by name, replacing one of the same name; returns its id.
 
-        **Raises:** `Refused` for a name that is none.
+        **Raises:** `Refused` for an invalid name.
         """
         metadata = " ".join(str(name).split())[:LONGEST]
         if not metadata:
@@ -138,7 +138,7 @@ class SavedScenarios:
     def folder_of(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
-        **Raises:** `Refused` for an id that is none: no path is outside the run.
+        **Raises:** `Refused` for an invalid id: no path is outside the run.
         """
         if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")
@@ -148,7 +148,7 @@ class SavedScenarios:
         """The case of a scenario, as a zip of its files."""
         case = self.folder_of(result) / CASE
         if not case.is_dir():
-            raise Refused("this scenario has no case of its own")
+            raise Refused("this scenario has no case")
         return zipped(case, result)
 
     def one(self, result: str) -> str:

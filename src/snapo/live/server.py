@@ -43,7 +43,7 @@ class Downloads:
         app.router.add_get("/{token}/case/{at:run|p[0-9]+-[0-9]+}.{kind:zip|xlsx}", self.carried)
 
     def hear(self, message: Mapping[str, Any]) -> None:
-        """The worker's answer to one that waits."""
+        """The worker's answer to a waiting request."""
         waiting = self._writing.get(message["n"])
         if waiting is not None and not waiting.done():
             waiting.set_result(message)
@@ -109,7 +109,7 @@ class Downloads:
         page, _, n = at.partition("-")
         result = self.last(page, int(n))
         if result is None:
-            raise web.HTTPNotFound(text="These numbers are not shown any more.")
+            raise web.HTTPNotFound(text="These numbers are no longer shown.")
         return at, result
 
 
@@ -252,12 +252,12 @@ class Server:
         return socket
 
     async def _order(self, page: str, text: str) -> None:
-        """One wish of a page; one that is none is answered, and has no effect."""
+        """One request of a page; an invalid one is answered, and has no effect."""
         n = -1
         try:
             order = json.loads(text)
             if not isinstance(order, dict):
-                raise Refused("this is no order")
+                raise Refused("this is not an order")
             n = order.get("n", -1)
             n = n if isinstance(n, int) and not isinstance(n, bool) else -1
             match order.get("do"):
@@ -281,7 +281,7 @@ class Server:
                     self.scenarios.forget(str(order.get("id", "")))
                     await self._tell_all(self._kept())
                 case _:
-                    raise Refused("this is no order")
+                    raise Refused("this is not an order")
         except (Refused, ValueError, OverflowError, RecursionError) as error:
             label = str(error) if isinstance(error, Refused) else "this message cannot be read"
             await self._send(page, {"stage": "refused", "n": n, "message": label})
@@ -301,7 +301,7 @@ class Server:
         await self.workers.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
 
     async def hear(self, message: dict[str, Any]) -> None:
-        """One line of the worker: to the page that it is for, or to all."""
+        """One line of the worker: to the page that it concerns, or to all."""
         page = message.get("page")
         if page is None:
             await self._tell_all(message)

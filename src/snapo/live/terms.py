@@ -18,7 +18,7 @@ from snapo.solver.derivatives.verdict import plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import LEVEL, Estimate, critical
 
-MAX_DAYS = 62  # dates that are handles of their own; more of them are moved by month
+MAX_DAYS = 62  # dates with separate handles; more of them are moved by month
 MAX_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
 
@@ -67,8 +67,8 @@ def described(name: str, entry: Input, slope: np.ndarray | None, source: str) ->
 
 
 def own_unit(entry: Input) -> tuple[float, str]:
-    """How many units that its user prefers make one unit of the input, and their name; 1 and ""
-    where the field on the page has the input's own."""
+    """The number of display units in one unit of the input, and their name; 1 and "" if the field
+    on the page uses the unit of the input."""
     # A temperature's other units have another zero, which a factor does not express.
     if not entry.display_unit or entry.unit == "K":
         return 1.0, ""
@@ -78,8 +78,7 @@ def own_unit(entry: Input) -> tuple[float, str]:
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
     """d value / d number of every input, flat: the derivative that the run reports.
 
-    Of an input of which only the change along a bump of all its numbers is known, each number has
-    its share of that.
+    If only the change along a bump of all numbers of an input is known, each has its share.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}
@@ -95,8 +94,8 @@ def _slopes(derivative: Reported) -> np.ndarray:
 
 
 class Deltas(NamedTuple):
-    """The derivatives at moved inputs: those that the run reports, and by how much the held ones
-    changed since, on the same paths.
+    """The derivatives at moved inputs: those of the run, plus the change of the held ones since, on
+    the same paths.
 
     - `table`: of the run, None where it has none.
     - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at these;
@@ -203,7 +202,7 @@ def _said(inputs: Input, values: np.ndarray, i: int) -> str:
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
-    """What ended a calculation: the user's own `module`, named as theirs with its message; or ours.
+    """The cause of the end of a calculation: the user's `module`, with its message, or snapo.
 
     `moved`: names of the inputs and choices that differ from the run's.
     """
@@ -215,7 +214,7 @@ def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
         if module and _of(str(frame.f_globals.get("__name__", "")), module)
     ]
     if not frames:
-        return f"snapo could not calculate this{at}, by a mistake of its own: {text}."
+        return f"snapo could not calculate this{at}, because of an internal error: {text}."
     code, line = frames[-1]
     position = f"{Path(code.co_filename).name}, line {line}, {code.co_name}"
     return f"Your simulator stopped{at} ({position}): {text}."

@@ -2,7 +2,7 @@
 
 The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
 paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case. The derivatives are those that the run reports, and the change of the held ones.
+new case. The derivatives are those of the run plus the change of the held ones.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -72,7 +72,7 @@ class Valuation(WhatIf):
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """Value, the domain's own sections, deltas, today, fans."""
+        """Value, the sections of the domain, deltas, today, fans."""
         changed = self.changed(values)
         study, setup = self._at(values, selected)
         policy = self.solution.policy
@@ -104,7 +104,7 @@ class Valuation(WhatIf):
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and its gain on the same paths.
 
-        It starts from the run's policy, which stays the one that the page values. `summary` hears
+        It starts from the run's policy, which the page continues to value. `summary` hears
         of the steps done and of all; an exception in it ends the training.
         """
         setup, policy = self._at(values, selected)[1], self.solution.policy
@@ -240,7 +240,7 @@ class Valuation(WhatIf):
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.
 
-        The norm of the gradient of the smooth value by the policy, which vanishes at the best.
+        The norm of the policy's gradient of the smooth value, which vanishes at the optimum.
         """
         here = self._slope(setup)
         if self._trained is None:

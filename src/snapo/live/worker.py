@@ -1,7 +1,7 @@
-"""The process that computes: moves come in as lines of JSON, tables go out as lines of JSON.
+"""The process that computes: moves are read as lines of JSON, tables are written as lines of JSON.
 
-It is apart from the server, so that a page answers while it works, and outlives it. Of the moves of
-one page only the newest is answered: a newer one ends the work on the one before.
+It is separate from the server, so that a page answers while it works, and survives its end. Of the
+moves of one page only the newest is answered: a newer one ends the work on the one before.
 """
 
 import argparse
@@ -109,7 +109,7 @@ class Desk:
         self.orders.put(None)
 
     def rests(self, seconds: float) -> bool:
-        """Waits so long for an order; whether there was none."""
+        """Waits this long for an order; returns whether there was none."""
         until = time.monotonic() + seconds
         while self.orders.empty() and time.monotonic() < until:
             time.sleep(0.02)
@@ -121,7 +121,7 @@ class Desk:
 
 
 def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) -> None:
-    """Answers until there are no more lines; `module`: of the user's own simulator."""
+    """Answers until there are no more lines; `module`: of the user's simulator."""
     while (order := desk.orders.get()) is not None:
         try:
             if order["do"] == "move":
@@ -176,7 +176,7 @@ def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
 
 
 class Cancelled(Exception):
-    """The page does not want it any more."""
+    """The page no longer needs it."""
 
 
 def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:

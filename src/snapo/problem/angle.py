@@ -1,7 +1,7 @@
 """Angles: the state counts turns, and rewards and observations repeat with every turn.
 
-A state that jumps from pi to -pi has no derivative there. So the state keeps the angle as it comes,
-turns included; costs and observations are periodic functions of it.
+A state that jumps from pi to -pi has no derivative there. So the state has the unwrapped angle;
+costs and observations are periodic functions of it.
 """
 
 import jax.numpy as jnp
@@ -13,11 +13,11 @@ TURN = 2 * np.pi
 
 
 def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
-    """The angle [...] in radians without its full turns, from -pi to below pi, up to rounding.
+    """The angle [...] in radians without full turns, from -pi to below pi, up to rounding.
 
-    Of a difference of two angles it is the shorter way round: `wrap_angle(angle - target) ** 2` is
-    a cost. Its derivative is 1, its second one 0, also where it jumps from pi to -pi; the square is
-    continuous there. An angle between -pi and pi keeps all its digits.
+    For a difference of two angles it is the shorter rotation: `wrap_angle(angle - target) ** 2` is
+    a cost. Its first derivative is 1, its second 0, even where it jumps from pi to -pi; the square
+    is continuous there. Angles between -pi and pi are unchanged to the last digit.
 
     >>> [round(float(snapo.wrap_angle(np.pi * x)), 4) for x in (0.5, 1.5, -6.25)]
     [1.5708, -1.5708, -0.7854]

@@ -1,6 +1,6 @@
 """Stages with different state, horizon and outputs, as ONE simulator.
 
-A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map turns the
+A reactor followed by a crystalliser: each stage is a separate `Simulator`, and a map turns the
 final state of one into the initial state of the next.
 """
 
@@ -20,22 +20,21 @@ Map = Callable[[PyTree, PyTree, PyTree], PyTree]
 
 
 class Chain(Simulator):
-    """Simulators one after the other, with one policy for all of them or one for each (`Stages`).
+    """Successive simulators, with one policy for all of them or one for each (`Stages`).
 
     **Arguments:**
 
-    - `stages`: the simulators. They all decide in the same set, of any kind, or in Boxes of their
-      own: then the chain's set is the smallest Box that holds them all, a stage reads the first
-      numbers of an action, and where its own bounds are narrower, the action is clipped to them.
-      Of the noise too a stage reads the first numbers.
-    - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` turns the final
-      state of stage i into the initial state of stage i + 1, whose own `initial` is not asked.
+    - `stages`: the simulators. All have the same action set, of any kind, or different Boxes: then
+      the set of the chain is the smallest Box that contains them all, and a stage uses the first
+      numbers of an action, clipped to its bounds. It also uses the first numbers of the noise.
+    - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` maps the terminal
+      state of stage i to the initial state of stage i + 1, whose `initial` is not called.
     - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
-      name are totalled together.
+      name are added up.
 
     `inputs` is one module per stage (a sequence, or a mapping by name if there are names), or any
-    other module, which all stages share. The policy sees the stage's observation, padded with
-    zeros to the longest, and then one number per stage that is 1 in that stage.
+    other module, which all stages share. The policy sees the stage's observation, padded with zeros
+    to the longest, followed by one number per stage, which is 1 in that stage.
     """
 
     stages: tuple[Simulator, ...]
@@ -244,7 +243,7 @@ class Chain(Simulator):
         )
 
     def interface(self, schedule: Schedule) -> Interface:
-        """That of the chain, with those of the stages, whose observations are not padded."""
+        """The interface of the chain, with those of the stages, without padded observations."""
         constants, now = schedule.constants, at(schedule.steps, 0)
 
         def observations():

@@ -1,12 +1,12 @@
-"""One policy for a range of inputs: it sees them, in addition to what it observes.
+"""One policy for a range of inputs, which it observes in addition to the state.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
-ranges evenly, each with a schedule of its own. Afterwards the policy decides in any member.
+ranges evenly, each with a separate schedule. Afterwards the policy decides in any member.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -31,15 +31,15 @@ class Family:
         snapo.evaluate(member, solution.policy)
         snapo.sensitivities(member, solution.policy)
 
-    The policy observes the inputs named, each from -1 at its lower to 1 at its upper bound, after
-    the simulator's own features. An objective that is no mean, such as a CVaR, is that of the paths
-    of all members together, so that training heeds the worst members most.
+    The policy observes these inputs, scaled from -1 at the lower to 1 at the upper bound, after the
+    features of the simulator. An objective that is not a mean, such as a CVaR, is that of the paths
+    of all members together, so that training gives the worst members most weight.
 
     **Arguments:**
 
-    - `ranges`: {input: (low, high)}, numbers or arrays shaped like the input; an array's entries
-      vary one by one.
-    - `members`: how many points of the ranges train (a number of Sobol's, filled evenly).
+    - `ranges`: {input: (low, high)}, numbers or arrays shaped like the input; the entries of an
+      array vary separately.
+    - `members`: the number of training points in the ranges (Sobol points).
     """
 
     problem: Problem
@@ -67,17 +67,17 @@ class Family:
     def training(self) -> Problem:
         """The problem to solve: its value is the objective of all members' paths together.
 
-        The inputs named are plain numbers there, without derivatives, since each member has its
-        own; take those at a member.
+        The named inputs are plain numbers there, without derivatives, since they differ between
+        members; differentiate at a member.
         """
         unit = qmc.Sobol(len(self._low), rng=np.random.default_rng(0)).random(self._power)
         points = self._low + (self._high - self._low) * unit[: self.members]
         return replace(self.problem, simulator=Members(self._seen, points), inputs=self._others)
 
     def at(self, values: dict[str, Any]) -> Problem:
-        """The member where the inputs named have these values, others those of the problem.
+        """The member with these values of the inputs, the others as in the problem.
 
-        **Raises:** `ValueError` outside the ranges, where the policy has seen nothing.
+        **Raises:** `ValueError` outside the ranges, where the policy was not trained.
         """
         member = self.problem.at(values)
         for name, (low, high) in self.ranges.items():
@@ -132,7 +132,8 @@ class Family:
 
 
 class ObservedMember(Around):
-    """A simulator whose policy sees some inputs, scaled; constants are (its own, those)."""
+    """A simulator whose policy observes some inputs, scaled; constants are (of the base,
+    inputs)."""
 
     where: tuple[int, ...] = eqx.field(static=True)
     low: tuple[float, ...] = eqx.field(static=True)
@@ -184,6 +185,7 @@ class Members(Around):
 
     inner: ObservedMember
     points: np.ndarray
+    initial_steps: ClassVar[int] = 0  # pyright: ignore[reportIncompatibleMethodOverride]
 
     def __init__(self, local: ObservedMember, points: np.ndarray):
         self.inner, self.points = local, points

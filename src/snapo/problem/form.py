@@ -1,4 +1,4 @@
-"""The form of a case: all that code is compiled for. Its numbers are arguments of that code.
+"""The form of a case: all on which compiled code depends. Its numbers are arguments of that code.
 
 A simulator of a domain holds no case, but modules with fields of two sorts: static ones (kinds,
 rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:
@@ -23,8 +23,8 @@ class Use(eqx.Module):
 
     - `name`: of the input; `size`: how many numbers it has.
     - `shape`: of the numbers where they are used.
-    - `index`: integers of that shape into the input's numbers; None where they are used one by one
-      in their own order, where one number holds everywhere, and where there is none.
+    - `index`: integers of that shape into the input's numbers; None if they are used one by one in
+      order, if one number is used everywhere, and if there is none.
     """
 
     name: str = eqx.field(static=True)
@@ -34,7 +34,7 @@ class Use(eqx.Module):
 
     @classmethod
     def of(cls, name: str, size: int, index: Int[np.ndarray, "..."]) -> "Use":
-        """Of the input `name` with so many numbers, used at `index`."""
+        """Of the input `name` with this number of entries, used at `index`."""
         plain = size <= 1 or np.array_equal(index, np.arange(size))
         return cls(name, size, index.shape, None if plain else index)
 
@@ -62,7 +62,7 @@ def formed(record: T) -> T:
 
     A leaf with a method `use` is replaced by its result.
 
-    **Raises:** `TypeError` where there is anything else, which would be compiled in.
+    **Raises:** `TypeError` for anything else, which would be a constant of the program.
     """
 
     def without_numbers(leaf: Any) -> Any:

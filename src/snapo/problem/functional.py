@@ -15,7 +15,7 @@ import numpy as np
 from .code.version import Version, followed, of_formula, read_context
 
 Formula = Callable[[Mapping[str, jax.Array]], jax.Array]
-REFERENCE = 512  # paths of the sample by which a sensitivity curve is measured
+REFERENCE = 512  # paths of the sample with which a sensitivity curve is measured
 AGREEMENT = 1e-9  # relative: a formula under weights against itself on repeated paths
 
 

@@ -29,14 +29,14 @@ class Input(eqx.Module):
 
     - `value`: numbers, kept as float64 NumPy.
     - `unit`: of the value, such as "EUR/MWh"; a sensitivity is per this unit.
-    - `labels`: one per entry, in C order (dates, tenors, species); numbered when not given.
+    - `labels`: one per entry, in C order (dates, tenors, species); numbered by default.
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
-      number's own size (see `step`).
-    - `move`: the amount by which reports and sliders move it, in `unit`; None: a share of itself.
-    - `display_unit`, `display_factor`: the unit in which the user thinks, and how many of them
-      make one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
-    - `group`: the family of risk it belongs to, such as "price", "volatility" or "contract".
-    - `meaning`: its meaning, in one phrase.
+      number (see `step`).
+    - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
+    - `display_unit`, `display_factor`: the preferred unit, and the number of these in one `unit`: a
+      rate of 1/year is 10,000 bp. By default `unit` itself.
+    - `group`: the type of risk, such as "price", "volatility" or "contract".
+    - `meaning`: a short description.
 
     A correlation matrix enters as its strict lower triangle.
 
@@ -65,7 +65,7 @@ class Input(eqx.Module):
                 f"Input: {len(self.labels)} labels for {self.value.size} numbers; give each one."
             )
         if not np.all(np.isfinite(self.value)):
-            raise ValueError("Input: a value is not finite; every input must be a finite number.")
+            raise ValueError("Input: a value is NaN or infinite; it must be a finite number.")
 
     def names(self) -> tuple[str, ...]:
         """One label per entry in C order."""
@@ -78,8 +78,8 @@ class Input(eqx.Module):
     def step(self) -> np.ndarray:
         """The step of a finite difference of every number, in the input's unit, shaped like it.
 
-        `bump` where it is given, else 1e-5 of the number's own size. A zero takes the size of the
-        largest entry; where all are zero, the step is a thousandth of `move`, or else 1e-5.
+        `bump` if specified, else 1e-5 of the number. For a zero the largest entry counts; if all
+        are zero, the step is a thousandth of `move`, or else 1e-5.
         """
         if self.bump is not None:
             return np.full(self.value.shape, float(self.bump))

@@ -1,4 +1,4 @@
-"""The problem that a call means: a `Problem`, or a simulator with all that belongs to it.
+"""The problem of a call: a `Problem`, or a simulator with its inputs and the rest.
 
 Every public function of a problem takes either, in one order of arguments::
 
@@ -48,7 +48,7 @@ def takes_problem(
     *, objective: bool
 ) -> Callable[[Callable[Concatenate[Problem, P], R]], Verb[P, R]]: ...
 def takes_problem(verb: Any = None, *, objective: bool = True) -> Any:
-    """Makes of a function of a `Problem` and a policy one that takes a simulator as well.
+    """Extends a function of a `Problem` and a policy to simulators.
 
     `objective`: whether it needs one.
     """
@@ -83,8 +83,8 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
 
 SAID_OBJECTIVE = "`objective`, "
 SAID = """
-    `problem` is a `Problem`; or a simulator, with its `inputs` after it, and {objective}`scenarios`
-    and `constraints` by name.
+    `problem` is a `Problem`, or a simulator followed by its `inputs`, with {objective}`scenarios`
+    and `constraints` as keywords.
     """
 
 
@@ -100,13 +100,12 @@ def problem_of(
     seed: int = 0,
     needs: bool = True,
 ) -> Problem:
-    """The problem that a caller means: the one given, or that of a simulator with all that belongs
-    to it.
+    """The problem that a caller means: the one passed, or that of a simulator with its inputs.
 
-    **Arguments:** `sources`: where no scenarios are given; `needs`: an objective.
+    **Arguments:** `sources`: used without `scenarios`; `needs`: whether an objective is needed.
 
-    **Raises:** `ValueError` where a `Problem` has any of it as well, for what is neither, and for
-    sizes, scenarios or constraints that are none.
+    **Raises:** `ValueError` where a `Problem` comes with one of these too, where the first argument
+    is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
     """
     if isinstance(problem, type):
         name = problem.__name__
@@ -157,22 +156,21 @@ def _only_output(verb: str, names: list[str]) -> str:
     """The only output, when there is but one, and nothing shows that it should be small."""
     if len(names) != 1:
         raise ValueError(
-            f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "
+            f"{verb}: the simulator has the outputs {sorted(names)}; name the one to make as "
             'large as possible, such as objective="profit" or -Mean("cost").'
         )
     text = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
     if SMALL & set(text):
         name = f'"{names[0]}"'
         raise ValueError(
-            f"{verb}: the only output is {names[0]!r}, and an objective is made as large as "
-            f"possible; write objective=-snapo.Mean({name}) to make it small, or "
-            f"objective={name} to make it large."
+            f"{verb}: the only output is {names[0]!r}, and objectives are maximised; write "
+            f"objective=-snapo.Mean({name}) to make it small, or objective={name} to make it large."
         )
     return names[0]
 
 
 def _sizes(verb: str, simulator: Simulator) -> None:
-    """Refuses a horizon and numbers of normals that are no such numbers."""
+    """Refuses an invalid horizon and invalid numbers of normals."""
     for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         count(
             f"{verb}: {type(simulator).__name__}: {name}", getattr(simulator, name, None), minimum

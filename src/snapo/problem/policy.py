@@ -1,8 +1,8 @@
 """Policies: from an observation to an action. Networks and residuals.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
-simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that plug in
-where the network goes.
+simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that replace
+the network.
 
 A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
 the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.
@@ -28,7 +28,7 @@ from .smooth import EXACT, Exact, Smooth
 
 
 class Policy(eqx.Module):
-    """One decision rule. Actions must lie in the simulator's fixed action set."""
+    """One decision rule. Actions must be in the simulator's fixed action set."""
 
     @abc.abstractmethod
     def __call__(
@@ -41,16 +41,16 @@ class Policy(eqx.Module):
         """
 
     def for_problem(self, interface: Interface, key) -> "Policy":
-        """The policy for this set of actions and number of features: itself, unless it is a recipe.
+        """The policy for this action set and number of features: itself, unless it is a recipe.
 
         `interface` is `simulator.interface(schedule)`; initial weights are drawn with `key`.
         """
         return self
 
     def save(self, file: Path | str) -> None:
-        """Writes the policy to one .npz file that describes itself, for `snapo.load_policy`.
+        """Writes the policy to a self-describing .npz file, for `snapo.load_policy`.
 
-        **Raises:** `PolicyFileError`, a `ValueError`, for a class of your own: a file has no code.
+        **Raises:** `PolicyFileError`, a `ValueError`, for a user-defined class: a file has no code.
         """
         save(self, file, features(self))
 
@@ -102,8 +102,8 @@ def _weights(key, shapes) -> list[Array]:
 class MLP(Policy):
     """A network whose outputs are squashed into the action set (see `Box`, `Choice`, …).
 
-    `MLP(action, features, key=key)` is made at once. `MLP(hidden=(64, 64))` is a recipe: `solve`
-    makes it for the simulator's actions and features. `hidden` by default: see `widths`.
+    `MLP(action, features, key=key)` is a network. `MLP(hidden=(64, 64))` is a recipe: `solve`
+    creates the network for the simulator's actions and features. Default of `hidden`: see `widths`.
     """
 
     network: Network | None
@@ -159,9 +159,9 @@ def widths(action: Actions) -> tuple[int, int]:
 class Residual(Policy):
     """A base rule plus `scale` times a network, kept inside the action set.
 
-    For a `Box` the sum is clipped (rounded while training), for a `Simplex` the network moves
-    the logarithms of the base's shares. The base is not trained. Without action set, features and
-    key it is a recipe, as `MLP` is; its base may be one too. `hidden` by default: see `widths`.
+    For a `Box` the sum is clipped (smoothly in training), for a `Simplex` the network shifts the
+    logarithms of the base's shares. The base is not trained. Without action set, features and key
+    it is a recipe, like `MLP`; its base may be one too. Default of `hidden`: see `widths`.
     """
 
     base: Frozen
@@ -211,7 +211,7 @@ class Residual(Policy):
 
 
 def without_memory(policy: Policy, where: str) -> None:
-    """Refuses a policy with memory (see `memory.py`) inside one that has no place for it."""
+    """Refuses a policy with memory (see `memory.py`) inside one that does not support it."""
     if hasattr(policy, "decide"):
         raise ValueError(f"{where}: {type(policy).__name__} has a memory, which must be outermost.")
 
@@ -223,8 +223,8 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
         return None
     if not all(values):
         raise ValueError(
-            f"{type(policy).__name__}: give the action set, the number of features and a key "
-            "together, or none of them: then solve finds them."
+            f"{type(policy).__name__}: specify the action set, the number of features and a key "
+            "together, or none of them: then solve adds them."
         )
     assert policy.hidden is not None
     return Network((features, *policy.hidden, action.size), key=key, activation=policy.activation)
@@ -267,10 +267,10 @@ def parameters(policy: Policy) -> np.ndarray:
 
 
 def load_policy(file: Path | str) -> Policy:
-    """The policy that `policy.save(file)` wrote; its shape need not be known, nothing is executed.
+    """The policy saved by `policy.save(file)`; its shape need not be known, nothing is executed.
 
-    **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
-    weights whose sizes do not fit each other.
+    **Raises:** `PolicyFileError` if the file is missing or damaged, contains something else, or
+    weights of inconsistent sizes.
     """
     return load(file, Policy)
 

@@ -1,4 +1,4 @@
-"""A problem: all that `solve` needs to know, in one object that everything above takes."""
+"""A problem: all arguments of `solve` in one object, used by all packages above."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,7 +31,7 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
 
 
 def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
-    """The versions of all of a simulator's code; one of its own where it cannot be run."""
+    """The versions of all of a simulator's code; a unique one where it cannot be run."""
     try:
         schedule = prepare(simulator, inputs)
         versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)
@@ -77,16 +77,16 @@ KEPT = ("schedule", "interface", "lost", "partly_observed")  # scenarios do not 
 class Problem:
     """A simulator with its inputs, the objective to maximise, and the scenarios.
 
-    The schedule is prepared once, when it is first asked for, in float64 NumPy.
+    The schedule is prepared once, on first use, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
     - `objective`: of the path totals; maximised. The name of an output means its
       mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
       where nothing is random (see `EqualPaths`).
-    - `constraints`: kept on average or with a probability: `[Mean("unserved") <= 0.05]`.
+    - `constraints`: limits on averages or probabilities: `[Mean("unserved") <= 0.05]`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
-      (a guide, a hedge, scales of features) computed again; None where nothing was.
+      (a guide, a hedge, scales of features) recomputed; None if there is nothing of that kind.
     """
 
     simulator: Simulator
@@ -110,15 +110,15 @@ class Problem:
 
     @property
     def interface(self) -> Interface:
-        """All that a policy has to fit."""
+        """The properties to which a policy is fitted."""
         schedule, version = self.schedule, self.version
         with read_context(version):
             return self._kept("interface", version, lambda: self.simulator.interface(schedule))
 
     @property
     def form(self) -> Hashable:
-        """All that code compiled for its paths depends on: problems of one form share that code,
-        whatever their numbers, labels and units."""
+        """All on which the compiled code for its paths depends: problems of the same form share
+        that code; numbers, labels and units may differ."""
         return form_of((self.simulator, inputs_.unnamed(self.inputs)))
 
     @property
@@ -142,8 +142,8 @@ class Problem:
     def partly_observed(self) -> tuple[str, ...]:
         """The names of state numbers that matter and that are not observed.
 
-        Empty where the observation is all that a decision needs, as far as paths show
-        (`problem.unseen`). It compiles a step where the observation is not complete.
+        Empty if the observation has all information for decisions, as far as tests on paths show
+        (`problem.unseen`). It compiles a step if the observation is incomplete.
         """
         if self.simulator.fully_observed:
             return ()
@@ -166,8 +166,7 @@ class Problem:
         return f"<p>{about}</p><table><tr>{head}</tr>{''.join(rows)}</table>"
 
     def priced(self, prices: Sequence[float]) -> "Problem":
-        """The problem whose objective pays for its limits; the schedule is prepared no second
-        time."""
+        """The problem whose objective includes prices for its limits; the schedule is reused."""
         if not self.constraints:
             return self
         within = priced(self.objective, self.constraints, prices)
@@ -175,14 +174,14 @@ class Problem:
         return other.prepared(self.schedule)
 
     def prepared(self, schedule: Schedule) -> "Problem":
-        """The same problem with the schedule that its simulator would prepare, known already."""
+        """The same problem with a known schedule, that which its simulator would prepare."""
         other = replace(self)
         version = of_preparation(self.simulator, self.inputs)
         other.__dict__["schedule"] = version, schedule
         return other
 
     def on(self, sources: Sources) -> "Problem":
-        """The same problem on other scenarios, with all that is known of it already."""
+        """The same problem on other scenarios; results known so far are reused."""
         other = replace(self, sources=sources)
         other.__dict__.update({name: self.__dict__[name] for name in KEPT if name in self.__dict__})
         return other
@@ -194,7 +193,7 @@ class Problem:
 
     @property
     def action(self) -> Actions:
-        """The set in which every decision lies."""
+        """The action set."""
         return self.simulator.action
 
     @property
@@ -204,13 +203,13 @@ class Problem:
 
     @property
     def in_mean(self) -> tuple[str, ...]:
-        """The inputs whose derivative is right only in the mean of many paths."""
+        """The inputs whose derivative is correct only in the mean of many paths."""
         return in_mean(self.simulator, self.inputs)
 
     @property
     def lost(self) -> tuple[str, ...]:
-        """The inputs that a user's code rounds or compares on their only way to the outputs: their
-        derivative is 0 on every path, and that of the value is not known."""
+        """The inputs that affect the outputs only through rounding or comparisons in a user's code:
+        their derivative is 0 on every path, and that of the value is unknown."""
         version = of_preparation(self.simulator, self.inputs), self.version
         if version == (None, None):
             return ()
@@ -218,9 +217,9 @@ class Problem:
         return tuple(name for name in names if name not in self.in_mean)
 
     def at(self, values: dict[str, Any]) -> "Problem":
-        """The same problem where the inputs named have other values.
+        """The same problem with other values of the named inputs.
 
-        **Raises:** `KeyError` for a name that is no input's.
+        **Raises:** `KeyError` for a name that is not an input.
         """
         if unknown := set(values) - set(self.inputs_by_name):
             raise KeyError(
@@ -231,10 +230,10 @@ class Problem:
         )
 
     def at_values(self, values: dict[str, Any]) -> "Problem":
-        """The problem at other values of the inputs named, with all that was computed from them
-        computed again; the policy of a solution can be valued there unchanged.
+        """The problem at other values of the inputs named, with everything that was computed from
+        them recomputed; the policy of a solution can be valued there unchanged.
 
-        **Raises:** `KeyError` for a name that is no input's.
+        **Raises:** `KeyError` for a name that is not an input.
         """
         other = self.at(values)
         return other if self.rebuild is None else self.rebuild(other)
@@ -253,8 +252,8 @@ class Problem:
 
 
 def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
-    """The inputs whose derivative is right only in the mean of many paths: those that the
-    simulator names, and the parameters of every noise whose draws are separate values."""
+    """The inputs whose derivative is correct only in the mean of many paths: those named by the
+    simulator, and the parameters of noises with discrete draws."""
     values = {*simulator.in_mean(), *noise.in_mean(inputs)}
     return tuple(entry.name for entry in inputs_.named_inputs(inputs) if entry.name in values)
 

@@ -1,6 +1,6 @@
 """Exogenous dynamics: prices, weather, demand, which no decision of a simulator moves.
 
-A `Process` describes ONE path in plain `jax.numpy`, like a simulator, and decides nothing. A
+A `Process` describes ONE path in plain `jax.numpy`, like a simulator, but without decisions. A
 simulator holds one, so that the same price serves a gas store, a battery and a swing contract:
 
     prepare:  prices = self.price.prepare(inputs.price)          # constants and per-step arrays
@@ -24,7 +24,7 @@ from .simulator import Schedule, State
 
 
 class Process(eqx.Module):
-    """One path of something that no decision moves. Subclass it and fill in every method.
+    """One path of an exogenous process. Subclass it and implement every method.
 
     **Attributes:**
 
@@ -54,11 +54,11 @@ class Process(eqx.Module):
 
     @abc.abstractmethod
     def level(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
-        """The quantity that decisions meet at this step: the spot price, in its unit."""
+        """The quantity on which decisions depend at this step: the spot price, in its unit."""
 
     @abc.abstractmethod
     def forward(self, constants: PyTree, now: PyTree) -> Float[Array, "..."]:
-        """The level of this step expected today; exact for a `martingale`."""
+        """The expectation of this step's level today; exact for a `martingale`."""
 
     @abc.abstractmethod
     def observe(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, " features"]:
@@ -70,13 +70,13 @@ class Process(eqx.Module):
 
     def weight(self, state: State) -> Float[Array, ""]:
         """The likelihood ratio of the path so far: the number 1, with the derivative of the log
-        probability of those draws that have none of their own, such as regimes. A simulator
-        multiplies every output by it."""
+        probability of draws without a pathwise derivative, such as regimes. A simulator multiplies
+        every output by it."""
         return jnp.ones(())
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of the inputs that set the probabilities of such draws: their derivative is right
-        only in the mean of many paths."""
+        """Names of the inputs of the probabilities of such draws: their derivative is correct only
+        in the mean of many paths."""
         return ()
 
     def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
@@ -100,7 +100,7 @@ class Factors(NamedTuple):
 
 
 class FactorConstants(NamedTuple):
-    """`first_shock` [F, F] leads to the first time, `size` [F] is a factor's typical size."""
+    """`first_shock` [F, F]: shock up to the first time; `size` [F]: typical size of a factor."""
 
     first_shock: Float[Array, "F F"]
     size: Float[Array, " F"]
@@ -117,10 +117,10 @@ class FactorStep(NamedTuple):
 
 
 class Gaps(eqx.Module):
-    """The different intervals between times, the first of which begins today.
+    """The distinct intervals between successive times, the first of which begins today.
 
-    - `length` [n]: of each; `none`: whether it is 0.
-    - `which` [T]: the interval that leads to each time.
+    - `length` [n] of each interval; `none`: whether it is 0.
+    - `which` [T]: index of the interval that ends at each time.
     """
 
     length: Float[np.ndarray, " n"]
@@ -136,7 +136,7 @@ class Gaps(eqx.Module):
         return cls(length, which, tuple(item <= 0 for item in length.tolist()))
 
     def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
-        """Of each, the lower Cholesky factor of the covariance that it adds; 0 where it is none."""
+        """The lower Cholesky factor of the covariance added by each; 0 for an empty one."""
         return [
             jnp.zeros_like(pair) if none else jnp.linalg.cholesky(correlation * integral(pair, gap))
             for none, gap in zip(self.none, jnp.asarray(self.length))
@@ -167,7 +167,7 @@ class FactorPrice(Process):
 
     @property
     def gaps(self) -> "Gaps":
-        """The intervals between the times; a subclass whose times are arguments keeps its own."""
+        """The intervals between the times; a subclass with times as arguments stores them."""
         return Gaps.of(self.times)
 
     @property

@@ -4,9 +4,15 @@ Path p is therefore the same whatever the number of paths, chunks, devices or wi
 nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
 threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian bridge, and
 `Supplied` holds numbers of one's own.
+
+Steps are counted in a calendar that simulators share: one whose `first_step` is 30 draws for its
+step t the noise of the calendar's step 30 + t, and path p is the same world in all of them. Where
+the state at the start is no function of the noise of the steps before, a simulator counts from its
+own start. `Scenarios.world` is equal for those that share their paths.
 """
 
 import abc
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 
 import jax
@@ -26,31 +32,35 @@ SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and K
 
 @dataclass(frozen=True)
 class Scenarios(abc.ABC):
-    """A source of noise. `draws` gives that of chosen paths, `groups` the independent units."""
+    """A source of noise. `draws` returns that of selected paths, `groups` the independent units."""
 
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
         """The noise of the paths with these numbers."""
 
     def batch(self, step: int, paths: int, simulator: Simulator) -> Draws:
-        """The noise of one training step: other paths at every step, the same ones every run."""
+        """The noise of one training step: other paths at every step, the same in every run."""
         raise ValueError(f"{type(self).__name__}: these scenarios are for evaluation only.")
 
     def available(self, requested: int) -> int:
-        """How many paths there are when so many are wanted."""
+        """The number of available paths when `paths` are requested."""
         return requested
 
     def describe(self, paths: int) -> str:
-        """Which paths they are, when so many are wanted: "512 pseudo-random paths"."""
+        """A description of the paths when `paths` are requested: "512 pseudo-random paths"."""
         return f"{self.available(paths):,} paths of {type(self).__name__}"
 
     def batch_words(self, paths: int) -> str:
         """The same for one training step."""
         return self.describe(paths)
 
+    def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
+        """Path p is the same world in all simulators for which this is equal."""
+        return (repr(self), simulator.noise_size, _counted_from(simulator))
+
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:
-        """The smallest independent unit that each path belongs to (a pair, a scramble, itself)."""
+        """The smallest independent unit to which each path belongs (a pair, a scramble, itself)."""
 
     def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
         """Path numbers 0 … paths - 1 in `count` independent blocks of nearly equal size."""
@@ -73,7 +83,7 @@ class Pseudo(Scenarios):
         return fresh.draws(np.arange(fresh.available(paths)), simulator)
 
     def available(self, requested: int) -> int:
-        """As many as are wanted; of an odd number the last pair is completed."""
+        """As many as requested; for an odd number the last pair is completed."""
         return requested + requested % 2 if self.antithetic else requested
 
     def describe(self, paths: int) -> str:
@@ -81,9 +91,15 @@ class Pseudo(Scenarios):
         return f"{self.available(paths):,} pseudo-random paths{pairs}"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
+        start = _start(simulator)
+        return self.counter(paths, start, simulator.initial_steps if start else 0)
+
+    def counter(self, paths: np.ndarray, first: int = 0, before: int = 0) -> Counter:
+        """The noise of a simulator that begins on step `first` of the calendar; see `Counter`."""
         uses = STEP_STREAM, INITIAL_STREAM
         keys = np.stack([_key(self.seed, self.stream, use) for use in uses])
-        return Counter(keys, np.asarray(paths, np.uint32), self.antithetic)  # pyright: ignore
+        numbers = np.asarray(paths, np.uint32), np.asarray(first, np.uint32)
+        return Counter(keys, *numbers, self.antithetic, before)  # pyright: ignore
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths // 2 if self.antithetic else paths
@@ -106,7 +122,8 @@ class Sobol(Scenarios):
 
     Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
     scrambles. The bridge is built per component over equal steps: its leading coefficients take
-    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random.
+    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random. It
+    spans the calendar up to the simulator's last step, so that paths depend on that.
     """
 
     seed: int = 0
@@ -116,15 +133,27 @@ class Sobol(Scenarios):
         return f"{paths:,} Sobol points in {self.scrambles} scrambles"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
-        horizon, size = simulator.horizon, simulator.noise_size
-        width = simulator.initial_noise_size + horizon * size
+        start, size = _start(simulator), simulator.noise_size
+        horizon, separate = start + simulator.horizon, self._separate(simulator)
+        width = separate + horizon * size
         z = np.empty((len(paths), width))
         for scramble in np.unique(paths % self.scrambles):
             rows = paths % self.scrambles == scramble
             z[rows] = self._points(int(scramble), paths[rows] // self.scrambles, width)
-        initial = z[:, : simulator.initial_noise_size]
-        levels = z[:, simulator.initial_noise_size :].reshape(len(paths), horizon, size)
-        return Stored(initial, bridge(levels).transpose(1, 0, 2))  # pyright: ignore
+        noise = bridge(z[:, separate:].reshape(len(paths), horizon, size))
+        initial = z[:, :separate]
+        if start:
+            initial = np.zeros((len(paths), simulator.initial_noise_size))
+            initial[:, : start * size] = noise[:, :start].reshape(len(paths), start * size)
+        return Stored(initial, noise[:, start:].transpose(1, 0, 2))  # pyright: ignore
+
+    def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
+        last = simulator.first_step + simulator.horizon
+        return *super().world(simulator), last, self._separate(simulator)
+
+    def _separate(self, simulator: Simulator) -> int:
+        """How many normals of the start are none of a step's; they take the first dimensions."""
+        return 0 if _start(simulator) else simulator.initial_noise_size
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths % self.scrambles
@@ -148,19 +177,18 @@ class Sobol(Scenarios):
         z = special.ndtri(drawn + 2.0**-31)
         if width == z.shape[1]:
             return z
-        rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble)
-        counter = rest.draws(points, simulator=None)  # pyright: ignore[reportArgumentType]
-        return np.concatenate([z, _stored(counter, width - z.shape[1])], axis=1)
+        rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble).counter(points)
+        return np.concatenate([z, _stored(rest, width - z.shape[1])], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
-    """Scenarios of one's own instead of normals.
+    """User-supplied scenarios instead of normals.
 
-    - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are taken to be
-      independent.
+    - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are assumed to
+      be independent.
     - `seed`: of the choice of paths at every training step.
-    - `first`: the number of the first path here among those that were supplied.
+    - `first`: the index of the first path of this part among the supplied ones.
     """
 
     step_noise: np.ndarray
@@ -211,15 +239,19 @@ class Supplied(Scenarios):
             initial = np.zeros((available, simulator.initial_noise_size))
         return Stored(initial[paths], self.step_noise[:, paths])  # pyright: ignore
 
+    def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
+        # Who supplies as many rows for two simulators means the same worlds by them.
+        return self._where(), simulator.noise_size
+
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths
 
 
 @dataclass(frozen=True)
 class EqualPaths(Scenarios):
-    """Those of a problem in which nothing is random: every path is the same.
+    """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are taken, since a single one has no standard error: theirs is zero.
+    At least two are used, since a single one has no standard error: theirs is zero.
     """
 
     inner: Scenarios
@@ -232,6 +264,9 @@ class EqualPaths(Scenarios):
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
         return self.inner.draws(paths, simulator)
+
+    def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
+        return self.inner.world(simulator)
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths
@@ -247,9 +282,9 @@ def stream(use: int, number: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Sources:
-    """One source of scenarios for each role: none is used for another.
+    """One source of scenarios for each role, used for no other.
 
-    - `training`: gives other paths at every step.
+    - `training`: returns different paths at every step.
     - `validation`: the paths on which policies are compared while training, always the same.
     - `evaluation`: the paths on which the value and its sensitivities are measured.
     """
@@ -260,7 +295,7 @@ class Sources:
 
     @classmethod
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
-        """The sources that a caller means: fresh normals of `seed` by default.
+        """The sources for an argument of a caller: by default fresh normals of `seed`.
 
         Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
@@ -274,7 +309,7 @@ class Sources:
         return cls(training, validation, values or evaluation)
 
     def of_equal_paths(self, equal: bool) -> "Sources":
-        """The same where paths differ; where all are equal, few for validation and evaluation."""
+        """The same if paths differ; if all are equal, few paths for validation and evaluation."""
         values = self.validation, self.evaluation
         local = [item.inner if isinstance(item, EqualPaths) else item for item in values]
         few = [EqualPaths(entry) for entry in local] if equal else local
@@ -291,7 +326,7 @@ class Sources:
     def roles(
         self, training: int, validation: int, evaluation: int, sensitivities: int
     ) -> dict[str, str]:
-        """{role: which paths it has} for these numbers of paths, as text."""
+        """{role: description of its paths} for these numbers of paths."""
         return {
             "training": f"{self.training.batch_words(training)}; other ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",
@@ -311,6 +346,17 @@ class Sources:
         first, second = supplied.size * 3 // 5, supplied.size * 4 // 5
         edges = ((0, first), (first, second), (second, supplied.size))
         return cls(*(supplied.part(*edge) for edge in edges))
+
+
+def _counted_from(simulator: Simulator) -> int:
+    """The step of the calendar from which a simulator counts its noise: 0, or that of its own start
+    where its initial state is no function of the noise before."""
+    return simulator.first_step if simulator.first_step > simulator.initial_steps else 0
+
+
+def _start(simulator: Simulator) -> int:
+    """The number of the simulator's first step, as it counts."""
+    return simulator.first_step - _counted_from(simulator)
 
 
 def _key(seed: int, stream: int, use: int) -> np.ndarray:

@@ -24,14 +24,14 @@ Total = Literal["sum", "max", "last"]
 
 
 class Schedule(eqx.Module):
-    """The numbers that all paths share, made once per call by `Simulator.prepare`.
+    """The numbers that all paths share, computed once per call by `Simulator.prepare`.
 
     **Arguments:**
 
-    - `constants`: any tree of arrays that holds for the whole horizon.
+    - `constants`: any tree of arrays that is valid for the whole horizon.
     - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
 
-    Either may be left out where there is none.
+    Both are optional.
     """
 
     constants: PyTree = eqx.field(default_factory=dict)
@@ -39,10 +39,10 @@ class Schedule(eqx.Module):
 
 
 class Interface(NamedTuple):
-    """All that a policy has to fit.
+    """The properties to which a policy is fitted.
 
-    - `action`: the set in which its actions lie; `features`: the length of its observation.
-    - `stages`: of a `Chain`, the same for every stage by itself.
+    - `action`: the set of its actions; `features`: the length of its observation.
+    - `stages`: for a `Chain`, the same for every stage.
     """
 
     action: Actions
@@ -59,6 +59,10 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
+    - `first_step`: the number of its first step in the calendar by which scenarios count, 0 by
+      default. `initial_steps`: the noise that `initial` receives is that of the calendar's first so
+      many steps, one after another, of which it uses those before `first_step`. Where they are
+      fewer, it is drawn by itself, and steps are counted from the simulator's own start.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
     """
@@ -67,6 +71,8 @@ class Simulator(eqx.Module):
     action: eqx.AbstractVar[Actions]
     noise_size: eqx.AbstractVar[int]
     initial_noise_size: ClassVar[int] = 0
+    first_step: ClassVar[int] = 0
+    initial_steps: ClassVar[int] = 0
     fully_observed: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any):
@@ -79,15 +85,15 @@ class Simulator(eqx.Module):
         """Turns inputs into the schedule. `inputs` holds plain arrays instead of every `Input`."""
 
     def prepared_apart(self) -> tuple["Simulator", Callable[[Schedule], Schedule]]:
-        """A simulator that prepares a part of the schedule, and what adds the rest to it.
+        """A simulator that prepares a part of the schedule, and a function that adds the rest.
 
-        The rest are arrays of this simulator that `prepare` hands on unchanged, such as a fitted
-        guide: the compiled `prepare` of the part serves before the guide is fitted, and after.
+        The rest are arrays of this simulator that `prepare` passes on unchanged, such as a fitted
+        guide: the compiled `prepare` of the part serves both before and after the guide is fitted.
         """
         return self, lambda schedule: schedule
 
     def on_paths(self) -> "Simulator":
-        """This simulator as the engines roll it: without the arrays that only `prepare` reads."""
+        """This simulator as used by the engines: without the arrays that only `prepare` reads."""
         return self
 
     @abc.abstractmethod
@@ -111,7 +117,7 @@ class Simulator(eqx.Module):
         return {}
 
     def totals(self) -> Mapping[str, Total]:
-        """How an output's path total is made, by name: "sum" (where not named), "max" or "last"."""
+        """How outputs are totalled over a path, by name: "sum" (the default), "max" or "last"."""
         return {}
 
     def control_variates(self) -> tuple[str, ...]:
@@ -119,9 +125,9 @@ class Simulator(eqx.Module):
         return ()
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of inputs whose derivative on one path is no difference of that path: parameters of
-        draws in whole units, say, right in the mean of many. A certificate takes the mean's.
-        Parameters of `snapo.noise` are known without."""
+        """Names of inputs whose derivative is not that of a single path, but correct in the mean of
+        many, such as parameters of draws in whole units. A certificate compares the mean.
+        Parameters of `snapo.noise` need not be named."""
         return ()
 
     def state_scale(self, constants: PyTree) -> State | None:
@@ -133,12 +139,12 @@ class Simulator(eqx.Module):
         return {}
 
     def interface(self, schedule: Schedule) -> Interface:
-        """The set of actions and the number of features, for policies that are still to be made."""
+        """The action set and the number of features, from which policies are created."""
         return Interface(self.action, probe(self, schedule)[1].shape[0])
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` that reports what is missing where it sets what is no field."""
+    """An `__init__` whose error explains the fix when it sets an attribute that is not a field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:
@@ -149,17 +155,16 @@ def _explained(init: Callable[..., None]) -> Callable[..., None]:
             if not name or name in {field.name for field in fields(self)}:
                 raise
             raise TypeError(
-                f"{type(self).__name__}: __init__ sets {name!r}, which is no field. Declare it in "
-                f"the class, with its type: `{name}: float`; a field has no value of its own "
-                "where __init__ sets it."
+                f"{type(self).__name__}: __init__ sets {name!r}, which is not a field. Declare it "
+                f"in the class, with its type, `{name}: float`, and without a default, since "
+                "__init__ sets it."
             ) from error
 
     return explained
 
 
 class Around(Simulator):
-    """A simulator around another one, for the engines: every member is that of `own`, but for those
-    that a subclass replaces."""
+    """A wrapper of a simulator for the engines: members are those of `own`, unless replaced."""
 
     inner: Simulator
 
@@ -178,6 +183,14 @@ class Around(Simulator):
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.inner.initial_noise_size
+
+    @property
+    def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.first_step
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.initial_steps
 
     def prepare(self, inputs):
         return self.inner.prepare(inputs)

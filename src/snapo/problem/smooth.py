@@ -72,10 +72,10 @@ class Constraints(eqx.Module):
         return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: within, off by at most 3 w / 16.
+        """x within [low, high], low <= high. Smooth: within, with an error of at most 3 w / 16.
 
         Between limits that are closer than w the corners are rounded over high - low: two wider
-        ones would overlap and lead out of the limits.
+        ones would overlap and leave the limits.
         """
         return self.minimum(self.maximum(x, low, scale), high, scale)
 
@@ -101,8 +101,8 @@ class Constraints(eqx.Module):
         **Arguments:**
 
         - `groups`: disjoint `(members, low, high)`: the members' sum lies within [low, high].
-          Group sums are found first, by the same formula on the groups' mean logits, then
-          shares within each group; an asset in no group is a group of its own.
+          Group sums are computed first, by the same formula on the groups' mean logits, then
+          shares within each group; an asset without a group forms one.
         - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
         """
         n = logits.shape[0]
@@ -130,7 +130,7 @@ class Constraints(eqx.Module):
 
 
 class Smooth(Constraints):
-    """Constraints rounded at `temperature` (an array; zero gives the exact ones).
+    """Constraints smoothed at `temperature` (an array; zero gives the exact ones).
 
     >>> round(float(snapo.Smooth(0.1).minimum(1.0, 1.0, scale=2.0)), 6)  # below by 3/16 of 0.2
     0.9625
@@ -184,7 +184,7 @@ class Smooth(Constraints):
 
 
 class Exact(Constraints):
-    """The constraints as the contract writes them.
+    """The exact constraints, as in the contract.
 
     >>> float(snapo.Exact().clip(7.5, 0.0, 5.0))
     5.0

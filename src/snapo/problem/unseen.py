@@ -1,17 +1,16 @@
-"""Numbers of the state that matter and that are not observed: partial observation.
+"""Partial observation: numbers of the state that matter but are not observed.
 
-Paths are rolled with drawn decisions, the same on all of them up to the state that is looked at.
+Paths are simulated with random decisions, which are the same on all paths up to the tested state.
 A number of the state is named if
 
-- noise moves it, decisions held, and so that the observation stays the same to first order: it
-  then differs between paths that look the same. Numbers that follow from those seen, and from time,
-  do not;
-- what is paid later depends on it, by an amount, and by a factor, that depends on the decisions.
-  Of a number that only adds up what was paid the amount is the same for all decisions, and of
-  wealth that is invested in shares the factor: no decision would be another if it were seen.
+- with decisions held, noise can move it while the observation stays the same to first order: it
+  then differs between paths that look the same. Functions of observations and time do not;
+- later payments depend on it, by an amount, and by a factor, that depends on the decisions. For a
+  number that only accumulates payments the amount is the same for all decisions, and for wealth
+  that is invested in shares the factor is: observing it would change no decision.
 
-A number in steps, such as the state of a chain, has no derivative: it is named if the observation
-does not read it, and paths that look most similar differ in it.
+A discrete number, such as the state of a chain, has no derivative: it is named if the observation
+does not read it and it differs between the paths with the most similar observations.
 """
 
 from collections.abc import Iterator
@@ -36,8 +35,8 @@ PATHS, LOCAL, BEFORE = (
 MOVED, SEEN = 1e-9, 1e-6  # relative: a direction that is moved; one that is seen
 LARGE = 0.2  # share of a number in a direction, all being in units of their deviation
 ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is determined
-MATTERS = 0.02  # of what another state moves
-MAXIMUM = 12  # numbers whose effect is tried
+MATTERS = 0.02  # of the effect of exchanging the whole state
+MAXIMUM = 12  # numbers whose effect is tested
 
 
 def partly_observed(problem: Any) -> tuple[str, ...]:
@@ -56,7 +55,7 @@ def partly_observed(problem: Any) -> tuple[str, ...]:
 
 
 def note(names: tuple[str, ...], remembers: bool = False) -> str:
-    """What partial observation means for a reader of derivatives; empty where there is none."""
+    """A note on the effect of partial observation on derivatives; empty if there is none."""
     if not names:
         return ""
     memory = (
@@ -65,7 +64,7 @@ def note(names: tuple[str, ...], remembers: bool = False) -> str:
         else (" A policy with a memory, snapo.GRU() or snapo.LastObservations(…), may do better.")
     )
     return (
-        f"The observation does not tell all of the state that matters: {', '.join(names)}. "
+        f"The observation does not contain all of the state that matters: {', '.join(names)}. "
         "Derivatives with decisions held are then wrong in principle: take those through the "
         f"policy (smooth).{memory}"
     )
@@ -105,7 +104,7 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     simulator, T = problem.simulator, problem.simulator.horizon
     t = max(1, min(BEFORE, T // 2))
     early, noise, actions = first["early"], first["noise"], first["actions"]
-    same = np.broadcast_to(actions[0, :t, :1], actions[0, :t].shape)  # what differs is noise
+    same = np.broadcast_to(actions[0, :t, :1], actions[0, :t].shape)  # only noise differs
     states, moves = _reached(simulator, problem.schedule, early, noise[:t], same)
     _, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
     numbers = _flat(states)
@@ -133,11 +132,11 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
 
 
 def _matters(one, two, first, second, all_one, all_two) -> bool:
-    """Whether another value of a number moves what is paid by more than the same amount, and by
-    more than the same factor above 0, under two sequences of decisions.
+    """Whether exchanging a number changes payments by more than the same amount, and by more than
+    the same factor above 0, under two sequences of decisions.
 
-    `one`, `two` [N]: what is paid under either; `moved_…`: with another number, `all_…`: with
-    another state. Less than a fiftieth of what another state moves is left aside.
+    `one`, `two` [N]: payments under either sequence; `first`, `second`: with the number exchanged,
+    `all_…`: with the whole state exchanged. Less than 2 % of that last effect is ignored.
     """
     minimum = MATTERS * max(_size(all_one - one), _size(all_two - two))
     added = _size((first - one) - (second - two)) <= minimum

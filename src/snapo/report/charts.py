@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from snapo.problem.scenarios import BLOCKS
 from snapo.solver.statistics import critical
 
 from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Standard errors to either side for 95 %, of a value and of a sensitivity from 32 blocks.
-INTERVAL, BLOCK_INTERVAL = critical(), critical(BLOCKS - 1)
+INTERVAL = critical()
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
     **Arguments:**
 
     - `half`: [n] half widths of 95 % intervals, or None.
-    - `moved`: [n] how far each value moved lately: a pale box around its end; or None.
+    - `moved`: [n] recent change of each value: a pale box around its end; or None.
     - `compare`: (name, [n]) drawn as a bold tick across the bar; or None.
     """
     position = np.arange(len(values))
@@ -178,7 +177,7 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
 def histogram(axes: "Axes", edges, counts, marks, unit: str) -> None:
     """Shares of paths in bins; `marks` [(text, position)] as lines, the first one bold.
 
-    A mark whose text would lie over an earlier one is left out; a text stays within the axes.
+    A mark whose text would overlap an earlier one is omitted; texts stay within the axes.
     """
     share = counts / max(counts.sum(), 1.0) * 100
     axes.stairs(share, edges, fill=True, color=LIGHT["main-soft"])

@@ -141,7 +141,7 @@ WIDTH = 720.0  # points; the page shows a chart 960 pixels wide, so 9 points are
 SANS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 
 STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",  # text stays text: searchable, selectable, in the reader's own font
+    "svg.fonttype": "none",  # text stays text: searchable, selectable, in the reader's font
     "svg.hashsalt": "snapo",
     "text.parse_math": False,  # a dollar sign is a currency
     "font.family": ["DejaVu Sans"],  # ships with matplotlib: the same measures everywhere
@@ -260,7 +260,7 @@ def _id(result: str, used: set[str], name: str) -> str:
 
 
 def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
-    """The legend in one line above the plot, at its right, where no data can lie under it.
+    """The legend in one line above the plot, at the right, where it covers no data.
 
     `order` names the entries that come first.
     """

@@ -56,8 +56,8 @@ def training_history(run: RunFiles, unit: str) -> Section:
     invalid = run.column("history", "bad_paths")
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
-        "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths left out because of a non-finite number: {number(count, 0)}."
+        "The selected policy is the one with the best exact value on the validation paths, not "
+        f"the last. Paths left out because of non-finite numbers: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
@@ -66,14 +66,13 @@ def notes(run: RunFiles) -> list[Text]:
     """Sentences that a reader of the value must know: paths left out, ruin, unused controls."""
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
-        for item in run.result.get("notes") or ()
+        for item in run.result.notes
     ]
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
     """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
-    norm = finite(run.result.get("policy_gradient_norm"))
-    noise = finite(run.result.get("policy_gradient_noise"))
+    norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None:
         return []
     available = "" if noise is None else f"; noise of {number(noise)} is taken off"
@@ -88,7 +87,7 @@ def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried")
 def spent(run: RunFiles) -> dict[str, float]:
     """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
     of itself."""
-    available = run.get("seconds") or run.result.get("seconds") or {}
+    available = run.get("seconds") or run.result.seconds
     table = {name: item for name, item in available.items() if finite(item) is not None}
     page = table.pop("report", 0.0)
     return table | {"total": table["total"] - page} if "total" in table else table
@@ -105,11 +104,11 @@ def times(run: RunFiles) -> list[Facts]:
 
 def made_with(run: RunFiles) -> Table | Missing:
     """Engine, paths, seed and versions."""
-    engine = run.get("engine") or run.result.get("engine")
+    engine = run.get("engine") or run.result.engine
     name = engine.get("name") if isinstance(engine, dict) else engine
     reason = engine.get("reason") if isinstance(engine, dict) else None
-    paths = run.get("paths") or run.result.get("paths") or {}
-    seed = run.get("seed", run.result.get("seed"))
+    paths = run.get("paths") or run.result.paths
+    seed = run.get("seed", run.result.seed)
     rows = [("Engine", f"{name}: {reason}" if reason else name)] if name else []
     roles = run.get("solution.roles", {})
     rows += [(f"Paths of the {role}", text) for role, text in roles.items()]
@@ -158,9 +157,9 @@ def _adjoints(run: RunFiles) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
-        "it was last in doubt whether the whole horizon can be differentiated, or of the trained "
-        "policy where the case says how to go back: the parts of the state are root mean squares "
+        f"Norm of the adjoint before every step, on {PATHS} paths of training, when training last "
+        "had to decide whether the whole horizon can be differentiated, or for the trained policy "
+        "where the case sets clip, window or keep: the parts of the state are root mean squares "
         "over these paths. All are in adjoints.csv."
     )
     return [Chart(svg, caption), Text(_growth(run, leaves))]
@@ -172,13 +171,13 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     columns = (run.column("adjoints", name) for name in names)
     usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
     summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
-    window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
+    window, clip, keep = run.result.window, run.result.clip, run.result.keep
     if window is not None:
-        summary += f" Training went back through windows of {window} steps."
+        summary += f" Training used windows of {window} steps."
     if clip is not None:
-        summary += f" At its end training bounded each path's own adjoint at {number(clip)}."
+        summary += f" At its end training bounded each path's adjoint at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" A share of {number(keep)} of it went on at every step back."
+        summary += f" A share of {number(keep)} of it was passed on at every step."
     return summary
 
 
@@ -202,9 +201,9 @@ def _parts(run: RunFiles) -> Table:
     rows = [
         (
             readable(name),
-            verdict(state.get("state") == "done", "done", str(state.get("state"))),
-            str(state.get("note") or ""),
-            seconds(state.get("seconds")),
+            verdict(state.state == "done", "done", state.state),
+            state.note,
+            seconds(state.seconds),
         )
         for name, state in run.parts.items()
     ]
@@ -234,8 +233,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
     paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(result['rows'])} seeds. On {paths} paths that all of them "
-        f"share they earn {mean} {unit} on average, {worst} at worst and {best} at best"
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths they earn "
+        f"{mean} {unit} on average, {worst} at worst and {best} at best"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (

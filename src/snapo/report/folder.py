@@ -1,10 +1,11 @@
-"""The files of a run folder as a report reads them: whatever is missing is None."""
+"""The files of a run folder as read by a report: missing ones are None."""
 
 import csv
 import json
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from .checksums import changed_files
 from .quantity import array, finite, money, plus_minus
 
 RESULT = "result.json"
+NUMBERS = (
+    "value", "standard_error", "smoothing_gap", "policy_gradient_norm", "policy_gradient_noise",
+)  # fmt: skip
 PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in the `about` of a run
 SENSITIVITIES = (
     "input", "label", "unit", "source", "value", "low", "high", "sampling", "policy", "held",
@@ -27,7 +31,7 @@ class Sensitivity:
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `moved`, `moved_error`: how far the held one moved in the second half of training.
+      reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
       None where they were not asked for.
     """
 
@@ -49,22 +53,79 @@ class Sensitivity:
 
 
 @dataclass(frozen=True)
+class RunResult:
+    """The entries of result.json that every kind of run may have; one that is missing is empty.
+
+    - `value`, `standard_error`, `smoothing_gap`, `policy_gradient_norm`, `policy_gradient_noise`:
+      None also where they are non-finite.
+    - `references`: {name: value}; `limits`: the fields of a `LimitFound` each; `notes`: sentences.
+    - `window`, `clip`, `keep`: how training went back.
+    - `seconds`: by name; `engine`, `paths`, `seed`: how to get these numbers again.
+    """
+
+    value: float | None = None
+    standard_error: float | None = None
+    smoothing_gap: float | None = None
+    policy_gradient_norm: float | None = None
+    policy_gradient_noise: float | None = None
+    status: str = ""
+    verdict: str = ""
+    convergence: str = ""
+    notes: Sequence[str] = ()
+    references: Mapping[str, float | None] = field(default_factory=dict)
+    limits: Sequence[dict[str, Any]] = ()
+    window: int | None = None
+    clip: float | None = None
+    keep: float | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    engine: Any = None
+    paths: Mapping[str, int] = field(default_factory=dict)
+    seed: int | None = None
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> "RunResult":
+        """From the object of result.json."""
+        names = [x.name for x in fields(cls) if table.get(x.name) is not None]
+        entries: dict[str, Any] = {name: table[name] for name in names}
+        entries |= {name: finite(entries.get(name)) for name in NUMBERS}
+        return cls(**entries)
+
+    @classmethod
+    def read(cls, folder: Path) -> "RunResult":
+        """Of the run in `folder`; an empty one where there is none, or it is damaged."""
+        return cls.of(read_table(folder / RESULT) or {})
+
+
+class PartState(NamedTuple):
+    """How a part went: "done", "failed" or "skipped", and the reason where it was not done."""
+
+    state: str
+    note: str = ""
+    seconds: float = 0.0
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> "PartState":
+        """From the object of run.json."""
+        return cls(**{name: table[name] for name in cls._fields if name in table})
+
+
+@dataclass(frozen=True)
 class RunFiles:
-    """What a run folder holds; a domain's own class adds its units.
+    """The contents of a run folder; the class of a domain adds its units.
 
     **Attributes:**
 
     - `result`: result.json.
     - `details`: run.json's `about` and the tables of all parts that are done; read with `get` and
       `numbers`, since any key may be missing.
-    - `parts`: {name: {"state", "note", "seconds"}} of run.json.
+    - `parts`: by name, of run.json.
     - `sensitivities`: the lines of sensitivities.csv.
     - `profile`, `history`, `adjoints`: columns of these CSV files by name, as text.
     """
 
-    result: dict[str, Any]
+    result: RunResult
     details: dict[str, Any]
-    parts: dict[str, dict[str, Any]]
+    parts: dict[str, PartState]
     sensitivities: tuple[Sensitivity, ...]
     profile: dict[str, list[str]]
     history: dict[str, list[str]]
@@ -73,18 +134,19 @@ class RunFiles:
     @classmethod
     def read(cls, folder: Path):
         """Reads the run in `folder`; a file that is not there counts as empty."""
-        record = _object(folder / "run.json")
-        details, parts = dict(record.get("about", {})), dict(record.get("parts", {}))
+        record = read_table(folder / "run.json") or {}
+        details = dict(record.get("about", {}))
+        parts = {name: PartState.of(state) for name, state in record.get("parts", {}).items()}
         spoilt = _spoilt(folder, record)
         for name, files in spoilt.items():
             if name in parts:
                 note = (
                     f"{files[0]} was changed or damaged since it was written; solve with --resume"
                 )
-                parts[name] = {**parts[name], "state": "failed", "note": note}
+                parts[name] = parts[name]._replace(state="failed", note=note)
         invalid = {file for files in spoilt.values() for file in files}
         for file in sorted(folder.glob("parts/*.json")):
-            details |= {} if f"parts/{file.name}" in invalid else _object(file)
+            details |= {} if f"parts/{file.name}" in invalid else read_table(file) or {}
 
         def columns(name: str) -> dict[str, list[str]]:
             return {} if name in invalid else _columns(folder / name)
@@ -98,7 +160,7 @@ class RunFiles:
             if source
         )
         return cls(
-            {} if RESULT in invalid else _object(folder / RESULT),
+            RunResult() if RESULT in invalid else RunResult.read(folder),
             details,
             parts,
             sensitivities,
@@ -122,7 +184,7 @@ class RunFiles:
         return None if cells is None else array([_number(cell) for cell in cells])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was asked for, nor is there from an earlier run."""
+        """Whether none of these parts was requested, or exists from an earlier run."""
         missing = self.get(LEFT_OUT, [])
         return all(part in missing and part not in self.parts for part in parts)
 
@@ -132,7 +194,7 @@ class RunFiles:
 
     @property
     def unit(self) -> str:
-        """The unit of the value: its own, else the currency."""
+        """The unit of the value, or the currency."""
         return str(self.get("unit", self.currency))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
@@ -151,7 +213,7 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
 
 
 def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
-    """{part: its files that were changed}; result.json has an entry of its own."""
+    """{part: its files that were changed}; result.json has a separate entry."""
     states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
     if "result" in record:
         states[RESULT] = {RESULT: record["result"]}
@@ -159,13 +221,13 @@ def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
     return {name: files for name, files in table.items() if files}
 
 
-def _object(file: Path) -> dict[str, Any]:
-    """The object in a JSON file; an empty one where it is not there, or damaged."""
+def read_table(file: Path) -> dict[str, Any] | None:
+    """The object in a JSON file; None where it is not there or damaged."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
-        return {}
-    return data if isinstance(data, dict) else {}
+        return None
+    return data if isinstance(data, dict) else None
 
 
 def _columns(file: Path) -> dict[str, list[str]]:

@@ -21,8 +21,8 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
         return Missing(none)
     if state is None:
         return Missing(f"This run stopped before its part “{part}”.")
-    if state.get("note"):
-        return Missing(f"The part “{part}” {state.get('state', 'failed')}: {state['note']}.")
+    if state.note:
+        return Missing(f"The part “{part}” {state.state}: {state.note}.")
     return Missing(f"The part “{part}” has nothing to show.")
 
 
@@ -39,7 +39,7 @@ def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
 
 
 def not_asked(run: RunFiles) -> list[Text]:
-    """A sentence that names the parts that were not asked for; none where all were."""
+    """A sentence on the parts that were not requested; none if all were."""
     names = [item for item in run.get(LEFT_OUT, []) if run.left_out(item)]
     if not names:
         return []

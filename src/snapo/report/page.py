@@ -92,7 +92,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Headline:
-    """The number a reader came for, and the one sentence that goes with it."""
+    """The main number of the report, with one sentence on it."""
 
     kind: ClassVar[str] = "headline"
     label: str
@@ -155,7 +155,7 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """The page as HTML: styles, charts and scripts inside, nothing fetched, text escaped.
+    """The page as HTML: with embedded styles, charts and scripts, text escaped.
 
     A section without blocks is left out, and so is a column of a table that is empty throughout.
     """
@@ -222,7 +222,7 @@ SECONDS = 120  # after which a browser is given up
 
 
 def browser() -> str | None:
-    """The path of a browser that can print without a window, None where there is none."""
+    """The path of a browser that can print without a window, or None."""
     by_name = os.environ.get(VARIABLE)
     names = (by_name,) if by_name else BROWSERS
     return next((path for name in names if (path := shutil.which(name))), None)
@@ -231,7 +231,7 @@ def browser() -> str | None:
 def print_page(page: Path, file: Path, browser: str) -> None:
     """Prints an HTML `page` to the PDF `file`; styles are those of the page for print.
 
-    The page is a file and names nothing outside of itself, so nothing is sent.
+    The page is a file without external references, so nothing is sent.
 
     **Raises:** `OSError` where the browser fails or takes too long.
     """

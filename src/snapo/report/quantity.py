@@ -29,7 +29,7 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """Decimals that give the largest of `values` this many significant digits, 0 at least.
+    """The decimals for this many significant digits of the largest of `values`, at least 0.
 
     One count for a whole column, so that its decimal points are aligned.
     """
@@ -79,7 +79,7 @@ def money(value: Any, currency: str, digits: int | None = None, sign: bool = Fal
 def plus_minus(error: Any, digits: int) -> str:
     """A standard error, "± 41"; nothing where there is none.
 
-    One that `places` decimals would round to nothing keeps a digit: "± 0.00004".
+    One that `places` decimals would round to zero keeps a digit: "± 0.00004".
     """
     available = finite(error)
     if available is None:
@@ -94,7 +94,7 @@ def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[s
     """A value and its standard error, ("+0.00018", "± 0.00004").
 
     Both with `digits` decimals, or with those of the first digit of a smaller error; both as powers
-    of ten where they are tiny. An error that is the rounding of the value is none.
+    of ten where they are tiny. An error below the rounding of the value is omitted.
     """
     available, values = finite(error), finite(value)
     if available is not None and values is not None and abs(available) < ROUNDING * abs(values):
@@ -130,7 +130,7 @@ def percent(share: Any, digits: int = 1) -> str:
 
 
 def part_of(share: Any, digits: int = 2) -> str:
-    """A share in per cent that is not nothing where it only rounds to it: "less than 0.01 %"."""
+    """A share in per cent, with a digit left where it would round to zero: "less than 0.01 %"."""
     available = finite(share)
     minimum = 10.0 ** -(digits + 2)
     if available is None or available == 0 or abs(available) >= minimum / 2:

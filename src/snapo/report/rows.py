@@ -69,8 +69,7 @@ def table(
 ) -> Table:
     """A table with a row for each record.
 
-    - `decimal_places`: decimals of all its numbers; `by_row`: whether each row has its own number
-      of them.
+    - `decimal_places`: decimals of all its numbers; `by_row`: whether these differ between rows.
     - `folded`: the text to click before the table is shown.
     """
     values = [column.values(records) for column in columns]

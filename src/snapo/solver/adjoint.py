@@ -5,12 +5,12 @@
 
 Both training and sensitivities use these functions.
 
-The adjoint over the paths that are finite: one bad path must not cost a whole run.
+The adjoint uses only the finite paths: one bad path must not cost a whole run.
 
-A path is bad where a total that the objective uses, or the path's own adjoint, is non-finite. Bad
-paths are counted wherever they are left out, and of all paths at most `DROPPED` may be: what is
-left out may be what matters. A path of ruin, whose total is finite, is never left out: it has the
-utility that it has, minus infinity.
+A path is bad where a total that the objective uses, or the path's adjoint, is non-finite. Bad
+paths are left out and counted, and may be at most the share `DROPPED` of all paths, since those
+left out may be the important ones. A path of ruin, whose total is finite, is never left out: its
+utility is minus infinity.
 """
 
 from collections.abc import Iterable, Mapping
@@ -55,7 +55,7 @@ def value_and_gradient(
 
     **Arguments:**
 
-    - `smooth`: through a hard decision the pathwise derivative is blind, so use
+    - `smooth`: pathwise derivatives ignore the jumps of discrete decisions, so use
       `Smooth(temperature)` for derivatives through the policy's reaction, or
     - `decisions="held"`: they are recorded first and then replayed; the policy's gradient is zero.
     - `engine`: by default XLA in float64.
@@ -88,8 +88,8 @@ def weighted_adjoint(
 ) -> tuple[float, Adjoint]:
     """The objective on these paths, and the adjoint of its weights.
 
-    A linear objective knows its weights beforehand; any other costs one more forward sweep. Where
-    the objective has no derivative, as under ruin, the weights are those that lead away from it.
+    A linear objective knows its weights beforehand; any other costs one more forward sweep. If the
+    objective has no derivative, as under ruin, the weights are those of training.
     """
     actions = None
     if held or not objective.linear:
@@ -152,7 +152,7 @@ def adjoint_of_good_weights(
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
-    Those count for nothing; the weights of the others stay unchanged.
+    Those have no weight; the weights of the others are unchanged.
     """
     result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):

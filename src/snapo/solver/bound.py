@@ -1,5 +1,4 @@
-"""A bound from above: what the best decisions of each path would earn with perfect foresight,
-penalised.
+"""An upper bound: the penalised earnings of the best decisions with perfect foresight, by path.
 
     value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
 
@@ -9,7 +8,7 @@ decision with the innovation that it profits from: V(next state) - E[V(next stat
 V. Whatever V is, the bound holds; with the exact value function it is the exact value on every
 path.
 
-The same penalty along the policy's own path has mean zero, so it is taken from the policy's
+The same penalty along the policy's path has mean zero, so it is taken from the policy's
 earnings as a control variate, and the gap of a path, perfect foresight less policy, is never
 negative.
 """
@@ -42,7 +41,7 @@ SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far
 
 
 class Between(NamedTuple):
-    """A mean, its standard error, and its 95 % interval (Student, independent groups of paths)."""
+    """A mean, its standard error and its 95 % interval (Student, independent groups of paths)."""
 
     value: float
     standard_error: float
@@ -59,9 +58,9 @@ class Bound:
 
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
     - `gap`: upper less lower, paired path by path.
-    - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
+    - `penalty`, `words`: kind and meaning of the penalty; `scale`: of its parts.
     - `sure`: the certainty equivalents of lower and upper, where the objective is a utility.
-    - `few`: whether a few paths that gain much by foresight decide the gap, whose interval is wider
+    - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
       then.
     """
 
@@ -77,7 +76,7 @@ class Bound:
 
     @property
     def says_little(self) -> str:
-        """Why the bound leaves open how good the policy is; empty where it does not."""
+        """Why the bound is not informative about the policy; empty if it is."""
         value = abs(self.lower.value)
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:
@@ -88,9 +87,9 @@ class Bound:
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
-        """The bound of a policy whose value is known better from more paths: that, and the gap.
+        """The bound of a policy whose value is known from more paths: that value plus the gap.
 
-        An upper bound on few paths of its own may lie below that value by chance.
+        The upper bound on its few paths may lie below that value because of sampling error.
         """
         if not np.isfinite(error):
             return self
@@ -154,14 +153,15 @@ def bound(
 
     **Arguments:**
 
-    - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or of
-      stopping where `Stop` is the only decision.
+    - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or that
+      of stopping if `Stop` is the only decision.
     - `penalty`: "none" is perfect foresight; "value" the approximate value function itself;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
-    - `source`: scenarios, by default ones that nothing else uses.
+    - `source`: scenarios, by default ones that are used for nothing else.
 
-    **Raises:** `ValueError` where the objective is no mean over paths, where no relaxation is given
-    or known, or where the inner problem earns less than the policy on some path: then it is none.
+    **Raises:** `ValueError` if the objective is not a mean over paths, if no relaxation is
+    available, or if the inner problem earns less than the policy on some path, so that it is not
+    valid.
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
@@ -185,7 +185,7 @@ def bound(
     groups = source.groups(np.arange(paths))
     below, above = _between(lower[order], groups), _between(upper[order], groups)
     gap = skewed_mean((upper - lower)[order], groups)
-    text = relaxation.description if scale.any() else "none: each path knows its own future"
+    text = relaxation.description if scale.any() else "none: perfect foresight on each path"
     used: Penalty = penalty
     if not scale.any():
         used = "none"
@@ -202,8 +202,8 @@ def nested_mean(
 ) -> np.ndarray:
     """[paths] the mean of `value` over nested draws, for an expectation without a closed form.
 
-    `value` takes standard normals [size, paths] and returns [..., paths]. Each path has draws of
-    its own, in antithetic pairs. The estimate is unbiased, so a penalty made with it still has
+    `value` takes standard normals [size, paths] and returns [..., paths]. Each path has separate
+    draws, in antithetic pairs. The estimate is unbiased, so a penalty computed with it still has
     mean zero; its noise only widens the bound (Andersen and Broadie 2004).
     """
     random = np.random.default_rng(seed)
@@ -272,11 +272,11 @@ def _moved(scale: np.ndarray, i: int, by: float) -> np.ndarray:
 
 def _check(gap: np.ndarray, size: float) -> None:
     if not np.all(np.isfinite(gap)):
-        raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is not finite.")
+        raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is non-finite.")
     if gap.min() < -1e-6 * size:
         path = int(np.argmin(gap))
         message = "the inner problem earns less than the policy"
-        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): it is no relaxation.")
+        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): not a relaxation.")
 
 
 def _between(values: np.ndarray, groups: np.ndarray) -> Between:

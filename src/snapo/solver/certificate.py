@@ -27,17 +27,17 @@ NUDGE = 1e-3  # of each number: larger than any step, small against the number i
 
 
 class Bump(NamedTuple):
-    """One derivative from the adjoint and from differences on the same paths.
+    """One derivative from the adjoint and from finite differences on the same paths.
 
     - `direction`: the label bumped, or "random direction" over all of the input's entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
     - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
     - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
-    - `crossing`: the share of paths that meet a kink within the step; where the adjoint is
-      neither side, it and the differences are those of the other paths only. Where all paths meet
-      one, the adjoint has to lie between the sides.
-    - `judged`: whether it decides. Where all paths meet several kinks at once, an adjoint that is
-      right may lie outside of both sides; the same derivative nearby decides then.
+    - `crossing`: the share of paths with a kink within the step; if the adjoint equals neither
+      side, it and the differences are those of the other paths only. If all paths have a kink, the
+      adjoint has to lie between the sides.
+    - `judged`: whether it counts. If all paths have several kinks at once, a correct adjoint may
+      lie outside of both sides; the same derivative at a nearby point counts then.
     """
 
     input: str
@@ -53,7 +53,7 @@ class Bump(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The distance to the central difference, at a kink to the nearer one-sided one."""
+        """The distance from the central difference, at a kink from the nearer one-sided one."""
         if self.crossing == 1.0:
             low, high = sorted((self.up, self.down))
             return max(low - self.adjoint, self.adjoint - high, 0.0)
@@ -78,7 +78,7 @@ class Bump(NamedTuple):
 
 
 class Feasibility(NamedTuple):
-    """The smallest slack of one limit over all paths and steps, and where it was."""
+    """The smallest slack of one limit over all paths and steps, and its position."""
 
     limit: str
     worst: float
@@ -86,12 +86,12 @@ class Feasibility(NamedTuple):
     step: int
 
     def row(self, round_off: float) -> dict[str, Any]:
-        """The limit as a row of a table; kept, where it is violated by no more than round-off."""
+        """The limit as a row of a table; violations up to round-off count as kept."""
         return self._asdict() | {"passed": self.worst > -round_off}
 
 
 def nudged(problem: Problem, seed: int = 0) -> Problem:
-    """The problem with each number of its inputs moved by a random thousandth of itself at most.
+    """The problem with each number of its inputs moved by a random relative amount of at most .001.
 
     Round numbers tie: a store that fills in exactly eight days is on a kink of its limits,
     where every path has two derivatives. Nearby, hardly any path has. A number that is zero is
@@ -172,15 +172,15 @@ def bump_check(
     every: bool = False,
     only: Collection[str] | None = None,
 ) -> list[Bump]:
-    """The adjoint against differences in float64, on the same paths.
+    """The adjoint against finite differences in float64, on the same paths.
 
     On the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the policy
     reacts; without, the exact simulator replays its recorded decisions.
     Every input, or those named by `only`, is bumped along one random direction of signs, or with
     `every` entry by entry.
-    Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
-    difference; along a direction in which different paths take different sides, it is neither,
-    and only the paths without a kink within the step are compared (see `Bump.crossing`).
+    Path weights are held, as in the adjoint. At a kink an adjoint equals one of the one-sided
+    differences; along a direction in which paths differ in the side, it equals neither, and only
+    the paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)
@@ -235,7 +235,7 @@ class _Replay(NamedTuple):
         return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
 
     def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """The adjoint by every input, of all paths or of those to `keep`."""
+        """The adjoint with respect to every input, of all paths or of those to `keep`."""
         bound = self.engine.bind(self.problem, controls=False)
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
         values = (self.policy, self.draws, self.smooth, weights)
@@ -276,8 +276,8 @@ class _Along:
     def _bump(
         self, label: str, gradient, scale: float, keep: np.ndarray, extrapolated: bool = False
     ) -> Bump:
-        """The paths to `keep`; extrapolated to a step of zero from the step and half of it, since
-        what grows with every day bends by more than the tolerance within a step."""
+        """The bump on the paths to `keep`; extrapolated to a step of zero from the step and half of
+        it, since the curvature of a state that grows daily exceeds the tolerance within a step."""
         low, centre, high = (float(x[keep].sum()) for x in (self.low, self.centre, self.high))
         adjoint = float(np.sum(gradient[self.name] * self.direction))
         step = self.step

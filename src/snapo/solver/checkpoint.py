@@ -1,4 +1,4 @@
-"""What a killed run resumes from: one file, written whole or not at all, and never executed."""
+"""The checkpoint of a run: one file, written atomically, and never executed."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,7 +31,7 @@ PLAIN = ("step", "best_value", "stale", "status", "clip", "keep", "since", "wind
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
-    """Writes the whole state of training; `mark` is that of the run that it belongs to."""
+    """Writes the complete state of training; `mark` is that of the run that it belongs to."""
     state = {
         "step": progress.step,
         "best_value": progress.best_value,
@@ -112,9 +112,9 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     result = list(stored.values())
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in result]
     if shapes[0] != shapes[1]:
-        raise CheckpointError(f"{file}: this file holds a policy of another shape.")
+        raise CheckpointError(f"{file}: this file contains a policy of another shape.")
     if text and (other := difference(text, described(_policies(like)))):
-        raise CheckpointError(f"{file}: this file holds another policy: {other}.")
+        raise CheckpointError(f"{file}: this file contains another policy: {other}.")
     # Tables in NumPy keep their precision, which JAX might not have.
     selected = [
         np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)

@@ -1,6 +1,6 @@
 """The value of a policy: path totals on fresh scenarios, and the value with its standard error.
 
-Paths of a policy as whole trajectories: states, decisions and outputs of every step.
+Complete trajectories of a policy: states, decisions and outputs of every step.
 """
 
 import math
@@ -28,11 +28,11 @@ MAX_BYTES = 2**28  # of decisions that are kept
 
 
 class Value(NamedTuple):
-    """An estimate, its standard error, and how much the control variates explained.
+    """An estimate, its standard error, and the share explained by control variates.
 
-    - `control`: the share of the variance that they removed (0 without any).
-    - `dropped`: the paths left out, since they are non-finite.
-    - `refused`: controls whose mean is not zero, and which therefore were not used.
+    - `control`: the share of the variance removed by control variates (0 without any).
+    - `dropped`: the number of non-finite paths, which are left out.
+    - `refused`: controls with a nonzero mean, which were not used.
     """
 
     value: float
@@ -59,7 +59,7 @@ def evaluate(
 
     **Arguments:**
 
-    - `paths`: how many. `smooth`: `Smooth(temperature)` values the simulator of training.
+    - `paths`: their number. `smooth`: `Smooth(temperature)` for the simulator of training.
     - `engine`: by default XLA in float64.
     """
     totals = path_totals(problem, policy, paths, smooth=smooth, engine=engine)
@@ -137,7 +137,7 @@ def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:
 def estimate(
     objective: Objective, totals: Totals, scenarios: Scenarios, controls: tuple[str, ...] = ()
 ) -> Value:
-    """The objective on these totals, with the controls' known mean of zero taken out.
+    """The objective on these totals, with the controls of known mean zero regressed out.
 
     Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
     are non-finite are left out and counted; more than a thousandth of them make the value NaN.
@@ -162,7 +162,7 @@ def value_of_groups(
 
 
 def finite_totals(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
-    """The totals of the paths that are finite; none where too many are not."""
+    """The totals of the finite paths; none if too many are non-finite."""
     valid = finite(totals, objective.outputs)
     few = np.sum(~valid) <= DROPPED * valid.size
     return {name: np.asarray(total)[valid if few else []] for name, total in totals.items()}
@@ -261,7 +261,7 @@ def simulate(
 
     **Arguments:**
 
-    - `smooth`: `Smooth(temperature)` plays the simulator of training.
+    - `smooth`: `Smooth(temperature)` for the simulator of training.
     - `engine`: by default XLA in float64.
     """
     source = problem.sources.evaluation

@@ -41,7 +41,7 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 
 
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
-    """One of the series. **Raises:** `KeyError` for a name that is none."""
+    """One of the series. **Raises:** `KeyError` for an unknown name."""
     if name not in series:
         raise KeyError(f"plot.{subject}: nothing is called {name!r}; there are {sorted(series)}.")
     return series[name]
@@ -97,7 +97,7 @@ BARS, BINS = 15, 60
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Figures:
-    """The figures of one solution; needs matplotlib, which `pip install 'snapo[cli]'` brings.
+    """The figures of one solution; needs matplotlib, installed by `pip install 'snapo[cli]'`.
 
     The fields are those of the solution.
     """
@@ -115,8 +115,8 @@ class Figures:
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
         """The change of the value by each input's move, largest first, with 95 % whiskers.
 
-        The move is the input's own `move`, of all its numbers at once; without one, 1 % of them. To
-        first order, with the derivative that is reported.
+        All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
+        reported derivative.
 
         **Raises:** `ValueError` where the solution has no sensitivities.
         """
@@ -152,7 +152,7 @@ class Figures:
 
         Without a name, the output with the largest spread.
 
-        **Raises:** `KeyError` for a name that is no output's.
+        **Raises:** `KeyError` for a name that is not an output.
         """
         totals = self._totals
         if output is None:
@@ -175,12 +175,12 @@ class Figures:
         return figure
 
     def fan(self, name: str, problem: Problem | None = None, *, ax: Any = None) -> Any:
-        """A state, an action or an output over time: the mean, and the bands that hold half and
-        nine tenths of 1,024 paths of the evaluation.
+        """A state, an action or an output over time: the mean, and bands with 50 % and 90 % of
+        1,024 paths of the evaluation.
 
-        - `problem`: of the solution; one that `solve` gave knows it, a loaded one does not.
+        - `problem`: of the solution; required for a loaded one.
 
-        **Raises:** `KeyError` for a name that is none, `ValueError` without a problem or a policy.
+        **Raises:** `KeyError` for an unknown name, `ValueError` without a problem or a policy.
         """
         series = series_named(simulated_series(*self._played("fan", problem)), name, "fan")
         low, lower, upper, high = np.nanquantile(series, [0.05, 0.25, 0.75, 0.95], axis=1)
@@ -203,7 +203,7 @@ class Figures:
         Every action as a line; with a second number, `other`, a map of one `action`. The range is
         that of all paths at all steps; `problem` as in `fan`.
 
-        **Raises:** `KeyError` for a name that is no state's, `ValueError` as `fan`.
+        **Raises:** `KeyError` for a name that is not a state, `ValueError` as for `fan`.
         """
         result, policy = self._played("policy", problem)
         names = (state,) if other is None else (state, other)

@@ -1,22 +1,23 @@
-"""Limits on fresh paths: how far each is met, and the shadow price of its level.
+"""Limits on fresh paths: their excess, and the shadow prices of their levels.
 
-At the best policy within its limits the derivative of the objective by the policy is that of the
-limits' measures times their shadow prices. So the prices are the least squares of one on the
-others, on independent blocks of fresh paths: with a standard error that knows nothing of training.
+At the best policy within its limits the derivative of the objective with respect to the policy is
+the sum of those of the limits' measures times their shadow prices. So the prices are a
+least-squares fit of that derivative to the others, on independent blocks of fresh paths, with a
+standard error that does not depend on training.
 
-Prices of limits while a policy is trained: an augmented Lagrangian.
+During training the prices are those of an augmented Lagrangian.
 
 After every step each limit is measured on the exact simulator and on that step's paths. Its
-multiplier moves by a share of the excess, never below zero, and the price that the next step sees
-is the multiplier and a part in proportion to the excess, which damps what only the multiplier
-would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
+multiplier moves by a share of the excess, never below zero, and the price in the next step is the
+multiplier plus a term in proportion to the excess, which damps the overshoot of a multiplier
+without it (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
 
 The unit of an excess is the deviation of a path's measure, or the excess itself where that is
-larger: a rule that decides nearly the same on all paths has a measure that hardly deviates. The
-unit of a price is that at which the limit pulls at the policy as hard as the objective does, the
-length of the one's derivative over that of the other. Totals do not determine it: the noise in an
-objective may be far larger than all that decisions change, and a price that is far too large
-drives decisions to a bound of their set, where derivatives vanish.
+larger: under a rule that decides nearly the same on all paths the measure hardly varies. The unit
+of a price is the ratio of the norms of the derivatives of objective and limit with respect to the
+policy, at which both have equal weight. Totals do not determine it: the noise in an objective may
+be far larger than the effect of all decisions, and a price that is far too large drives decisions
+to a bound of their set, where derivatives vanish.
 """
 
 from collections.abc import Sequence
@@ -105,8 +106,8 @@ def updated_prices(
     units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
     units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
     far = units * excess / np.maximum(local, np.abs(excess))
-    # On a long way to the level the damping part leads: a multiplier that adds up all the way
-    # goes far beyond. With much room it falls by a tenth at least, whatever the unit has become.
+    # Far from the level the damping term dominates: a multiplier that accumulated all the way would
+    # overshoot far. With much room it falls by a tenth at least, whatever the unit is by then.
     move = far * local / np.maximum(local, np.abs(excess))
     move = np.where(excess < -local, np.minimum(far, -old), move)
     multipliers = np.maximum(old + slower * MOVE * move, 0.0)
@@ -123,20 +124,19 @@ def _deviation(objective: Objective, totals: Totals) -> float:
 
 BLOCKS, PATHS = 16, 4096  # of the shadow prices
 NEARLY = 1e-3  # of a path's deviation in the measure
-ROOM = 0.1  # of it: training's own paths place a measure no better than that
+ROOM = 0.1  # of it: training's paths place a measure no better than that
 ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths are the same
 
 
 class LimitFound(NamedTuple):
     """A limit on fresh paths of the exact simulator.
 
-    - `name`, `level`: it; `value`, `standard_error`, `low`, `high`: the measure, 95 % interval.
-    - `price`, `price_error`: the shadow price, by which one unit more of the level changes the
-      objective (negative for a lower limit); zero where the limit does not bind: where training
-      gave it no multiplier, or the measure keeps a distance from the level. `multiplier`: the one
-      in training.
-    - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, by
-      less than a thousandth of one path's deviation, or by less than round-off.
+    - `name`, `level` of the limit; `value`, `standard_error`, `low`, `high` of the measure.
+    - `price`, `price_error`: the shadow price, the change of the objective per unit of the level
+      (negative for a lower limit); zero if the limit does not bind: if its multiplier in training
+      is zero, or the measure is far enough from the level. `multiplier`: the one in training.
+    - `met`: "met", "not met", or "met nearly": missed by less than the half width of the interval,
+      a thousandth of one path's deviation, or round-off.
     """
 
     name: str
@@ -161,7 +161,7 @@ class LimitFound(NamedTuple):
         return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
 
     def __str__(self) -> str:
-        value = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
+        value = f"one unit more has the value {self.price:,.5g} ± {self.price_error:,.3g}"
         return (
             f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
             f"to {self.high:,.6g}), {self.met}; {value if self.binds else 'it has no price'}"
@@ -206,7 +206,7 @@ def limits_found(
 
 
 def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
-    """The limits that are not met, and those that have room, in sentences."""
+    """Sentences on the limits that are not met, and on those with room."""
     return tuple(sentence for item in limits if (sentence := _note(item)))
 
 

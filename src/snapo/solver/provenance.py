@@ -38,11 +38,11 @@ COMPILERS = ("/jax/core/compile", "/snapo/compile")  # events of compiling
 
 
 class Clock:
-    """Books the time of a run by stage, and that of compiling apart.
+    """Records the time of a run by stage, with compilation separate.
 
     A context manager: it listens to JAX's compiler and to that of the native engine until it is
-    left. Compiling within compiling, as the tracing of a kernel is, counts once; that of other
-    threads takes none of this one's time.
+    left. Nested compilation, such as the tracing of a kernel, counts once; that of other threads is
+    not counted.
     """
 
     def __init__(self):
@@ -98,7 +98,8 @@ class FirstNonFinite(NamedTuple):
 def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, engine: Engine) -> str:
     """A sentence on a training that diverged; empty for any other.
 
-    The last step's paths are simulated again, a few of the non-finite ones as whole trajectories.
+    The last step's paths are simulated again, a few of the non-finite ones with complete
+    trajectories.
     """
     if progress.status != "diverged" or not progress.history:
         return ""

@@ -26,9 +26,9 @@ from .solve import Evaluation, in_order, solve
 class Seeds:
     """Solutions by seed, all valued on the same paths: they differ only by their policies.
 
-    - `solutions`: {seed: solution}, in the order in which they were asked for.
-    - `best`: the seed with the highest value. It is the best of several on the paths of its value:
-      a fresh evaluation of `solutions[best].policy` is free of that choice.
+    - `solutions`: {seed: solution}, in the requested order.
+    - `best`: the seed with the highest value. It is the best of several on the same paths: a fresh
+      evaluation of `solutions[best].policy` has no selection bias.
     """
 
     solutions: dict[int, Solution]
@@ -44,7 +44,7 @@ class Seeds:
         return max(values, key=lambda seed: np.nan_to_num(values[seed], nan=-np.inf))
 
     def behind(self, seed: int) -> statistics.Sampled:
-        """By how much a seed's value lies below the best one, paired path by path."""
+        """The difference between the best value and that of a seed, paired path by path."""
         one, other = self.solutions[self.best], self.solutions[seed]
         assert one.problem is not None
         objective, source = one.problem.objective, one.problem.sources.evaluation
@@ -88,14 +88,15 @@ def solve_seeds(
         found = snapo.solve_seeds(Reservoir(), inputs, objective="cash", seeds=5)
         print(found)
 
-    A seed draws initial weights, and the scenarios of training and validation, but for `Supplied`
-    ones; those of the evaluation are the same for all, of the problem or of the first seed.
+    A seed determines the initial weights, and the scenarios of training and validation, except
+    `Supplied` ones; those of the evaluation are the same for all, of the problem or of the first
+    seed.
 
     **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
     are those of `solve`.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
-        message = "the problem comes first, and seeds has a name: solve_seeds(problem, seeds=5)"
+        message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"
         raise ValueError(f"solve_seeds: {message}; got seeds={seeds!r}.")
     training, evaluation = training or Training(), evaluation or Evaluation()
     if isinstance(seeds, int):

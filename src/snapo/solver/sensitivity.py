@@ -3,7 +3,7 @@
 Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
 recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
 jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, the one that training uses. The reported one is the held one, unless
+through the policy's reaction, as used in training. The reported one is the held one, unless
 a bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
 error of the policy (`derivatives.margin`).
 """
@@ -41,11 +41,12 @@ from .tables import frame, table
 class SensitivityRow(NamedTuple):
     """One line of a sensitivity table: derivatives per one `unit` of the input.
 
-    - `value`, `low`, `high`: the reported derivative and its 95 % interval, of whose half-width
-      `sampling` is due to finitely many paths and `policy` to the policy's own error; `source`:
-      "held", "through the policy", "range" or "not known" (see `derivatives.interval.Reported`).
-    - `held` and `smooth`, each with its standard error; `moved`: by how much `held` moved in the
-      second half of training, with its standard error. What was not asked for is not a number.
+    - `value`, `low`, `high`: the reported derivative and its 95 % interval; of the half-width
+      `sampling` is due to the finite number of paths and `policy` to the error of the policy;
+      `source`: "held", "through the policy", "range" or "not known" (see
+      `derivatives.interval.Reported`).
+    - `held` and `smooth`, each with its standard error; `moved`: the change of `held` in the second
+      half of training, with its standard error. NaN for results that were not requested.
     """
 
     input: str
@@ -69,14 +70,14 @@ class Sensitivities(NamedTuple):
     """Derivatives of the objective with respect to every input, {input: Estimate}.
 
     - `held`: exact simulator, decisions held.
-    - `smooth`: through the policy's reaction, or None when it was not asked for.
-    - `moved`: how far `held` moved since an earlier policy, or None.
-    - `policy_gradient`: norm of the policy's gradient at this policy, without that of the noise
-      in it, which comes second.
-    - `dropped`: the paths of either table that were left out, since they are non-finite.
+    - `smooth`: through the policy's reaction, or None if not requested.
+    - `moved`: the change of `held` since an earlier policy, or None.
+    - `policy_gradient`: norm of the policy's gradient with the noise subtracted, and the norm of
+      the noise.
+    - `dropped`: the number of non-finite paths of either table, which are left out.
     - `verdicts`: the verdict of a bump of the input, {input: Verdict}.
-    - `reported`: the derivative that is reported, with its interval, {input: Reported}; where None,
-      it is the held one with its sampling error.
+    - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
+      held one with its sampling error.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -95,7 +96,7 @@ class Sensitivities(NamedTuple):
     def of(self, name: str) -> Reported:
         """The reported derivative with respect to an input.
 
-        **Raises:** `KeyError` for a name that is no input's.
+        **Raises:** `KeyError` for a name that is not an input.
         """
         if name not in self.inputs:
             raise KeyError(f"no input {name!r}; the inputs are {list(self.inputs)}.")
@@ -104,7 +105,7 @@ class Sensitivities(NamedTuple):
         return plain(self.held[name], one_percent(self.inputs[name]))
 
     def source(self, name: str) -> str:
-        """Where the reported derivative with respect to an input comes from."""
+        """The source of the reported derivative with respect to an input."""
         return self.of(name).source
 
     def along(self, name: str, direction: np.ndarray) -> Interval:
@@ -112,10 +113,10 @@ class Sensitivities(NamedTuple):
         return self.of(name).along(direction)
 
     def capped(self, gap: float) -> "Sensitivities":
-        """With intervals for a policy that is surely no further from the best one than `gap`.
+        """With intervals for a policy whose value is certified to be within `gap` of the best one.
 
-        Take the upper end of a certified one, `snapo.bound(problem, policy).gap.high`, or the exact
-        value less that of the policy where it is known.
+        Use the upper end of a certified gap, `snapo.bound(problem, policy).gap.high`, or the exact
+        value less that of the policy if it is known.
         """
         if self.reported is None:
             return self
@@ -239,9 +240,9 @@ def sensitivities(
     """Held derivatives on `paths`; with `Smooth(temperature)` smooth ones too, on `smooth_paths`.
 
     On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
-    paths. `earlier` is a policy from halfway through training: its held derivatives on the first
-    of the same paths show how far they still moved. `actions` [T, paths, A] are the policy's
-    decisions on these paths, and `totals` {output: [paths]} their totals, where they were recorded
+    paths. `earlier` is a policy from the middle of training: its held derivatives on the first of
+    the same paths show how much they still changed. `actions` [T, paths, A] are the policy's
+    decisions on these paths, and `totals` {output: [paths]} their totals, if they were recorded
     before.
     """
     return sensitivities_and_totals(
@@ -344,7 +345,7 @@ def second_order(
     paths: int = 4096,
     smooth: Smooth | Exact | None = None,
 ) -> list[dict[str, np.ndarray]]:
-    """How the held derivatives change along chosen directions of the inputs (forward over reverse).
+    """The change of held derivatives along directions of the inputs (forward over reverse).
 
     The decisions respond through the smooth policy: with only held decisions, a value that is
     linear in prices has no second derivative. A direction is {input: array}, zero where not named.

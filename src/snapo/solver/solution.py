@@ -1,4 +1,4 @@
-"""The result of `solve`: frozen data: the value, how it was found, and how far to trust it."""
+"""The result of `solve` as frozen data: the value, its computation, and its reliability."""
 
 import json
 from collections.abc import Mapping
@@ -41,36 +41,36 @@ HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
 @dataclass(frozen=True)
 class Solution:
-    """What `solve` found.
+    """The result of `solve`.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
-    - `smoothing_gap`: exact less smooth, on the first of the same paths, with its standard error
-      `smoothing_gap_error`; `smooth_value`: the value less it.
-    - `policy`: the policy that is reported; `selected`: "start" (the rule that training began
-      with), "newest", "highest" of the validation or "top of the surface", and `gain`: of the best
-      of a training over its start, with the standard error, on paths of their own.
-    - `policy_gradient_norm`: it vanishes at an optimum. The noise in
-      it, `policy_gradient_noise`, is taken off: a norm below its noise may be zero.
+    - `smoothing_gap`: exact less smooth value, on the first of the same paths, with its standard
+      error `smoothing_gap_error`; `smooth_value`: the value less the gap.
+    - `policy`: the reported policy; `selected`: "start" (the rule that training began with),
+      "newest", "highest" of the validation or "top of the surface"; `gain`: of the best of a
+      training over its start, with the standard error, on separate paths.
+    - `policy_gradient_norm`: it vanishes at an optimum. The noise in it, `policy_gradient_noise`,
+      has been subtracted: a norm below its noise may be zero.
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
-    - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
-    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite; a
-      note says where); of the others "ruined" where the value is minus infinity, "not finite" where
-      it is no number.
-    - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
+    - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.
+    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite;
+      see the notes); unless diverged, "ruined" if the value is minus infinity and "not finite" if
+      it is NaN.
+    - `roles`: {training, validation, evaluation, sensitivities}: the paths used for each.
     - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
-      stays at a limit), "constant" (a constant decision does as well), "barely moved" (the network
-      as it was drawn does as well) or "as good as its start" (a rule that training began with
-      does), or "start kept" (that rule is reported); empty where the value is no number.
+      stays at a limit), "constant" (a constant decision does as well), "barely moved" (the
+      untrained network does as well), "as good as its start" (the rule that training began with
+      does as well) or "start kept" (that rule is reported); empty where the value is non-finite.
     - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
-      `clip` and `keep`: the length of the windows that it went back through at its end, the bound
-      on each path's own adjoint (None: none of them), and the share that went on at each step.
-    - `problem`: the problem that was solved, None in one that was loaded: figures over time need
-      it.
-    - `constraints`: each of the problem's on fresh paths, with its shadow price.
-    - `maximised`: the objective as text, "mean of cash"; empty in one that was saved without it.
-    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are non-finite;
-      `notes`: remarks for a reader of the value.
+      `clip` and `keep` at the end of training: the length of the windows for backpropagation, the
+      bound on each path's adjoint (None: without), and the share of it passed on at each step.
+    - `problem`: the problem that was solved, needed for figures over time; None in a loaded
+      solution.
+    - `constraints`: those of the problem on fresh paths, with their shadow prices.
+    - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
+    - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
+      out; `notes`: remarks on the value.
     """
 
     value: float
@@ -160,7 +160,7 @@ class Solution:
         write_tables(file, tables)
 
     def lines(self) -> list[str]:
-        """The value and how it was found, in a few lines."""
+        """A summary of the value and the training, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
         if np.isfinite(self.smoothing_gap_error):
             gap = f"{gap} ± {self.smoothing_gap_error:,.2g}"
@@ -238,7 +238,7 @@ class Solution:
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        `like` is a policy of the same shape; without one the solution comes without its policy.
+        `like` is a policy of the same shape; without it the solution has no policy.
 
         **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
         policy: of another shape, with another activation, with another set of actions.

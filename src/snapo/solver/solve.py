@@ -58,25 +58,25 @@ def solve(
 
     **Arguments:**
 
-    - `problem`: a `Problem`, and then the policy; or a simulator, with `inputs`, `objective` and
-      `scenarios` next to it.
-    - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
-      itself; by default an `MLP` with two hidden layers of 32, and of more where more than eight
-      numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
-      on from where it is. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
-      as `network(observation)`, whose numbers are squashed into the action set.
-    - `objective`: maximised; the name of an output means its mean. By default the
-      mean of the only output there is, unless its name shows that it should be small, as "cost"
-      does.
+    - `problem`: a `Problem`, followed by the policy; or a simulator, with `inputs`, `objective` and
+      `scenarios`.
+    - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which adapts to features and
+      actions; by default an `MLP` with two hidden layers of 32, wider if more than eight numbers
+      are decided. A trained policy, or an earlier `Solution`, is trained further. Any other
+      `eqx.Module` is called as `policy(observation, smooth)`, or as `network(observation)`, whose
+      outputs are squashed into the action set.
+    - `objective`: maximised; the name of an output means its mean. By default the mean of the only
+      output, unless its name suggests a cost, such as "cost".
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
-      ones of `training.seed`. Only `Supplied` ones serve all roles, each with paths of its own.
-    - `constraints`: one or several, of means, probabilities or other numbers of all paths, such as
-      `[Mean("unserved") <= 0.05]`: an augmented Lagrangian finds their prices in training, and the
-      derivatives with respect to inputs are those of the best value within them.
+      ones of `training.seed`. `Supplied` ones are divided between all roles.
+    - `constraints`: one or several, on means, probabilities or other statistics of all paths, such
+      as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in training,
+      and the derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
-    - `callbacks`: called with the `Progress` at every validation, the last line of whose history is
-      `progress.record`; one that returns True stops the training. `progress`: one to go on from.
-    - `check`: looks for mistakes that tracing shows, in tenths of a second.
+    - `callbacks`: called with the `Progress` at every validation; `progress.record` is the last
+      line of its history; a callback that returns True stops the training. `progress`: a state from
+      which to continue.
+    - `check`: whether to run the checks that need only tracing, in tenths of a second.
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
@@ -191,7 +191,7 @@ def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
         return simulator_mistakes(problem.simulator, problem.inputs)
     if isinstance(problem, Simulator):
         return simulator_mistakes(problem, inputs)
-    return Findings("", (), "")  # `problem_of` says what it is
+    return Findings("", (), "")  # `problem_of` names the mistake
 
 
 def _refused(findings: Findings) -> tuple[str, ...]:

@@ -1,11 +1,10 @@
-"""Every standard error of the package: independent groups, and how far an estimate may be off.
+"""Standard errors of the package, from independent groups of paths.
 
 Paths are independent in groups only: an antithetic pair is one draw, and so is a Sobol scramble
-(`Scenarios.groups`). Numbers [N] of paths become `shares`, one of each group, whose mean is the
-estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran,
-Sampling Techniques, 1977, section 6.3), what is no mean by its influence function. Numbers that
-are found block by block become an `Estimate`, by a jackknife that leaves out each block
-(`by_block`). Intervals are Student's.
+(`Scenarios.groups`). Values [N] of paths become `shares`, one for each group, whose mean is the
+estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran, Sampling
+Techniques, 1977, section 6.3), other statistics by their influence function. Results computed block
+by block become an `Estimate`, by a jackknife over the blocks (`by_block`). Intervals are Student's.
 """
 
 from decimal import Decimal
@@ -96,8 +95,8 @@ class Estimate(NamedTuple):
     def norm(self) -> tuple[float, float]:
         """The Euclidean norm, and the norm of the noise in it.
 
-        Noise adds the sum of the squared standard errors to the square of a norm: it is taken
-        off, and a norm that is within its noise may be zero.
+        Noise adds the sum of the squared standard errors to the square of a norm: it is subtracted,
+        and a norm below its noise may be zero.
         """
         noise = float(np.linalg.norm(self.standard_error))
         square = float(np.sum(self.value**2)) - noise**2
@@ -139,7 +138,7 @@ def ratio_shares(
 
 
 def of_shares(result: np.ndarray, fit: int = 0) -> Sampled:
-    """The estimate of shares [G]; `fit` coefficients cost as many degrees of freedom."""
+    """The estimate of shares [G]; `fit` coefficients cost one degree of freedom each."""
     degrees = len(result) - 1 - fit
     with np.errstate(invalid="ignore"):
         error = float(_error(result)) if degrees > 0 else np.nan
@@ -154,7 +153,7 @@ def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
 
 
 class Skewed(NamedTuple):
-    """A mean whose interval need not lie evenly around it.
+    """A mean with a possibly asymmetric interval.
 
     - `standard_error`: half the width of the 95 % interval, in that of a normal distribution.
     - `low`, `high`: the interval; `few`: whether a few of the numbers decide it.
@@ -236,8 +235,8 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
 def proportion(count, of: int):
     """The share of independent draws that were counted, and its standard error: arrays like it.
 
-    The error is that of two draws more of either kind (Agresti and Coull 1998): none of a
-    hundred is not surely none at all.
+    The error is that with two additional draws of either kind (Agresti and Coull 1998): zero of a
+    hundred does not imply a probability of zero.
     """
     count = np.asarray(count, np.float64)
     moved = (count + 2) / (of + 4)
@@ -247,10 +246,10 @@ def proportion(count, of: int):
 def controlled(
     result: np.ndarray, controls: list[np.ndarray]
 ) -> tuple[np.ndarray, list[int], Sampled]:
-    """Shares [G] less what controls of mean zero explain by regression, and the estimate of it.
+    """Shares [G] less their regression on controls of mean zero, and the estimate of their mean.
 
-    A control whose own mean is not zero, beyond chance in a million, is not used: it would take
-    a part of the value away with the noise. The numbers of those are given.
+    A control whose mean differs from zero, with a p-value below one in a million, is not used: it
+    would remove a part of the value with the noise. The indices of such controls are returned.
     """
     false = []
     for i, control in enumerate(controls):

@@ -30,7 +30,7 @@ def _csv_cell(value: Any) -> str:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Writes a file whole or not at all."""
+    """Writes a file atomically."""
     partial = file.with_name(file.name + ".partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(file)
@@ -105,7 +105,7 @@ class SheetTable(NamedTuple):
 
 
 def write_tables(file: Path, tables: Mapping[str, SheetTable]) -> None:
-    """Writes a sheet for each table. Texts stay texts, whatever they begin with.
+    """Writes a sheet for each table. Text is never written as a formula.
 
     **Raises:** `ModuleNotFoundError` where openpyxl is missing.
     """
@@ -202,7 +202,7 @@ TRAINING = Picture("line", "step", ("objective",))
 
 
 def sensitivities_chart(rows: list[Any]) -> Picture | None:
-    """Derivatives by label, or by input where most have none; no chart that is too long to read.
+    """Derivatives by label, or by input if most have no label; no chart that is too long to read.
 
     `rows`: input, label …
     """

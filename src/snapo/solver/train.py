@@ -3,7 +3,7 @@
 `train` is a plain loop. Adam with warm-up and cosine decay climbs; the temperature of the
 constraints is annealed; the parameters are averaged; the averaged policy is validated on the
 EXACT simulator and the best one is kept. Fresh scenarios every step are a function of seed and
-step, so a run that stops goes on bit for bit from its `Progress`.
+step, so a stopped run continues bit for bit from its `Progress`.
 """
 
 import math
@@ -85,11 +85,11 @@ def train(
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
-    With `until` it stops after that step, validated, and can go on from there. A training that does
-    nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    With `until` it stops after that step, validated, and can be continued from there. A training
+    that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
     It stops early where a callback returns True. On Ctrl-C they are called once more, and the
-    interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
+    interrupt is passed on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
     plan = resolve_auto(training, remembering(problem, progress.policy), progress.policy)
@@ -288,7 +288,7 @@ def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and grows(measured.total)
-        # Nor is a share of the adjoints kept back where training leaves what was wild by itself.
+        # Nor is `keep` lowered where training leaves the wild region by itself.
         if wild and training.keep == "auto" and not fell_for_good(norms):
             progress = replace(progress, keep=share_kept(measured.total))
     if auto and (leapt or wild or (progress.clip is not None and due(step))):
@@ -330,8 +330,8 @@ def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
     training = loop.training
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= FIRST:
-        # The first steps were led by chaos: back to the average of the first few of them, and
-        # slowly up again. At the full rate a critic that is not yet fitted leads to where no action
+        # Chaos dominated the first steps: training returns to the average of the first few of them,
+        # and raises the rate slowly again. At the full rate an unfitted critic ends where no action
         # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)

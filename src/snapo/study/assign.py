@@ -1,4 +1,4 @@
-"""`--set contract.inventory=2000`: keys of a case that have another value for one run."""
+"""`--set contract.inventory=2000`: keys of a case that are changed for one run."""
 
 import copy
 import tomllib

@@ -11,6 +11,7 @@ from snapo.case.error import CaseError
 from snapo.problem.code.version import reading_once
 from snapo.report.checksums import changed_files, checksum, stamps, written_since
 from snapo.report.evidence import seeds
+from snapo.report.folder import RunResult
 from snapo.report.page import Page, render
 from snapo.solver.bound import Penalty
 from snapo.solver.solution import POLICY, SOLUTION
@@ -73,8 +74,8 @@ def carry_out(
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name. A part that fails leaves a note and a status; parts that need
-    it are skipped. On Ctrl-C the parts that are done are reported, and the interrupt goes on to the
-    caller.
+    it are skipped. On Ctrl-C the completed parts are reported, and the interrupt is passed on to
+    the caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
@@ -234,17 +235,16 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
-    if notes := [*result.get("notes", ()), *record.get("about", {}).get("notes", ())]:
+    head = RunResult.of(result)
+    if notes := [*head.notes, *record.get("about", {}).get("notes", ())]:
         result["notes"] = list(dict.fromkeys(notes))
     seconds = {name: state["seconds"] for name, state in states.items()}
     seconds = record.get("beside", {}) | seconds
-    result["seconds"] = {
-        **result.get("seconds", {}), **seconds, "total": sum(seconds.values())
-    }  # fmt: skip
+    result["seconds"] = {**head.seconds, **seconds, "total": sum(seconds.values())}
     failed = {name: state["note"] for name, state in states.items() if state["state"] != DONE}
     broken = [name for name in failed if states[name]["state"] == FAILED]
     todo = [part.name for part in run.study.parts if part.name not in states]
-    status = result.get("status", "ok")
+    status = head.status or "ok"
     if failed:
         # Parts are skipped because of a failed one, of which the study may know more.
         why = "" if status in GOOD else f": {status}"

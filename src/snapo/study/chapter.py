@@ -39,7 +39,7 @@ class Chapter(Generic[Result]):
 
     - `name`: a text; of its part, its file and the anchor of its section.
     - `title`: of the section, or a function of the files of the run; `short`: in the menu, the name
-      where it is empty; `anchor`: where it is not made of the name.
+      where it is empty; `anchor`: if it differs from the name.
     - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
       also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.

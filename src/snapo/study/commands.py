@@ -84,14 +84,14 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
 
 
 def next_command(kind: str, folder: Path) -> str:
-    """The command for whoever has just written an example."""
+    """The command to run after an example was written."""
     domain = find(kind, "KIND", "")
     code = f" --simulator {domain.example}" if isinstance(domain, RunsCode) else ""
     return f"snapo check {folder}{code}"
 
 
 def check(request: CaseRequest, progress: "ProgressCallback") -> list[str]:
-    """The case in a few lines; nothing is trained."""
+    """A summary of the case in a few lines; nothing is trained."""
     loaded = load(request)
     remarks(loaded.case.notes, progress)
     return loaded.domain.check(loaded.case)
@@ -113,7 +113,7 @@ def solve(
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
-    `KeyboardInterrupt` goes on to the caller.
+    `KeyboardInterrupt` is passed on to the caller.
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
@@ -237,7 +237,7 @@ def tables(run: Path) -> Path:
 def bench(kind: str | None, engine: str, progress: "ProgressCallback") -> dict[str, str]:
     """{kind: table of times} of one kind, or of all that can be timed.
 
-    **Raises:** `CaseError` where the kind that was asked for has nothing to time.
+    **Raises:** `CaseError` if the requested kind has nothing to time.
     """
     from .prepare import use_every_core
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files
+from snapo.report.folder import RunResult
 from snapo.solver import checkpoint, statistics
 from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.solution import SOLUTION, Solution
@@ -27,7 +28,7 @@ class DerivativePair(NamedTuple):
     - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
       policies may move it.
     - `sources`: where either comes from (`Sensitivities.source`).
-    - `effect`: by how much more the value of the second moves with the input's own move.
+    - `effect`: the difference of the effects of the input's usual move on the two values.
     """
 
     input: str
@@ -49,7 +50,7 @@ class Comparison:
     - `values`, `errors`: of the two; None where a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
-    - `settings`: all that decides the numbers and differs.
+    - `settings`: everything that affects the numbers and differs.
     - `sensitivities`: those of inputs that both have, the largest differences first.
     """
 
@@ -129,7 +130,8 @@ def compare(first: Path, second: Path) -> Comparison:
             )
             raise CaseError(str(run / run_folder.RESULT), "", None, message)
     results = [_result(run) for run in (first, second)]
-    values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
+    values = [result.value for result in results]
+    errors = [result.standard_error for result in results]
     groups, why = _groups(first, second)
     error = _difference_error(groups, errors)
     difference = _less(values[1], values[0])
@@ -147,20 +149,17 @@ def compare(first: Path, second: Path) -> Comparison:
     )
 
 
-STANDARD_ERROR = "standard_error"
-
-
 def _less(value: float | None, other: float | None) -> float | None:
     return None if value is None or other is None else value - other
 
 
-def _result(run: Path) -> dict[str, Any]:
+def _result(run: Path) -> RunResult:
     file = run / run_folder.RESULT
     table = run_folder.read_table(file)
     if table is None:
-        message = "the run has no result yet; `snapo solve --resume` goes on with it"
+        message = "the run has no result yet; `snapo solve --resume` continues it"
         raise CaseError(str(file), "", None, message)
-    return table
+    return RunResult.of(table)
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
@@ -186,8 +185,8 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
-    """Reported derivatives that differ, by the difference that they make for the input's own move.
-    Those that are not known in one of the runs are left out."""
+    """Reported derivatives that differ, by the difference that they make for the input's move.
+    Those that are unknown in one of the runs are left out."""
     try:
         one, other = (Solution.load(run).sensitivities for run in (first, second))
     except checkpoint.CheckpointError:

@@ -54,7 +54,7 @@ class Report:
     """How a run is reported, from the files of its folder only.
 
     - `title`: where the run has none.
-    - `folder`: reads the run; a domain's own class adds its units.
+    - `folder`: reads the run; the class of a domain adds its units.
     - `about`: (name, value) pairs under the title.
     - `sections`: each makes a section of the page.
     """
@@ -84,7 +84,7 @@ class Domain(Protocol):
         ...
 
     def check(self, case: Any) -> list[str]:
-        """The case in a few lines, for a human to compare; nothing is trained."""
+        """A summary of the case in a few lines; nothing is trained."""
         ...
 
     def study(self, case: Any, options: Options) -> "Study":
@@ -102,7 +102,7 @@ class Domain(Protocol):
 
 @runtime_checkable
 class RunsCode(Protocol):
-    """A domain whose cases run code that the command line names, and nothing else names.
+    """A domain whose cases run code, named only on the command line.
 
     - `example`: the code of its template, as MODULE:CLASS.
     """
@@ -114,7 +114,7 @@ class RunsCode(Protocol):
         ...
 
     def decides(self, case: Any) -> Mapping[str, Any]:
-        """The code as far as it decides the numbers of a run: its name and the hash of its file."""
+        """The code that affects the numbers of a run: its name and the hash of its file."""
         ...
 
 
@@ -122,7 +122,7 @@ class RunsCode(Protocol):
 def installed() -> dict[str, EntryPoint]:
     """{kind: entry point} of all domains; none is imported.
 
-    **Raises:** `CaseError` where two packages bring the same kind.
+    **Raises:** `CaseError` if two packages provide the same kind.
     """
     table: dict[str, EntryPoint] = {}
     for entry_point in entry_points(group=GROUP):
@@ -168,7 +168,7 @@ class CaseRequest(NamedTuple):
 
     - `path`: a TOML file, or a folder with case.toml.
     - `assignments`: keys that have another value for this run, "contract.inventory=2000".
-    - `simulator`: (module, class) of the user's own, named on the command line only.
+    - `simulator`: (module, class) of the user, named only on the command line.
     """
 
     path: Path

@@ -22,6 +22,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.carry.save import PolicyFileError, described, read_arrays
 from snapo.problem.policy import Policy, load_policy, trainable
+from snapo.report.folder import RunResult
 from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -88,8 +89,8 @@ class SuppliedPolicy:
 def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     """The policy of a run folder or of a file.
 
-    - `kind`: of the case; `out`: the folder of the new run. Where both folders are one, the policy
-      is read before the new run removes it, and a resumed run reads its own copy.
+    - `kind`: of the case; `out`: the folder of the new run. If both folders are the same, the
+      policy is read before the new run removes it, and a resumed run reads its copy.
 
     **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
     """
@@ -107,7 +108,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     try:
         content = file.read_bytes()
         if not content.startswith(ZIP):
-            raise ValueError("this is no .npz file")
+            raise ValueError("this is not an .npz file")
         arrays, header = read_arrays(file)
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
@@ -127,7 +128,7 @@ def _of_run(run: Path, kind: str) -> float | None:
     if record["parts"].get(TRAINING.name, {}).get("state") != "done":
         raise no_policy(run, record)
     run_folder.check_whole(run, record, (POLICY,))
-    return finite((run_folder.read_table(run / run_folder.RESULT) or {}).get("value"))
+    return RunResult.read(run).value
 
 
 def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
@@ -142,7 +143,7 @@ def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str],
         return described({"policy": policy}), [np.asarray(array) for array in arrays]
     text = header.get("described") if isinstance(header, dict) else None
     if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
-        message = "this file holds no policy: name the folder that `snapo solve` wrote"
+        message = "this file contains no policy: name the folder that `snapo solve` wrote"
         raise CaseError(str(file), "", None, message)
     if isinstance(header.get("header"), dict) and "mark" in header["header"]:
         message = "this is the state of a training: name the folder of its run, or its policy.npz"
@@ -205,7 +206,7 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
-        message = f"{file} trains no policy, so that there is nothing to begin with"
+        message = f"{file} trains no policy, so that an initial one has no use"
         raise CaseError("--policy", "", str(values.source), message)
     setup = _fitted(study.setup, values)
     setup()  # a misfit is refused before anything is written
@@ -270,13 +271,14 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 
     def report(run: StudyRun) -> Mapping[str, Any]:
         results, start = dict(result(run)), run.get("began_with")
-        if not start or results.get("value") is None:
+        head = RunResult.of(results)
+        if not start or head.value is None:
             return results
         gain = run.get("start_gain") or {}
         sentence = describe(start, gain)
         return results | {
             "start": {**start, **gain},
-            "notes": [*results.get("notes", ()), sentence],
+            "notes": [*head.notes, sentence],
         }
 
     return report
@@ -285,9 +287,9 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
     """What training began with, and by how much it came further."""
     text = f"Training began with the policy of {start['policy']}"
-    if start.get("value") is not None:
+    if start["value"] is not None:
         text += f", whose value there is {number(start['value'])}"
-    if not gain or gain.get("before") is None:
+    if not gain or gain["before"] is None:
         return f"{text}."
     before = _with_error(gain["before"], gain["before_error"])
     more = _with_error(gain["value"], gain["standard_error"])

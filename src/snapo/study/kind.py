@@ -28,7 +28,7 @@ class Kind:
     - `package`: the name of its package; `sizes`: {size: folder in it that `snapo new` copies}.
     - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
       data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, progress)`;
-      without a timer, nothing of the kind is timed by itself.
+      without a timer, nothing of the kind is timed separately.
     - `tables`: the same of the `Formats` of its tables, or of a function that returns them; the
       schema that `snapo schema` prints is made of them.
     """
@@ -67,7 +67,8 @@ class Kind:
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
         if not self.timer:
             allowed = (
-                "nothing of this kind is timed by itself; `snapo solve` reports the times of a case"
+                "nothing of this kind is timed separately; `snapo solve` reports the times of a "
+                "case"
             )
             raise CaseError("KIND", "", self.kind, allowed)
         return self.loaded(self.timer)(engine, progress)

@@ -1,4 +1,4 @@
-"""A run prepared: its folder, all that decides its numbers, and its study.
+"""A prepared run: its folder, everything that affects its numbers, and its study.
 
 The case is new, or it is read again from the copy in the folder of its run.
 """
@@ -80,7 +80,7 @@ def use_every_core() -> None:
 class Wanted(NamedTuple):
     """The options of `snapo solve` other than the case.
 
-    - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
+    - `engine`, `reference`: as in `Options`; `resume`: continue the existing run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
     """
@@ -115,16 +115,16 @@ def output_folder(loaded: Loaded, out: Path | None) -> Path:
         message = "this cannot be the name of a folder: its links go in a circle"
         raise CaseError(str(out), "", None, message) from None
     if same:
-        message = "this is the folder of the case; a run has a folder of its own"
+        message = "this is the folder of the case; a run needs a separate folder"
         raise CaseError("--out", "", Unquoted(str(out)), message)
     run_folder.check_writable(out)
     return out
 
 
 def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
-    """The study of a case, beginning with a given policy where one is named.
+    """The study of a case, beginning with the named policy, if any.
 
-    **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
+    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one;
     nothing is written before.
     """
     use_every_core()

@@ -1,4 +1,4 @@
-"""The folder of a run: its settings, its parts, and files written whole or not at all.
+"""The folder of a run: its settings, its parts, and files written atomically.
 
 run.json            layout, kind, everything that decides the numbers, the state of every part, with
                     checksums of its files and of result.json; and its own
@@ -27,13 +27,14 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
+from snapo.report.folder import RESULT, read_table
 from snapo.solver.provenance import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
 from snapo.solver.tables import write_text
 
 from .study import Part
 
-RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
+RUN, CASE, PARTS = "run.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
@@ -102,7 +103,7 @@ def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) ->
 def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dict[str, Any]:
     """The record of a run (run.json): that of the run to resume, or a new one.
 
-    A new run removes the files of the one that was there before.
+    A new run removes the files of the previous one.
 
     **Raises:** `CaseError` where a run to resume was started with something else.
     """
@@ -136,7 +137,7 @@ def _written(out: Path) -> list[Path]:
 
 
 def become(out: Path, source: Path) -> None:
-    """Puts the run of another folder in the place of the one that is here; its report is not
+    """Replaces the run of this folder by that of another one; its report is not
     taken."""
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     for file in _written(out):
@@ -191,12 +192,12 @@ def _check_record(record: Mapping[str, Any]) -> None:
 
 
 def mark(decides: Mapping[str, Any]) -> str:
-    """A text that is the same for runs with the same numbers: their checkpoints go together."""
+    """A text that is the same for runs with the same numbers, which may share checkpoints."""
     return checksum(json.dumps(_numbers(decides), sort_keys=True).encode())
 
 
 def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the list of the parts that are wanted: a run of few parts goes on with more."""
+    """Without the list of requested parts: a run of few parts can be continued with more."""
     case = dict(decides.get("case", {}))
     if isinstance(case.get("report"), dict):
         case["report"] = {key: item for key, item in case["report"].items() if key != "parts"}
@@ -275,15 +276,6 @@ def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, An
 def read_part(out: Path, part: Part) -> dict[str, Any] | None:
     """The tables of a part that was done before; None where its file is not there or damaged."""
     return read_table(out / PARTS / part.file)
-
-
-def read_table(file: Path) -> dict[str, Any] | None:
-    """The object in a JSON file; None where it is not there or damaged."""
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) else None
 
 
 def plain_json(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Trainings of one case with several seeds, compared on common paths that nothing else has seen."""
+"""Trainings of one case with several seeds, compared on common paths used for nothing else."""
 
 import json
 import time
@@ -12,6 +12,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
+from snapo.report.folder import RunResult
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -38,7 +39,7 @@ class Trained(NamedTuple):
     seed: int
     study: Study
     folder: Any
-    result: Mapping[str, Any]
+    result: RunResult
 
 
 class SeedRow(NamedTuple):
@@ -46,7 +47,7 @@ class SeedRow(NamedTuple):
 
     - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
     - `below_best`, `below_best_error`: the difference to the best, paired path by path.
-    - `within`: whether all limits of the problem are met, or nearly, on the run's own paths.
+    - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
 
     seed: int
@@ -67,7 +68,7 @@ class SeedComparison(NamedTuple):
     - `best`: the seed with the highest value, of those within their limits where some are.
     - `mean`, `worst`, `highest`, `deviation`: of the values; `standard_error`: the Monte Carlo
       error of their mean, which all of them share.
-    - `fresh`: whether the paths serve for nothing else; `paths`: how many there are.
+    - `fresh`: whether the paths are used for nothing else; `paths`: how many there are.
     """
 
     rows: tuple[SeedRow, ...]
@@ -123,7 +124,7 @@ def _setup(study: Study) -> Setup:
 
 
 def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
-    """The problem on scenarios of its own for the comparison, where they can be drawn."""
+    """The problem on separate scenarios for the comparison, if they can be drawn."""
     problem, sources = setup.problem, setup.problem.sources
     others: Scenarios = sources.evaluation
     fresh = isinstance(others, Pseudo | Sobol)
@@ -147,8 +148,8 @@ def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     return shares if np.isfinite(value) else np.full_like(shares, np.nan)
 
 
-def _within(result: Mapping[str, Any]) -> bool:
-    return all(item.get("met") != "not met" for item in result.get("limits") or ())
+def _within(result: RunResult) -> bool:
+    return all(item["met"] != "not met" for item in result.limits)
 
 
 def _best(values: np.ndarray, within: Sequence[bool]) -> int:
@@ -171,15 +172,15 @@ def _row(
         behind and behind.value,
         behind and behind.standard_error,
         within,
-        str(result.get("status", "")),
-        str(result.get("convergence", "")),
-        float((result.get("seconds") or {}).get("total", 0.0)),
+        result.status,
+        result.convergence,
+        result.seconds["total"],
         f"seeds/{item.seed}",
     )
 
 
 def describe(result: Mapping[str, Any]) -> str:
-    """What choosing the best of several does to the value that is reported."""
+    """The effect of choosing the best of several on the reported value."""
     from snapo.report.quantity import decimals, finite, number
 
     rows, best = result["rows"], result["best"]
@@ -198,10 +199,10 @@ def describe(result: Mapping[str, Any]) -> str:
     if result["standard_error"] == 0:  # nothing is random
         return f"{text}."
     if result["fresh"]:
-        return f"{text}. The value of this run is on other paths, which that choice has not seen."
+        return f"{text}. The value of this run is on other paths, not used for that choice."
     return (
-        f"{text}. There are no other paths than those of the value, so that it is that of the best "
-        "of several on the same paths, and slightly high."
+        f"{text}. There are no other paths than those of the value, which is therefore that of the "
+        "best of several on the same paths, and biased slightly upwards."
     )
 
 
@@ -283,7 +284,7 @@ def _trained(
 
     report("begins")
     result = carried_out(replace(one, study=study), requested.resume, report, began)
-    return Trained(seed, one.study, one.out, result)
+    return Trained(seed, one.study, one.out, RunResult.of(result))
 
 
 def _check_same(out: Path, one: Prepared) -> None:
@@ -320,7 +321,7 @@ def _with_table(study: Study, comparison: SeedComparison) -> Study:
         summary, table = dict(study.result(run)), run.get("by_seed")
         if not table:
             return summary
-        return summary | {"seeds": table, "notes": [describe(table), *summary.get("notes", ())]}
+        return summary | {"seeds": table, "notes": [describe(table), *RunResult.of(summary).notes]}
 
     return replace(study, parts=[Part(TABLE, keep), *study.parts], result=result)
 

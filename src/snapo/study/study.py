@@ -1,4 +1,4 @@
-"""A study: a problem, and the parts of a run that answer the questions to it.
+"""A study: a problem, and the parts of a run that analyse it.
 
 A part leaves its tables in the run folder, reports its progress, can fail without losing the
 others, and is not done again when a run is resumed.
@@ -30,7 +30,7 @@ class Setup(NamedTuple):
 
     `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
     None: training begins from `policy` itself.
-    `case`: the one that was made ready, where the problem's simulator does not hold it.
+    `case`: the prepared one, where the problem's simulator does not hold it.
     """
 
     problem: Problem
@@ -56,7 +56,7 @@ class Today(NamedTuple):
 
 
 class LiveTable(NamedTuple):
-    """A section of the domain's own on the live page.
+    """A section of the domain on the live page.
 
     - `title`; `description`: one line above; `columns`: (name, unit) of the table, and its `rows`,
       of texts and numbers.
@@ -69,7 +69,7 @@ class LiveTable(NamedTuple):
 
 
 class PathTotals(NamedTuple):
-    """What a policy did on the paths of the page's value: all that a section is made from.
+    """The rollout of a policy on the paths of the page's value, from which sections are made.
 
     - `totals`: {output: [N]}, exact; `groups` [N]: paths of one group are not independent.
     """
@@ -136,15 +136,16 @@ class Study:
       "status" …
     - `setup`: gives the arguments of training, the same object every time; None where nothing
       trains.
-    - `relaxation`: gives the inner problem of the bound from above; or a text: why there is none.
+    - `relaxation`: returns the inner problem of the upper bound; or the reason for its absence as
+      text.
     - `setup_at`: gives the setup at a case that differs in the numbers of its inputs only, as fast
       as it can: with code that is compiled already. None: its inputs cannot be moved.
     - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
       written without them.
     - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
-    - `live_tables`: gives the domain's own sections of the live page.
-    - `recalculated`: gives the calculation at other inputs of a study that trains nothing.
+    - `live_tables`: returns the sections of the domain on the live page.
+    - `recalculated`: returns the calculation at other inputs for a study without training.
     """
 
     kind: str
@@ -175,11 +176,11 @@ class Study:
 class StudyRun:
     """A study while it runs: the results that its parts read, and the folder that they write.
 
-    - `folder`: of the run; `resume`: whether to go on from its checkpoint.
+    - `folder`: of the run; `resume`: whether to continue from its checkpoint.
     - `progress`: takes one line of progress.
     - `results`: the tables of all finished parts by key, as they come back from JSON.
     - `troubles`: errors of writing files.
-    - `mark`: of all that decides its numbers; a checkpoint with another mark is not its own.
+    - `mark`: of everything that affects its numbers; a checkpoint with another mark is not used.
     """
 
     study: Study

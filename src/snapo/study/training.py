@@ -1,4 +1,4 @@
-"""The part of a study that trains: with a checkpoint, so that a killed run goes on."""
+"""The part of a study that trains: with a checkpoint, so that a killed run can continue."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
-from snapo.report.folder import LEFT_OUT, PLANNED
+from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
@@ -75,16 +75,16 @@ def trained(
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
     first = {key: result.pop(key) for key in head}
     if left := room(first["value"], first["standard_error"], run.get("bound"), exact):
-        result |= _with_room(result, left)
+        result |= _with_room(RunResult.of(result), left)
     if beaten := _beaten(advantages):
-        result |= {"notes": [*result.get("notes", ()), beaten], "verdict": beaten}
+        result |= {"notes": [*RunResult.of(result).notes, beaten], "verdict": beaten}
     return first | {"references": dict(references or {})} | result
 
 
-def _with_room(result: Mapping[str, Any], left: Room) -> dict[str, Any]:
+def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
     """Word and notes where it is known how much can be gained; next to a bound none asks for
     more steps."""
-    notes, word = result.get("notes", ()), result.get("convergence", "")
+    notes, word = result.notes, result.convergence
     if left.near:
         notes = without_advice(notes)
         word = CONVERGED if word in UNDECIDED else word
@@ -174,7 +174,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
 
 
 def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
-    """The parts with these names, and all that they need; all where none is named."""
+    """The parts with these names, and those that they need; all if none is named."""
     if not requested:
         return list(parts)
     by_name = {part.name: part for part in parts}
@@ -199,7 +199,7 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
     """Why the run in a folder, with its record, has no trained policy."""
-    message = "this run has no trained policy: solve its case again, or go on with --resume"
+    message = "this run has no trained policy: solve its case again, or continue with --resume"
     if TRAINING.name in record.get("about", {}).get(LEFT_OUT, ()):
         message = "this run has no trained policy: its `[report] parts` leave out the training"
     return CaseError(str(out), "", None, message)

@@ -27,8 +27,8 @@ from . import run_folder
 
 MAX_DRAWN, MAX_LINES = 400, 4  # rows and columns of a chart
 LEFT = ("seconds",)
-NAME = "name"  # of that of records in a table of tables
-ROW = "row"  # the header of the first column, where rows have no label of their own
+NAME = "name"  # column for the name of a record in a table of tables
+ROW = "row"  # the header of the first column, where rows have no label
 SINGLE = ("what", "value")
 DEEPEST = 8
 
@@ -156,7 +156,7 @@ def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[
 
 
 def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[SheetPart]:
-    """Records as rows; of records that hold arrays, these are tables of their own."""
+    """Records as rows; arrays in records become separate tables."""
     header = list(dict.fromkeys(key for row in rows for key in _plain(row)))
     if header:
         values: list[Sequence[Any]] = [[_plain(row).get(key) for key in header] for row in rows]

@@ -18,9 +18,9 @@ def wrong_derivatives(
 ) -> list[str]:
     """The inputs whose adjoint differs from central differences, a line each.
 
-    The problem is moved off round numbers first, where limits tie and two derivatives are right.
-    The other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
-    recorded decisions are held, with `every` each number is bumped separately.
+    The problem is first moved away from round numbers, where limits tie and two derivatives are
+    correct. The other arguments are those of `snapo.solver.certificate.bump_check`: without
+    `smooth` the recorded decisions are held, with `every` each number is bumped separately.
     """
     result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine

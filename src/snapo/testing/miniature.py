@@ -24,7 +24,7 @@ class Miniature(NamedTuple):
     - `size`: of its template; the default one where it is None.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
     - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
-    - `texts`: gives the files of the case, {name: text}, where it is none of the templates.
+    - `texts`: returns the files of the case, {name: text}, if it is not a template.
     """
 
     kind: str
@@ -38,7 +38,7 @@ class Miniature(NamedTuple):
         return commands.CaseRequest(folder / CASE, self.assignments, self.simulator)
 
     def write(self, folder: Path) -> commands.CaseRequest:
-        """The template, or the case of its own, in `folder`/case."""
+        """The template, or the given case, in `folder`/case."""
         if self.texts is None:
             commands.new(self.kind, folder / CASE, self.size)
         else:

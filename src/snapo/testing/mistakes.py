@@ -1,10 +1,10 @@
 """Every key of a case, spoilt in every common way: a reader refuses it with a clear message, or
 reads it.
 
-`spoilt_keys` and `spoilt_files` go through the tables and the CSVs of a case that is right, so
-that a new key is tested on the day it is added. A mistake that has no sense under any reading
-(text for a number, NaN, an unknown key) must be refused with a message that names its place; one
-that may have a sense (another sign, a key left out) may be read, but never ends in a traceback.
+`spoilt_keys` and `spoilt_files` iterate over the tables and the CSVs of a valid case, so that a new
+key is tested at once. A mistake without any valid meaning (text for a number, NaN, an unknown key)
+must be refused with a message that names its position; one that may be valid (another sign, a
+missing key) may be read, but never ends in a traceback.
 
     complaints = refusals(read, folder, spoilt_keys(folder), scratch)
     assert not complaints, "\\n".join(complaints)
@@ -35,7 +35,7 @@ class Mistake:
 
     - `name`: the place and the kind of mistake, "contract.inventory: text".
     - `spoil`: changes the parsed TOML in place, or a file of the folder.
-    - `names`: texts that the message must contain; none where the mistake may have a sense.
+    - `names`: texts that the message must contain; none if the mistake may be valid.
     """
 
     name: str
@@ -90,7 +90,7 @@ def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> It
 def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
     """Mistakes in every table and under every key of the case in `folder`.
 
-    `free`: tables whose keys are names of the user's own choice ("contents.initial"), where an
+    `free`: tables whose keys are names of the user's choice ("contents.initial"), where an
     unknown key is a new name.
     """
     _, data = load(folder)

@@ -2,9 +2,9 @@
 
 import pytest
 from tests.domains.inventory.inventory_cases import case
+from tests.domains.inventory.references.backlog import best_base_stock
 from tests.domains.inventory.test_references import DIGITS
 
-from snapo.domains.inventory.references.backlog import best_base_stock
 from snapo.domains.inventory.setup import make_setup
 from snapo.solver.solve import Evaluation, solve
 

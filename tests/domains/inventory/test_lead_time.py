@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 from tests.domains.inventory.inventory_cases import case
+from tests.domains.inventory.references.backlog import best_base_stock
 
 from snapo.domains.inventory.chapters.lead_time import measure
 from snapo.domains.inventory.read.network import read_network
-from snapo.domains.inventory.references.backlog import best_base_stock
 from snapo.domains.inventory.setup import make_setup
 from snapo.solver.solve import Evaluation, solve
 

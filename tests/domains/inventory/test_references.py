@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from scipy import integrate, stats
-
-from snapo.domains.inventory.references.backlog import base_stock_cost, best_base_stock
-from snapo.domains.inventory.references.value_iteration import Costs, backlogged, lost_sales
+from tests.domains.inventory.references.backlog import base_stock_cost, best_base_stock
+from tests.domains.inventory.references.value_iteration import Costs, backlogged, lost_sales
 
 # Zipkin, Operations Research 56 (2008): mean demand 5, holding cost 1; by shortage cost, by lead.
 OPTIMA = {

@@ -3,7 +3,7 @@
 import pytest
 
 from snapo.domains.inventory.report import of_its_period
-from snapo.report.folder import RunFiles
+from snapo.report.folder import RunFiles, RunResult
 from snapo.report.page import Text
 from snapo.study.chapters.profile import profile
 
@@ -16,6 +16,6 @@ def test_an_output_over_time_is_that_of_its_period(cost, told):
               for kind, unit in (("state", "piece"), ("outputs", "piece"), ("outputs", cost))]  # fmt: skip
     about = {"horizon": 100, "warm_up": 40, "step": "week", "currency": "EUR",
              "profile": {"series": series, "paths": 2}}  # fmt: skip
-    blocks = profile(factor=of_its_period)(RunFiles({}, about, {}, (), {}, {})).blocks
+    blocks = profile(factor=of_its_period)(RunFiles(RunResult(), about, {}, (), {}, {})).blocks
     texts = [each.text.split(" is ")[1] for each in blocks if isinstance(each, Text)]
     assert [each.split("\N{NO-BREAK SPACE}")[0] for each in texts] == ["0.5", "30", told]

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.inventory.inventory_cases import case
+from tests.domains.inventory.references.backlog import base_stock_cost
 
 from snapo.domains.inventory.item.simulator import InventorySimulator
 from snapo.domains.inventory.policy.rules import Classical
 from snapo.domains.inventory.read.case import read_case
-from snapo.domains.inventory.references.backlog import base_stock_cost
 from snapo.domains.inventory.setup import first_policy
 from snapo.engine import Native, Xla
 from snapo.problem.objective import Mean

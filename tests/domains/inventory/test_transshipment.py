@@ -7,12 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.inventory.references.pooling import one_newsvendor, pooled_stores
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.rules import ENDLESS, echelon_rule
 from snapo.domains.inventory.network.transshipment import in_pieces
 from snapo.domains.inventory.read.network import read_network
-from snapo.domains.inventory.references.pooling import one_newsvendor, pooled_stores
 from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.smooth import Exact, Smooth
@@ -62,9 +62,9 @@ def test_the_closed_form_has_the_newsvendors_at_both_ends():
     "pool, words",
     [
         ({"between": ["s0", "moon"], "cost": 1.0}, "the places with customers are s0, s1, s2"),
-        ({"between": ["s0", "s0"], "cost": 1.0}, "is there once"),
+        ({"between": ["s0", "s0"], "cost": 1.0}, "is listed once"),
         ({"between": ["s0"], "cost": 1.0}, "2 or more"),
-        ({"cost": 1.0, "one_way": True}, "first to the second of two"),
+        ({"cost": 1.0, "one_way": True}, "the first of which sends"),
         ({"cost": -1.0}, "at least 0"),
         ({"cost": 1.0, "when": "never"}, "before"),
     ],

@@ -122,8 +122,8 @@ MISTAKES = {
     "no code": ([], "", "", "does not name code to run", "simulator:Reservoir"),
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
     "no class": (["--simulator", "simulator:Stop"], "", "", "has no Stop; its classes are Shop"),
-    "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a class made from snapo.Sim"),
-    "python's own": (["--simulator", "json:Shop"], "", "", "a module of Python itself"),
+    "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a subclass of snapo.Sim"),
+    "python's own": (["--simulator", "json:Shop"], "", "", "the name of a module of Python"),
     "no output": (PLACE, 'output = "profit"', "", "objective.output: this key is missing"),
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
@@ -136,7 +136,7 @@ MISTAKES = {
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "a value or a file, not both"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
     "file": (PLACE, '"demand.csv"', '"demands.csv"', "there is no such file", "(there are demand.csv)"),
-    "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must lie beside the case"),
+    "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must be in the folder of the case"),
     "key": (PLACE, "words = ", "word = ", "inputs.stock.word", "the nearest known key is words"),
     "table": (PLACE, "[training]", "[trainings]", "trainings", "the nearest known key is training"),
     "move": (PLACE, "move = 1 ", "move = 0 ", "inputs.stock.move: got 0; allowed is a number other"),
@@ -191,7 +191,7 @@ def test_size_and_bench_are_refused_with_a_reason(folder, capsys):
     assert main(["new", "own", str(folder), "--size", "large"]) == 2
     assert "this kind has one example only" in capsys.readouterr().err
     assert main(["bench", "own"]) == 2
-    assert "nothing of this kind is timed by itself" in capsys.readouterr().err
+    assert "nothing of this kind is timed separately" in capsys.readouterr().err
 
 
 def test_an_unreadable_module_message_names_what_raised():

@@ -5,7 +5,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from snapo.report.folder import RunFiles
+from snapo.report.folder import RunFiles, RunResult
 from snapo.study.chapter import Chapter
 
 Record = TypeVar("Record")
@@ -39,7 +39,7 @@ def folder(*results: tuple[Chapter, Any], result: Any = None, **about: Any) -> R
     details = dict(about)
     for chapter, record in results:
         details |= chapter.data(record)
-    return RunFiles(result or {}, details, {}, (), {}, {})
+    return RunFiles(RunResult(**result or {}), details, {}, (), {}, {})
 
 
 def plain(record: Any) -> dict[str, Any]:

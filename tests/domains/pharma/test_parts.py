@@ -22,7 +22,7 @@ from snapo.domains.pharma.quality.boundary import Boundary
 from snapo.domains.pharma.quality.ranges import AcceptableRange, ProvenRange
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.study import study
-from snapo.report.folder import RunFiles
+from snapo.report.folder import PartState, RunFiles, RunResult
 from snapo.report.page import Missing
 from snapo.study.domain import Options
 
@@ -70,12 +70,12 @@ def test_progress_is_told_some_seconds_apart(monkeypatch):
     [
         ({"planned": []}, {}, "The case has no `[design_space]`."),
         ({"planned": ["design space"]}, {}, "stopped before its part “design space”"),
-        ({}, {"design space": {"state": "failed", "note": "a stone"}}, "failed: a stone"),
-        ({}, {"design space": {"state": "done", "note": ""}}, "has nothing to show"),
+        ({}, {"design space": PartState("failed", "a stone")}, "failed: a stone"),
+        ({}, {"design space": PartState("done")}, "has nothing to show"),
     ],
 )
 def test_a_section_says_why_it_is_empty(details, parts, words):
-    block = SPACE(RunFiles({}, details, parts, (), {}, {})).blocks[0]
+    block = SPACE(RunFiles(RunResult(), details, parts, (), {}, {})).blocks[0]
     assert isinstance(block, Missing) and words in block.text
 
 

@@ -70,6 +70,37 @@ def exact(words: np.ndarray, dtype) -> np.ndarray:
 BOUND = {"float32": 4, "float64": 5}
 
 
+class Later(Echo):
+    """Begins on the calendar's step 4, and receives the noise of its first five."""
+
+    first_step: ClassVar[int] = 4
+    initial_steps: ClassVar[int] = 5
+
+    @property
+    def initial_noise_size(self) -> int:
+        return 5 * self.noise_size
+
+
+@pytest.mark.parametrize(("size", "antithetic"), [(1, True), (3, False), (17, True)])
+def test_noise_of_the_calendar(size, antithetic):
+    """The steps before and from the start are those of a simulator that began earlier."""
+    paths, rows = np.arange(1000, 1045, dtype=np.uint32), []
+    for simulator in (Echo(size, horizon=11), Later(size)):
+        draws = Pseudo(5, antithetic).draws(paths, simulator)
+        rollout = Native("float64").values(
+            simulator, Constant(0.0), simulator.prepare(None), draws, Exact(), record=("state",)
+        )
+        last = np.asarray(rollout.state["noise"])[None]
+        steps = np.concatenate([np.asarray(rollout.record["state"]["noise"])[1:], last])
+        rows.append((np.asarray(rollout.state["first"]), steps))
+    (_, early), (first, late) = rows
+    np.testing.assert_array_equal(first.reshape(len(paths), 5, size), early[:5].swapaxes(0, 1))
+    np.testing.assert_array_equal(late, early[4:])
+    draws = Pseudo(5).counter(paths, 4, 2)
+    with pytest.raises(ValueError, match="initial_noise_size is 3"):
+        Native().values(Echo(2), Constant(0.0), Echo(2).prepare(None), draws, Exact())
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize(("size", "antithetic"), [(1, True), (3, False), (4, True), (31, False)])
 def test_the_same_normals(precision, size, antithetic):

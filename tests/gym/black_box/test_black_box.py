@@ -84,7 +84,7 @@ def test_what_cannot_be_learnt_is_refused_with_a_remedy():
         setattr(environment, name, space)
         with pytest.raises(ValueError, match=told):
             snapo.learn(environment, limit=10)
-    with pytest.raises(ValueError, match="give limit=200"):
+    with pytest.raises(ValueError, match="limit=200"):
         snapo.learn(Counter)
     with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 2000 steps"):
         snapo.learn(Counter, steps=100, limit=200)
@@ -176,7 +176,7 @@ def test_a_result_prints_itself():
     assert told[0] == "real environment -14 ± 4, model 0 ± 0, gap -14 ± 4 over 2 episodes"
     assert told[1] == "1,000 real steps, 3 s of processor time, policy of round 2 of 2"
     assert told[3].split()[:4] == ["1", "500", "300", "20.00%"] and "-15 ± 5" in told[3]
-    with pytest.raises(ValueError, match="only one environment came"):
+    with pytest.raises(ValueError, match="there is only one environment"):
         learned.play(3)
 
 

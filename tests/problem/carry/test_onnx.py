@@ -119,7 +119,7 @@ def test_the_limits_of_a_fund(tmp_path):
 
 
 def test_what_cannot_be_exported_is_named():
-    with pytest.raises(ValueError, match="give features="):
+    with pytest.raises(ValueError, match="specify features="):
         snapo.to_onnx(snapo.Constant([0.5]))
 
     class Sorted(Policy):

@@ -79,8 +79,8 @@ def ended(times, window=None, clip=None, keep=1.0):
 @pytest.mark.parametrize(
     "how, said",
     [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) never does)"),
-     ({"window": 25}, "From step 20 of the training on it went back through windows of 25 steps"),
-     ({"clip": 2.0, "keep": 0.9}, "a share of 0.9 of it went on at every step back"),
+     ({"window": 25}, "From step 20 of the training on it used windows of 25 steps"),
+     ({"clip": 2.0, "keep": 0.9}, "a share of 0.9 of it was passed on at every backward step"),
      ({}, "Training did nothing about it")],
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):

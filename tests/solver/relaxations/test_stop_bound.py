@@ -125,8 +125,8 @@ def test_a_decision_that_moves_the_state_is_refused():
     ("other", "reason"),
     [
         (problem(Boxed()), "its action is a Box"),
-        (problem(Largest()), "no mean of outputs that are summed"),
-        (problem(objective=snapo.CVaR("cash", 0.9)), "no mean of outputs that are summed"),
+        (problem(Largest()), "not a mean of outputs that are summed"),
+        (problem(objective=snapo.CVaR("cash", 0.9)), "not a mean of outputs that are summed"),
     ],
 )
 def test_problems_without_this_bound_are_refused_in_words(other, reason):
@@ -135,7 +135,7 @@ def test_problems_without_this_bound_are_refused_in_words(other, reason):
 
 
 def test_no_relaxation_is_known_of_another_action():
-    with pytest.raises(ValueError, match="no method `relaxation` and is no stopping problem"):
+    with pytest.raises(ValueError, match="no method `relaxation` and is not a stopping problem"):
         snapo.bound(problem(Boxed()), BelowStrike())
 
 

@@ -112,5 +112,5 @@ def test_objectives_without_a_worth_ahead_are_refused(objective):
 
 
 def test_a_window_needs_the_problem():
-    with pytest.raises(ValueError, match="give the problem too"):
+    with pytest.raises(ValueError, match="pass the problem too"):
         initial_progress(snapo.Constant(0.0), BY_WINDOWS)

@@ -1,4 +1,4 @@
-"""Control: a plant moved step by step towards a target, at the least cost."""
+"""Control: a plant steered step by step towards a target, at minimum cost."""
 
 from snapo.study.kind import Kind
 

@@ -38,7 +38,7 @@ from .tables import (
 )
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
-WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
+WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
     Plausible(0.0, 1e3, "a speed of turning is in radians a second", unit="rad/s", by_size=True),
@@ -48,7 +48,7 @@ RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(1e-4, 1e6, "1 g is 0.001 kg", unit="kg"),
 )
 BLIND = (
-    "States are measured with errors, and the policy remembers nothing of earlier ones: "
+    "States are measured with errors, and the policy has no memory of earlier ones: "
     '`[policy] memory = "GRU"` lets it.'
 )
 
@@ -143,7 +143,7 @@ def _recipe(table: ControlPolicyTable, name: str) -> Policy:
     if table.memory is None:
         return MLP(hidden=hidden)
     if hidden is not None and len(hidden) != 1:
-        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or left out'
+        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or no value'
         raise CaseError(name, "policy.hidden", list(hidden), message)
     return GRU(hidden=None if hidden is None else hidden[0])
 
@@ -192,7 +192,7 @@ def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[
 def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: standard deviations of a step's disturbance} of the states that are named.
 
-    Of a state of several numbers: a list, or the rows of a matrix that multiplies normals.
+    For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """
     _known(plant, data, name, "noise")
     matrices = {}
@@ -242,7 +242,7 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if isinstance(read, UniformStart) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
     if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):
-        message = "allowed are numbers above 0; a first state without spread is { at = 1 }"
+        message = "allowed are numbers above 0; an initial state without spread is { at = 1 }"
         raise CaseError(name, f"{where}.deviation", value["deviation"], message)
     return numbers
 

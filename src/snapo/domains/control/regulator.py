@@ -52,7 +52,7 @@ def riccati(plant: Linearised, steps: int) -> Riccati:
 
 
 def expected_cost(costs: Riccati, mean, covariance, shocks) -> float:
-    """The mean cost from a initial state with this mean [n] and covariance [n, n].
+    """The mean cost from an initial state with this mean [n] and covariance [n, n].
 
     `shocks`: [n, n] or [T, n, n] covariances of the disturbances.
     """
@@ -95,7 +95,7 @@ def estimation_cost(
     shocks: Float[np.ndarray, "*T n n"],
     errors: Float[np.ndarray, "n n"],
 ) -> float:
-    """The mean cost that is added by errors of measurement.
+    """The additional mean cost of measurement noise.
 
     `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of errors;
     all of them normal.
@@ -119,7 +119,7 @@ def solved(plant: Plant, values: Mapping[str, Any]) -> Riccati | None:
 
 
 def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
-    """The largest mean reward that any rule can have; None where it is not known."""
+    """The largest mean reward of any rule; None where it is unknown."""
     result = solved(plant, values)
     if result is None:
         return None

@@ -36,7 +36,7 @@ def lines(case: ControlCase) -> list[str]:
         f"{case.title}: {plant.description}",
         f"{plant.horizon} steps; states {states}; actions {actions}",
         f"{len(numbers)} inputs with {sum(numbers)} numbers, each with a sensitivity",
-        f"the {case.objective_words} is made as large as possible",
+        f"the {case.objective_words} is maximised",
     ]
 
 
@@ -46,7 +46,7 @@ def unit(text: str) -> str:
 
 
 def units(plant: Plant) -> dict[str, str]:
-    """{state or action: unit}; an action is shown as the share of its limit, as it is trained."""
+    """{state or action: unit}; an action is shown as the share of its limit, as in training."""
     table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}
     table |= {f"{MEASURED}.{name}": table[name] for name in plant.measured if name in table}
     return table | {"action": "share of its limit"} if _bounded(plant) else table

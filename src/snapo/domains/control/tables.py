@@ -18,7 +18,7 @@ PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
 def _whole_number(low: int, high: int, note: str) -> Any:
-    """A key for a whole number from `low` to `high`, or none; its text says so."""
+    """A key for a whole number from `low` to `high`, or none; with its description."""
     return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
 
 
@@ -42,24 +42,22 @@ class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
     hidden: Widths | None = Field(
-        None, description="a list of widths, [32, 32], or left out: then it follows the problem"
+        None, description="a list of widths, [32, 32]; by default chosen from the problem"
     )
     memory: Literal["GRU", "Recent"] | None = Field(
         None,
-        description='"GRU" (a recurrent network) or "Recent" (the last observations), or left out',
+        description='"GRU" (a recurrent network), "Recent" (the last observations) or left out',
     )
-    steps: int | None = _whole_number(
-        2, 1000, 'with memory = "Recent", of observations that it sees'
-    )
+    steps: int | None = _whole_number(2, 1000, 'with memory = "Recent", of observations')
 
 
 class PlantTable(CaseTable):
-    """`[plant]`: what every plant has in addition to its parameters."""
+    """`[plant]`: the keys of every plant in addition to its parameters."""
 
     type: str
     horizon: int | None = _whole_number(1, 100_000, " of steps")
     clock: bool | None = Field(
-        None, description="true or false: whether the policy sees the time that is left"
+        None, description="true or false: whether the policy observes the remaining time"
     )
 
 

@@ -36,9 +36,9 @@ TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}
 
 def headline(run: StorageRun) -> Section:
     """The value with its standard error, and the decision of the day in one sentence."""
-    value, error = finite(run.result.get("value")), run.result.get("standard_error")
+    value, error = run.result.value, run.result.standard_error
     if value is None:
-        status = run.result.get("status") or "unknown"
+        status = run.result.status or "unknown"
         sentence = f"There is no value in result.json (status: {status})."
         return Section("headline", "Value and decision", "", [Missing(sentence)])
     digits, position = decimals([value]), POSITION.of(run) or Position()
@@ -118,7 +118,7 @@ def _facts(
     run: StorageRun, value: float, digits: int, cycles: Cycles, now: FirstDecision
 ) -> list[tuple[str, str, str]]:
     facts = []
-    intrinsic = finite((run.result.get("references") or {}).get("intrinsic"))
+    intrinsic = finite(run.result.references.get("intrinsic"))
     if intrinsic is not None:
         facts.append(("Intrinsic value", run.money(intrinsic, digits), "locked in today"))
         share = f"{percent((value - intrinsic) / value)} of the value" if value else ""

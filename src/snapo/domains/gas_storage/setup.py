@@ -66,7 +66,7 @@ def setup_at(setup: Setup, case: StorageCase) -> Setup:
 
 
 def rebuilt(problem: Problem) -> Problem:
-    """The problem with the guide and the scales of features of its own inputs.
+    """The problem with the guide and the scales of features of its inputs.
 
     The hedge, a control variate that no value depends on, is set to zero.
     """

@@ -70,7 +70,7 @@ def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | Eche
 
 
 def first_batch(case: InventoryCase) -> tuple[float, float]:
-    """How far S lies above and s below the base-stock level, in standard deviations of demand.
+    """The distances of S above and s below the base-stock level, in standard deviations of demand.
 
     With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles; an
     order is placed half a period's demand too late on average. S = s + Q less that half.

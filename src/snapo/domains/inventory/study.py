@@ -84,7 +84,7 @@ def _periods(case: AnyCase) -> str:
 def study(case: AnyCase, options: Options) -> Study:
     """Training, service and costs, an item's rule, other rules, moves, lead time, outputs."""
     if options.reference:
-        allowed = "an inventory has no references to compute; its rivals are in every run"
+        allowed = "an inventory has no references to compute; its baselines are in every run"
         raise CaseError("--reference", "", None, allowed)
     is_network, setup = isinstance(case, NetworkCase), make_setup(case, options.engine)
     if is_network:

@@ -1,4 +1,4 @@
-"""The domain of a simulator of the user's own: the same commands, resume and report as any other.
+"""The domain of user-defined simulators: the same commands, resume and report as any other.
 
 The simulator is Python code next to the case. Only the command line names code to run; a case is
 data.
@@ -47,7 +47,7 @@ class OwnDomain(Kind):
 
 DOMAIN = OwnDomain(
     KIND,
-    "a simulator of your own, in Python next to the case",
+    "your own simulator, in Python next to the case",
     __name__,
     {"reservoir": "template"},
     reader="read:read_case",

@@ -1,4 +1,4 @@
-"""The user's own module: found next to the case, run once, with messages for its mistakes."""
+"""The user's module: found next to the case, run once, with messages for its mistakes."""
 
 import hashlib
 import importlib
@@ -18,7 +18,7 @@ OPTION = "--simulator"
 
 
 class LoadedCode(NamedTuple):
-    """A class of the user's own, and the file that it is written in (None: an installed module)."""
+    """A class of the user, and its file (None: an installed module)."""
 
     value: Any
     file: Path | None
@@ -32,7 +32,7 @@ def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     """
     position = Unquoted(f"{module}:{name}")
     if module in sys.stdlib_module_names:
-        message = "a module of Python itself has this name; give yours another one"
+        message = "this is the name of a module of Python; rename yours"
         raise CaseError(OPTION, "", position, message)
     loaded = _loaded(module, position, folder)
     result = getattr(loaded, name, None)
@@ -43,7 +43,7 @@ def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     from snapo.problem.simulator import Simulator
 
     if not (isinstance(result, type) and issubclass(result, Simulator)):
-        message = f"{name} is not a class made from snapo.Simulator"
+        message = f"{name} is not a subclass of snapo.Simulator"
         raise CaseError(OPTION, "", position, message)
     file = Path(loaded.__file__) if loaded.__file__ else None
     digest = hashlib.sha256(file.read_bytes()).hexdigest() if file else ""
@@ -97,7 +97,7 @@ def importable(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def readable(file: Path) -> Iterator[None]:
-    """Turns whatever the code in `file` raises into one message with its line."""
+    """Converts any exception of the code in `file` into one message with its line."""
     try:
         yield
     except CaseError:

@@ -1,4 +1,4 @@
-"""Reads a case with a simulator of the user's own: its tables, `[inputs]` and `[objective]`."""
+"""Reads a case with a user-defined simulator: its tables, `[inputs]` and `[objective]`."""
 
 import math
 import re
@@ -24,7 +24,7 @@ from snapo.case.settings import (
     read_training,
     read_weight,
 )
-from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, parse
+from snapo.case.table import TITLE, CaseTable, Range, TableContext, Title, parse
 from snapo.problem.inputs import Input
 from snapo.problem.objective import Objective, Weighted
 from snapo.problem.simulator import Simulator
@@ -33,6 +33,7 @@ from snapo.study.prepare import use_every_core
 from .load import importable, load_class, readable
 from .records import OwnCase
 
+FACTOR = ": how many trade units make one unit"
 NumberArray = float | list[float] | list[list[float]]
 
 
@@ -65,12 +66,10 @@ class InputTable(CaseTable):
     unit: str = Field("", description='text, like "EUR/MWh"')
     words: str = Field("", description="text: the meaning of the input")
     group: str = Field("", description="text: the family of risk")
-    bump: Positive | None = Field(None, description="a number above 0, in the unit")
+    bump: Annotated[float, Range(0, endpoints="()", note=", in the unit")] | None = None
     move: float | None = Field(None, description="a number other than 0, in the unit")
     trade_unit: str = Field("", description="text: the unit that its user prefers")
-    trade_factor: Annotated[float, Field(gt=0)] = Field(
-        1.0, description="a number above 0: how many trade units make one unit"
-    )
+    trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = 1.0
 
 
 ATTRIBUTES = {  # keys of the table that an input has, and the names that it has for them
@@ -104,7 +103,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is meant, of which the trade unit is a hundredth"
+            hint = "a fraction is meant; the display unit is one percent of it"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
             hint = "a fraction is meant, 0.0001 is 1 bp"

@@ -1,4 +1,4 @@
-"""A case with a simulator of the user's own, as it was read."""
+"""A case with a user-defined simulator, as read from its file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

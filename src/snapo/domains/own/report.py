@@ -1,4 +1,4 @@
-"""The report of a run of a user's own simulator: the sections that every run can have, and
+"""The report of a run of a user's simulator: the sections that every run can have, and
 limits."""
 
 from typing import Any
@@ -26,7 +26,7 @@ CAVEAT = (
 
 def limits(run: RunFiles) -> Section:
     """A row for each limit; a section without blocks, which no page shows, where there is none."""
-    rows = [_row(LimitFound(**entries)) for entries in run.result.get("limits") or ()]
+    rows = [_row(LimitFound(**entries)) for entries in run.result.limits]
     head = [
         ("Limit", ""), ("", ""), ("Level", ""), ("Value", ""), ("95 %", ""),
         ("One more of the level", run.unit), ("", ""),

@@ -1,4 +1,4 @@
-"""What a run of a user's own simulator does: it is checked, trained, measured and reported."""
+"""A run of a user's simulator: check, training, measurement and report."""
 
 from typing import Any
 
@@ -99,7 +99,7 @@ def lines(case: OwnCase) -> list[str]:
 def study(case: OwnCase, options: Options) -> Study:
     """Training, distribution, fans, moves of the inputs, and the certificate."""
     if options.reference:
-        message = "a simulator of your own has no references to compute"
+        message = "a user-defined simulator has no references to compute"
         raise CaseError("--reference", "", None, message)
     available = (options.about or {}).get("notes")
     notes = _notes(case) if available is None else available

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.csv import Row
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, NoPosition
 from snapo.case.quantity import (
     FRACTION,
     NOT_NEGATIVE,
@@ -91,7 +91,7 @@ class FundQuantity(Quantity):
         return self.from_rows(name, rows, [f"from {years(b)}" for b in begins], starts=begins)
 
     def column_of(self, name: str, rows: Sequence[Row], labels: Sequence[str]) -> CaseInput:
-        """The numbers of a column that may be left out: then they are zero, and no input."""
+        """The numbers of an optional column; by default zero, and not an input."""
         if not rows or self.column not in rows[0].cells:
             return empty(name, (len(rows),))
         return self.from_rows(name, rows, labels)
@@ -110,7 +110,7 @@ TIME = FundQuantity("year", POSITIVE, move=1.0, display_unit="year")
 
 
 def plain(allowed: Range, default: Any = ...) -> Any:
-    """A field for a number that is no input: it has no gradient."""
+    """A field for a number that is not an input: it has no gradient."""
     lower, upper = (
         ("gt" if allowed.endpoints[0] == "(" else "ge"),
         ("lt" if allowed.endpoints[1] == ")" else "le"),
@@ -128,7 +128,7 @@ def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -
 
 
 def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
-    """Numbers on the steps of the horizon, index [T]; one that begins later is no input."""
+    """Numbers on the steps of the horizon, index [T]; not an input if it begins later."""
     if numbers.starts is None:
         return replace(numbers, index=np.zeros(grid.steps, np.int64))
     times = np.arange(grid.steps) * grid.step
@@ -142,5 +142,7 @@ def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) ->
     """Several numbers that change in time as one input, index [T, len(parts)]."""
     labels = [f"{n} {label}".strip() for n, x in zip(names, parts) for label in x.labels]
     numbers = replace(stacked(name, parts), labels=tuple(labels))
-    complete = len(set(numbers.positions)) == len(labels)  # several may share a file, or have none
-    return numbers if complete else replace(numbers, positions=())
+    if len(set(numbers.positions)) == len(labels):
+        return numbers
+    reason = "several of these numbers are one in the files of the case"
+    return replace(numbers, positions=(NoPosition(reason),) * len(labels))

@@ -5,7 +5,7 @@ import numpy as np
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
 from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
-from snapo.report.quantity import finite, long_date, number, plus_minus
+from snapo.report.quantity import long_date, number, plus_minus
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
@@ -35,12 +35,12 @@ Fact = tuple[str, str, str]
 
 def headline(run: PensionRun) -> Section:
     """The value of the policy, and its trades today."""
-    value = finite(run.result.get("value"))
+    value = run.result.value
     if value is None:
         text = "This run trained no policy: training is not among the `[report] parts`."
         if run.left_out("training"):
             return Section("headline", "Result", "", [Text(text), *_facts(run)])
-        status = run.result.get("status") or "unknown"
+        status = run.result.status or "unknown"
         text = f"There is no value in result.json (status: {status})."
         return Section("headline", "Result", "", [Missing(text)])
     objective = OBJECTIVE.of(run)
@@ -50,11 +50,11 @@ def headline(run: PensionRun) -> Section:
         displayed = share(objective.equivalent)
         spread = plus_minus(100 * np.nan_to_num(objective.equivalent_error), 2)
         over = " to today's pension" if name == "pension" else ""
-        note = f"The sure ratio{over} that is worth as much as the policy's, at risk aversion"
+        note = f"The certain ratio{over} with the same utility as the policy, at risk aversion"
         note = f"{note} {number(objective.aversion, 1)};"
     else:
         label, displayed = f"Value of the objective ({run.measure})", number(value)
-        spread, note = plus_minus(run.result.get("standard_error"), 4), "The objective of the case,"
+        spread, note = plus_minus(run.result.standard_error, 4), "The objective of the case,"
     action, sentence = _trades(run)
     block = Headline(
         label=label,
@@ -145,7 +145,7 @@ def _facts_of_pots(run: PensionRun) -> dict[str, list[Fact]]:
         now, last = share(pots.reserve[0, 1]), share(pots.reserve[-1, 1])
         left = f"of the assets; median {last} a year before the end"
         facts[POTS.name] = [
-            ("Pension today", share(pots.level), "of what was earned"),
+            ("Pension today", share(pots.level), "of the accrued pension"),
             ("Years with a cut", share(worst), "of those of payment, most of any cohort"),
             ("Solidarity reserve", now, left),
         ]

@@ -21,7 +21,7 @@ class PensionRun(RunFiles):
 
     @property
     def measure(self) -> str:
-        """The label that every number of the scenarios carries: "P", "Q" or "supplied"."""
+        """The label of every number of the scenarios: "P", "Q" or "supplied"."""
         return str(self.get("measure", "P"))
 
     @property

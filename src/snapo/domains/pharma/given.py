@@ -1,13 +1,31 @@
-"""Numbers that the user gave, where they are used."""
+"""Numbers that the user gave, where they are used, and the form of records without them.
 
-from collections.abc import Mapping
-from typing import Any
+A formed record has no numbers of inputs, so traced code cannot read one but as an argument: two
+records of equal forms are the same program. Every other number is part of the form (a grid, an
+order, a limit, and inputs that a case holds fixed): it is compiled in.
+"""
+
+from collections.abc import Collection, Hashable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, Generic, Self, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+
+Formed = TypeVar("Formed")
+
+
+@dataclass(frozen=True, eq=False)
+class InputUse:
+    """Where the numbers of a `CaseInput` are used; `values`: themselves where they are no input."""
+
+    name: str
+    index: np.ndarray
+    values: np.ndarray | None
+
 
 Entry = tuple[str, int]  # the name of a `CaseInput`, and a position in its values
 
@@ -17,19 +35,29 @@ def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
     return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
 
 
-def use(inputs: Mapping[str, Any], values: CaseInput) -> Array:
+def use(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> Array:
     """The numbers where they are used: input or number held fixed, at `given.index`."""
-    if not values.values.size:
+    if values.name in inputs:
+        value = inputs[values.name]
+    elif _held(values).size:
+        value = fixed(_held(values))
+    else:
         return jnp.zeros(values.index.shape)
     # NumPy's integers of 64 bits are no index where JAX counts with 32.
     index = int(values.index) if values.index.ndim == 0 else values.index.astype(np.int32)
-    value = inputs[values.name] if values.name in inputs else fixed(values.values)
     return jnp.asarray(value)[index]
 
 
-def absent(inputs: Mapping[str, Any], values: CaseInput) -> bool:
+def absent(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> bool:
     """Whether a term can be left out: its factor is zero and no input."""
-    return values.name not in inputs and not values.used().any()
+    return values.name not in inputs and not _held(values)[values.index].any()
+
+
+def _held(values: CaseInput | InputUse) -> np.ndarray:
+    """The numbers of what is no input."""
+    if values.values is None:
+        raise KeyError(f"{values.name} is an input, and this form has no numbers of it.")
+    return values.values
 
 
 def fixed(array: np.ndarray) -> Array:
@@ -38,3 +66,42 @@ def fixed(array: np.ndarray) -> Array:
     From a copy: JAX keeps one constant for each NumPy array, in the precision that it met first.
     """
     return jnp.asarray(np.array(array, jnp.result_type(float)))
+
+
+@dataclass(frozen=True)
+class Form(Generic[Formed]):
+    """A formed `record`, compared by all that is in it."""
+
+    record: Formed = field(compare=False, repr=False)
+    parts: Hashable = field(repr=False)
+
+    @classmethod
+    def of(cls, record: Formed, held: Collection[str] = ()) -> Self:
+        """The form of a record of a case; `held`: names of numbers that are no inputs."""
+        formed = _formed(record, held)
+        return cls(formed, _parts(formed))
+
+
+def _formed(record: Any, held: Collection[str]) -> Any:
+    if isinstance(record, CaseInput):
+        fixed = record.name in held or not record.values.size
+        return InputUse(record.name, record.index, record.values if fixed else None)
+    if isinstance(record, tuple):
+        return tuple(_formed(item, held) for item in record)
+    if is_dataclass(record):
+        parts = {entry.name: _formed(getattr(record, entry.name), held) for entry in fields(record)}
+        return replace(record, **parts)  # pyright: ignore[reportArgumentType]
+    return record
+
+
+def _parts(item: Any) -> Hashable:
+    if isinstance(item, np.ndarray):
+        return item.dtype.str, item.shape, item.tobytes()
+    if isinstance(item, Mapping):
+        return tuple((name, _parts(entry)) for name, entry in item.items())
+    if isinstance(item, tuple):
+        return tuple(map(_parts, item))
+    if is_dataclass(item):
+        return type(item), *(_parts(getattr(item, entry.name)) for entry in fields(item))
+    # A whole number and a float that are equal are not the same program.
+    return type(item), repr(item) if isinstance(item, float) else item

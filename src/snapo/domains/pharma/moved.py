@@ -1,17 +1,16 @@
-"""A process without a policy, calculated at other inputs: what the live page shows of it.
+"""A process without a policy, calculated at other inputs for the live page.
 
 Every number is that of a run of the moved case, to the bits: the same functions on the same draws.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput
 from snapo.problem.inputs import Input
 from snapo.report.quantity import unit_words
 from snapo.study.study import LiveTable
@@ -22,7 +21,7 @@ from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .flowsheet.process import Process
 from .flowsheet.stiffness import with_stiff_steps
-from .given import every_entry
+from .given import Form, every_entry
 from .quality import batches
 from .quality.capability import Capability, from_values
 from .quality.limits import AttributeLimits
@@ -35,37 +34,12 @@ PARTS = (
 
 
 def same_form(one: PharmaCase, other: PharmaCase) -> bool:
-    """Whether the cases differ only in numbers of their inputs.
-
-    Which of them are zero must be the same: a term whose factor is nothing may be left out.
-    """
-    held = one.held | other.held
-    return all(_same(getattr(one, name), getattr(other, name), held) for name in PARTS)
+    """Whether the cases differ only in numbers of their inputs."""
+    return _form(one) == _form(other)
 
 
-def _same(one: Any, other: Any, held: Iterable[str]) -> bool:
-    if type(one) is not type(other):
-        return False
-    if isinstance(one, CaseInput):
-        if (one.name, one.labels, one.unit) != (other.name, other.labels, other.unit):
-            return False
-        if not np.array_equal(one.index, other.index):
-            return False
-        if one.name in held:
-            return np.array_equal(one.values, other.values)
-        return np.array_equal(one.values != 0, other.values != 0)
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other)
-    if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(lambda a, b: _same(a, b, held), one, other))
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_same(one[k], other[k], held) for k in one)
-    if is_dataclass(one):
-        return all(
-            _same(getattr(one, field.name), getattr(other, field.name), held)
-            for field in fields(one)
-        )
-    return bool(one == other)
+def _form(case: PharmaCase) -> Form:
+    return Form.of(tuple(getattr(case, name) for name in PARTS), case.held)
 
 
 COLUMNS = (
@@ -177,7 +151,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
 
 
 def _deltas(process: Process) -> Iterator[dict[str, Any]]:
-    """Every attribute by every number, per unit of the input, at the set point."""
+    """Derivatives of every attribute with respect to every number, per unit, at the set point."""
     entries = every_entry(process.inputs)
     jacobian = matrix(process, entries=entries, mode="adjoint").jacobian
     values = pharma_inputs(process.case)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 EVERY = 10.0  # seconds between two lines
 
-_listeners: list[list] = []  # [tell, when the part began, when it last reported]
+_listeners: list[list] = []  # [callback, start of the part, time of the last report]
 
 
 @contextmanager

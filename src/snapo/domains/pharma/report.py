@@ -30,7 +30,7 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
         ("Units", " → ".join(unit.name for unit in case.units)),
         ("Parameters", str(len(case.parameters) or "")),
         ("Quality attributes", str(len(case.attributes) or "")),
-        ("Status", str(run.result.get("status") or "")),
+        ("Status", run.result.status),
     ]
 
 

@@ -1,4 +1,4 @@
-"""A recipe as a table of setpoints: what a control system is given, and from which second on."""
+"""A recipe as a table of setpoints for a control system, with their times in seconds."""
 
 from collections.abc import Iterable, Mapping
 

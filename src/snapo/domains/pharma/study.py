@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.chain import Chain
 from snapo.study import training
 from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
@@ -28,7 +27,6 @@ from .chapters.recipes import RECIPES, RULES, TRAINED
 from .chapters.sensitivities import ALL_SENSITIVITIES, CRITICALITY, MATRIX
 from .chapters.verification import BALANCES, CONVERGENCE, DIFFERENCES
 from .control.closed_loop import ClosedLoop
-from .control.stages import Stage
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .moved import RecipeCalculation, limits
@@ -156,16 +154,9 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def case_of(simulator: Any) -> PharmaCase:
-    """The case of a loop's simulator."""
-    stage = simulator.stages[0] if isinstance(simulator, Chain) else simulator
-    assert isinstance(stage, Stage)
-    return stage.case
-
-
 def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
     """Every attribute with its limits, and how often batches keep them under the policy."""
-    case = case_of(measured.setup.problem.simulator)
+    case: PharmaCase = measured.setup.case
     names = [f"attribute.{x.name}" for x in case.attributes]
     values = np.stack([np.asarray(measured.totals[name], np.float64) for name in names], -1)
     contains = AttributeLimits.of(case).hold(values)

@@ -107,12 +107,12 @@ class NativeCall:
         self, adjoint: bool, record: tuple[str, ...], clip: bool, wrt: tuple[str, ...]
     ) -> Runner:
         """The compiled kernel, from memory, from disk, or newly compiled."""
-        counter = isinstance(self.draws, Counter)
-        antithetic = isinstance(self.draws, Counter) and self.draws.antithetic
+        draws = self.draws
+        counted = (draws.antithetic, draws.before) if isinstance(draws, Counter) else (False, 0)
         setup = FunctionSetup(
             self.engine.precision, adjoint, record,
             self.actions is not None, self.start is not None,
-            self.has_terminal, clip, wrt, counter, antithetic,
+            self.has_terminal, clip, wrt, isinstance(draws, Counter), *counted,
         )  # fmt: skip
         like = self._state_like()
         key = self.key(setup, like)
@@ -196,7 +196,8 @@ class NativeCall:
             view = layouts["weights"].view(rows, ("final", name))
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.slots.edges
-        return KernelInputs(self.paths, length, first, memory, records, columns, edges)
+        counted = first + (int(self.draws.first) if isinstance(self.draws, Counter) else 0)
+        return KernelInputs(self.paths, length, counted, memory, records, columns, edges)
 
     def _filled(self, bounds) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""
@@ -301,7 +302,7 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
 
 
 def _paths(view: np.ndarray, slots: Seats, axes: int) -> np.ndarray:
-    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in separate memory."""
     lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
     moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
     lanes = view.shape[0] * view.shape[-1]

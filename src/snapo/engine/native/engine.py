@@ -27,8 +27,7 @@ class Native(Engine):
     **Arguments:**
 
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
-    - `threads`: None uses every processor that this process may run on. The answer does not
-      depend on it.
+    - `threads`: None uses every processor available to this process. Results do not depend on it.
 
     Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses something that
     cannot be compiled, or where nothing can be compiled (`unavailable`).

@@ -119,5 +119,5 @@ def _whole(
     call = NativeCall(engine, simulator, policy, schedule, draws, smooth, None, window, None)
     wrt = ("policy", "schedule", "start")
     return call, FunctionSetup(
-        engine.precision, True, record, False, False, True, clip, wrt, True, True
+        engine.precision, True, record, False, False, True, clip, wrt, True, True, draws.before
     )

@@ -43,7 +43,7 @@ class SharedTree:
         return [x for x in self.leaves if isinstance(x, np.ndarray)]
 
     def key(self, skip: int = 0) -> tuple:
-        """All that a kernel depends on: structure, types, shapes, and all that is no array."""
+        """All on which a kernel depends: structure, types, shapes, and all leaves except arrays."""
         return self.tree, tuple(
             (x.shape[skip:], x.dtype) if isinstance(x, np.ndarray) else (type(x), x)
             for x in self.leaves
@@ -96,6 +96,7 @@ class FunctionSetup:
     wrt: tuple[str, ...]
     counter: bool
     antithetic: bool
+    before: int
 
 
 class Functions:

@@ -94,7 +94,7 @@ class Runner:
         scratch = self._scratch(segment, -(-length // segment), columns)
         functions = self.machine.functions
 
-        # A helper may go on after an interrupt: its work keeps the memory and the code alive.
+        # A helper may continue after an interrupt: its work keeps the memory and the code alive.
         def one(
             group: int, context: np.ndarray, _held: tuple = (inputs, memory, self.machine)
         ) -> None:
@@ -130,12 +130,12 @@ class Runner:
         return [Back(rows[..., k, :calls], rows[..., k, calls:], left[k]) for k in range(columns)]
 
     def together(self, paths: int, length: int) -> int:
-        """The most columns of one run: as many as memory allows for their gradients."""
+        """The maximum number of columns of one run, limited by memory for their gradients."""
         item = sum(self.sums(length))
         return int(max(1, SUMS // max(1, _groups(self.blocks(paths), item) * item)))
 
     def sums(self, length: int) -> tuple[int, int]:
-        """Bytes of the gradients by numbers of the call, and by those of all steps."""
+        """Bytes of the gradients with respect to numbers of the call, and those of all steps."""
         layouts = self.kernel.layouts
         return layouts["call_sums"].stride, length * layouts["step_sums"].stride
 
@@ -159,7 +159,7 @@ class Runner:
 
     @contextmanager
     def _own(self, context: np.ndarray, sizes: dict[str, int]) -> Iterator[np.ndarray]:
-        """The context with scratch memory of its own."""
+        """The context with separate scratch memory."""
         scratch = spare.take(self)
         if scratch is None or not scratch.suffices(sizes):
             scratch = KernelMemory(sizes)
@@ -229,7 +229,7 @@ def _context(values: dict[str, int], columns: int) -> np.ndarray:
 
 
 def _apart(context: np.ndarray, name: str, size: int) -> None:
-    """Every column's own rows, of so many bytes, one column after the other."""
+    """Every column's rows, of so many bytes, one column after the other."""
     context[:, SLOTS[name]] += size * np.arange(len(context))
 
 
@@ -240,5 +240,5 @@ def _add_up_in(context: np.ndarray, position: int, calls: int, stride: int) -> N
 
 
 def _groups(blocks: int, size: int) -> int:
-    """How many partial sums: as many as memory allows, whatever the number of threads."""
+    """The number of partial sums: as many as memory allows, for any number of threads."""
     return int(max(1, min(blocks, GROUPS, SUMS // max(1, size))))

@@ -24,13 +24,13 @@ RATES = (3e-3, 3e-5)  # at the first and last step
 class Fit(NamedTuple):
     """A fitted ensemble.
 
-    - `layers`: [(weights [E, out, in], biases [E, out])] in the environment's own units, from
-      observation and action to the difference of the observation, the reward of a step after which
-      the episode goes on, that of one that ends it, and the log odds of the end.
-    - `raw`: the same between numbers of order one, to go on from.
+    - `layers`: [(weights [E, out, in], biases [E, out])] in the units of the environment, from
+      observation and action to the difference of the observation, the reward of a step that does
+      not end the episode, that of one that does, and the log odds of the end.
+    - `raw`: the same between numbers of order one, from which to continue.
     - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
       the members' mean: differences, then the reward; last the share of ends that it misjudges.
-    - `spread`: [k] the standard deviation of the environment's own noise.
+    - `spread`: [k] the standard deviation of the environment's noise.
     """
 
     layers: PyTree
@@ -63,11 +63,11 @@ def first_layers(size: int, outputs: int, hidden: tuple[int, ...], members: int,
 def fit(
     transitions: Transitions, raw: PyTree, capacity: int, maximum: int, seed: int, patience: int = 4
 ) -> Fit:
-    """The ensemble fitted on from the weights `raw`, and how far it is off on rows held out.
+    """The ensemble fitted further from the weights `raw`, and its error on held-out rows.
 
     A tenth of the rows is held out. Every member keeps the weights that were best on it; the fit
     stops after `maximum` steps, or after `patience` looks without a better one. `capacity` is the
-    most rows there will ever be: arrays have that length, so that all fits are compiled once.
+    maximum number of rows: arrays have that length, so that all fits are compiled once.
     """
     rng = np.random.default_rng((seed, transitions.count))
     order = rng.permutation(transitions.count)
@@ -205,7 +205,7 @@ def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, n
     on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
     wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
     error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
-    # The mean is off by noise and by its members' own errors, which their spread shows.
+    # The mean is off by noise and by its members' errors, which their spread shows.
     count, means = len(predictions), predictions[:, :, :size]
     disagreement = means.var(0, ddof=1).mean(0) if count > 1 else np.zeros(size)
     noise = np.sqrt(np.maximum(0.0, moves - disagreement / count))

@@ -40,24 +40,24 @@ def learn(
 
     **Arguments:**
 
-    - `environment`: a name such as "Pendulum-v1", a function that makes the environment, or one.
-    - `steps`: the most that the real environment makes, for all purposes together.
-    - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or one to train on, such as
-      that of an earlier result.
+    - `environment`: a name such as "Pendulum-v1", a function that creates it, or an environment.
+    - `steps`: the maximum number of steps in the real environment, for all purposes together.
+    - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or a policy to train further,
+      such as that of an earlier result.
     - `rounds`: of fit, training and real episodes.
-    - `hold`: steps of the environment that a decision is held for; by default so many that an
-      episode has at most 250 decisions. `limit`: the longest episode, in steps; by default the
-      environment's own.
+    - `hold`: steps of the environment for which a decision is held; by default such that an episode
+      has at most 250 decisions. `limit`: the longest episode, in steps; by default that of the
+      environment.
     - `horizon`: decisions of a path in training; by default half an episode, at most 125.
     - `members`, `hidden`: networks of the ensemble, and their layers.
     - `training`: of the policy in the first and the last round; others take half its steps.
-    - `reward`: `reward(observation, action, after)` in `jax.numpy`, where it is known; else it is
-      learnt. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
-      else the end is learnt.
+    - `reward`: `reward(observation, action, after)` in `jax.numpy`, if it is known; else it is
+      learned. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
+      else the end is learned.
     - `progress`: called with every `LearningRound`.
 
-    **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
-    limits an episode, or where the steps do not suffice for ten episodes, or more for more rounds.
+    **Raises:** `ValueError` if observations or actions are not boxes of numbers, if episodes have
+    no limit, or if the steps do not suffice for ten episodes, or more for more rounds.
     """
     # Late: the public names are there without Gymnasium.
     from .real import Real

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class Compared(NamedTuple):
-    """Episodes of one policy from the same first observations, in both.
+    """Episodes of one policy from the same initial observations, in environment and model.
 
     - `real`, `model`: mean sum of rewards of an episode, with standard errors.
-    - `gap`: real less model, start by start: its error is that of the difference.
+    - `gap`: real less model, paired by episode, with the error of the difference.
     """
 
     real: float
@@ -30,7 +30,7 @@ class Compared(NamedTuple):
 
     @property
     def episodes(self) -> int:
-        """How many there are; `rewards` [episodes] are the sums of each in the real one."""
+        """The number of episodes; `rewards` [episodes] are the sums of each in the real one."""
         return len(self.rewards)
 
     @staticmethod
@@ -45,9 +45,9 @@ class Compared(NamedTuple):
 class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
-    - `steps`: real steps by its end, `rows`: transitions that the model was fitted to.
-    - `error`: of the model on rows held out, over the spread of each number (see `Fit.error`).
-    - `comparison`: the new policy without noise, from first observations that all rounds share.
+    - `steps`: real steps up to its end, `rows`: transitions to which the model was fitted.
+    - `error`: of the model on held-out rows, over the spread of each number (see `Fit.error`).
+    - `comparison`: the new policy without noise, from initial observations common to all rounds.
     - `seconds`: of processor time.
     """
 
@@ -60,15 +60,15 @@ class LearningRound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A policy that was learnt in a model, and all that was measured in the real environment.
+    """A policy learned in a model, and its results in the real environment.
 
-    - `policy`: from the environment's observation to its action, both in its own units: plays by
-      `snapo.gym.Agent(policy)`, is saved and exported as every policy is.
-    - `comparison`: its value in both, and their gap, on fresh starts that no round used.
-    - `steps`: of the real environment, all of them; `hold`: how many each decision is held for.
-    - `rounds`: the history; `selected` the round, from 1, whose policy this is: that which earned
-      most in the real environment from the starts that all rounds share.
-    - `model`, `inputs`: the simulator and its numbers, as of the last fit: `snapo.Problem(model,
+    - `policy`: from the environment's observation to its action, both in its units: can be played
+      with `snapo.gym.Agent(policy)`, saved and exported like every policy.
+    - `comparison`: its value in both, and their gap, on fresh initial states that no round used.
+    - `steps`: total number in the real environment; `hold`: for how many a decision is held.
+    - `rounds`: the history; `selected`: the round of this policy, from 1: the one with the highest
+      reward in the real environment from the common initial observations.
+    - `model`, `inputs`: the simulator and its inputs after the last fit: `snapo.Problem(model,
       inputs, "reward")`.
     """
 
@@ -106,9 +106,9 @@ class Learned:
         return self.comparison.gap
 
     def play(self, starts: int | Sequence[int] = 100) -> "Played":
-        """More episodes of the policy in the real environment, which `steps` does not count.
+        """Further episodes of the policy in the real environment, not counted in `steps`.
 
-        **Raises:** `ValueError` where the environment came as an object: give a name or a function.
+        **Raises:** `ValueError` if the environment was an object: pass a name or a function.
         """
         # Late: the public names are there without Gymnasium.
         from ..environments import play
@@ -117,8 +117,8 @@ class Learned:
 
         if isinstance(self.environment, gymnasium.Env):
             raise ValueError(
-                "play: episodes run side by side, and only one environment came; give learn its "
-                "name, or a function that makes it."
+                "play: episodes run in parallel, and there is only one environment; pass its name "
+                "to learn, or a function that creates it."
             )
 
         def held():

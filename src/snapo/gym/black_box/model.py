@@ -1,4 +1,4 @@
-"""The learnt model as a simulator: an ensemble of networks, of which every path follows one."""
+"""The learned model as a simulator: an ensemble of networks, one of which each path follows."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -20,11 +20,12 @@ Over = Callable[[Array], Array]
 
 
 class Model(Simulator):
-    """One path of a learnt environment: state and observation are the environment's own.
+    """One path of a learned environment: state and observation are those of the environment.
 
     The inputs are those of `inputs_of`: weights of all members, scales, first observations. A path
     follows one member, drawn by its initial noise: so a policy must be good in all of them, and
-    where they differ it cannot trust any. A path that may have ended goes on with a smaller weight.
+    where they differ it cannot trust any. A path that may have ended continues with a smaller
+    weight.
     """
 
     horizon: int = eqx.field(static=True)

@@ -22,7 +22,7 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 class Transitions(NamedTuple):
     """Steps of the environment, one a row; with `hold`, a step is that of a held decision.
 
-    `ended` is true where the environment terminated: nothing comes after. The time limit is no such
+    `ended` is true where the environment terminated: nothing follows. The time limit is no such
     end, since it does not depend on the state.
     """
 
@@ -43,7 +43,7 @@ def joined(parts: list[Transitions]) -> Transitions:
 
 
 def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
-    """Pairs of observed numbers that lie on the unit circle in all rows: cosine and sine.
+    """Pairs of observed numbers that are on the unit circle in all rows: cosine and sine.
 
     A model that leaves the circle slightly at every step asks its networks about states that no
     environment has; so such pairs are put back on it.
@@ -89,8 +89,8 @@ class Episode(NamedTuple):
 class Real:
     """A Gymnasium environment whose decisions are held for `hold` steps each.
 
-    **Raises:** `ValueError` where observations or actions are no numbers in a box, or where nothing
-    limits the length of an episode.
+    **Raises:** `ValueError` if observations or actions are not numbers in a box, or if the length
+    of an episode has no limit.
     """
 
     def __init__(self, environment: Any, hold: int | None, limit: int | None):
@@ -131,7 +131,7 @@ class Real:
 
 
 class HeldAction(gymnasium.Wrapper):
-    """An environment of which every action is held for `hold` steps, their rewards added up.
+    """An environment with every action held for `hold` steps, whose rewards are added up.
 
     An episode is over after `limit` steps of the environment inside; `taken` are those so far.
     """
@@ -161,7 +161,7 @@ def opened(environment: Any):
     return environment if isinstance(environment, gymnasium.Env) else made(environment)
 
 
-FLATTEN = "gymnasium.wrappers.FlattenObservation makes a box of it"
+FLATTEN = "gymnasium.wrappers.FlattenObservation converts it to a box"
 SCORES = (
     "the adjoint needs continuous numbers. A gymnasium.ActionWrapper can take a Box of "
     "scores, one for each choice, and choose the largest"
@@ -184,7 +184,7 @@ def _limit(environment: Any, values: int | None) -> int:
     limit = values or getattr(spec, "max_episode_steps", None) or _of_wrapper(environment)
     if not limit:
         raise ValueError(
-            "learn: nothing limits the length of an episode; give limit=200, say, in steps."
+            "learn: the length of an episode has no limit; specify one in steps, such as limit=200."
         )
     return int(limit)
 

@@ -59,7 +59,7 @@ def noisy(policy: Callable[[np.ndarray], np.ndarray], real: Real, rng: np.random
 
 
 def _held(real: Real, rng: np.random.Generator) -> Callable[[int], np.ndarray]:
-    """Uniform numbers from -2 to 2 [m], a new one after every so many decisions."""
+    """Uniform numbers from -2 to 2 [m], a new one after a number of decisions."""
     shortest, longest = (max(1.0, share * real.decisions) for share in (SHORTEST, LONGEST))
     while_ = max(1, round(float(np.exp(rng.uniform(np.log(shortest), np.log(longest))))))
     now = np.zeros(real.size)
@@ -92,7 +92,7 @@ def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
     every = np.concatenate([observed.before, observed.after]).astype(np.float64)
     low, high = every.min(0), every.max(0)
     room = BEYOND * np.maximum(high - low, units.scale)
-    # Slightly beyond the environment's own bounds, so that there the smooth corner is not felt.
+    # Slightly beyond the environment's bounds, so that there the smooth corner is not felt.
     slack = 1e-6 * units.scale
     return {
         "layers": fit.layers,
@@ -212,7 +212,7 @@ def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) ->
 
 
 def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
-    """The policy before any training; one that has weights takes the environment's units."""
+    """The policy before any training; one with weights is converted to the environment's units."""
     interface = Problem(inside.model, inside.inputs, Mean("reward")).interface
     made = (policy or MLP(hidden=(32, 32))).for_problem(interface, jax.random.key(seed))
     return made if policy is None or policy.network is None else units.done(made)
@@ -238,8 +238,8 @@ def compared(
     maximum: float,
     common: Any = None,
 ) -> Compared:
-    """Episodes in the real environment up to `maximum` steps in all, one at least, and the same in
-    the model.
+    """Episodes in the real environment up to `maximum` steps, at least one, and the same in the
+    model.
 
     With the seeds `common` every second episode is another, with noise, only for the next fit.
     """

@@ -79,7 +79,7 @@ class GradientRule:
 
 @dataclass(eq=False)
 class Gradients:
-    """Those summed over the whole call's steps, and those of a step's own numbers."""
+    """Those summed over the whole call's steps, and those of a step's numbers."""
 
     items: list[GradientRule]
 
@@ -258,7 +258,7 @@ class Rows:
 def accumulate(
     values: EmittedValues, rows: Rows, sums: Shared, tape_row: str, chunk_row: str
 ) -> None:
-    """Adds up all that belongs to this step's own numbers."""
+    """Adds up all that belongs to this step's numbers."""
     singles: list[tuple[ArrayPlace, Ref]] = []
     for g in rows.gradients.items:
         if sums.of_call(g.leaf):

@@ -1,1 +1,4 @@
-"""Machine code for this processor, its cache on disk, and memory and threads to run it with."""
+"""Machine code for this processor, its cache on disk, and memory and threads to run it with.
+
+`pipeline` compiles text by llvmlite and `disk` keeps the result; `linked` makes it callable.
+"""

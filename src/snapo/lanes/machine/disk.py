@@ -1,4 +1,4 @@
-"""Machine code kept on disk between runs, made in this process or in one of its own.
+"""Machine code on disk, reused between runs, made in this process or in a separate one.
 
 LLVM's passes keep memory: 0.2 megabytes for a small kernel (`mallinfo2` around each of them;
 modules, contexts, pass managers and targets give all of theirs back). After many compilations a
@@ -135,7 +135,7 @@ def _own(state: os.stat_result) -> bool:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Written completely or not at all; a disk that cannot be written is no reason to fail."""
+    """Writes atomically; a disk that cannot be written is not an error."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

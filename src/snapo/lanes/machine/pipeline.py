@@ -70,7 +70,7 @@ def host() -> Processor:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """How code is made: LLVM's own vectorisers stay off, as the text consists of vectors.
+    """How code is made: LLVM's vectorisers stay off, as the text consists of vectors.
 
     Code and constants may be mapped far apart: the small code model's 32-bit distances then
     overflow.

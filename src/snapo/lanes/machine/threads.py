@@ -107,7 +107,7 @@ class Helper(threading.Thread):
             self.gate.acquire()
             work, done = self.task
             work()
-            del work, self.task  # memory that the work held is free before the caller goes on
+            del work, self.task  # memory held by the work is free before the caller continues
             _idle.append(self)
             done.release()
 

@@ -2,7 +2,7 @@
 
     call   on inputs that the whole call shares        computed once per call
     step   on those that all paths of a step share     computed once per step, as scalars
-    path   on a path's own inputs                      computed for lanes of paths
+    path   on a path's inputs                      computed for lanes of paths
 
 Every piece is then differentiated on its own (`joint`).
 """

@@ -33,7 +33,7 @@ _DIRECT = {
 
 
 def fold(name: str, params, inputs: list, avals) -> list[np.ndarray] | None:
-    """The outputs, or None where something is not known or not foldable."""
+    """The outputs, or None if something is unknown or cannot be folded."""
     if all(_size(a) == 0 for a in avals):
         return [np.zeros(a.shape, a.dtype) for a in avals]
     if any(i is None for i in inputs) or any(_size(a) > SMALL for a in avals):

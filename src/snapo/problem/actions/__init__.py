@@ -1,4 +1,4 @@
-"""Sets of actions: where a decision lies, and how a network's unbounded numbers get there."""
+"""Action sets, and the maps into them from a network's unbounded numbers."""
 
 from .discrete import Choice as Choice
 from .discrete import Stop as Stop

@@ -18,22 +18,22 @@ LARGEST = 0.12  # share of the scale that the root mean square of scores stays b
 
 
 class Choice(Actions):
-    """One of `size` options without an order: the action is a weight on each, and they sum to 1.
+    """One of `size` unordered options: the action is a weight on each, and they sum to 1.
 
     In the value the weight is 1 on the option with the largest score. In training there are two
     ways to read the weights:
 
-    - as a mixture, `action @ options`: right where the step is linear in the weights (a cost or a
-      speed of each option), and otherwise a smoothing of it;
-    - as probabilities, with `draw`: the step sees one option, as in the value, and derivatives
-      are right whatever it does with it.
+    - as a mixture, `action @ options`: exact if the step is linear in the weights (a cost or a
+      speed of each option), and otherwise a smoothing;
+    - as probabilities, with `draw`: the step uses one option, as in the value, and derivatives are
+      correct for any effect of it.
 
     `scale`: scores count in units of temperature times `scale`.
 
     Scores are counted from their mean, and their root mean square is kept below a level: at the
-    usual temperature of the first steps an option keeps a part of the weight, however long all
-    steps have said "not this one". Without, the slope of its weight would vanish with it, and a
-    state in which it is the best one could not bring it back.
+    usual temperature of the first steps an option keeps a part of the weight, however long the
+    gradients have been against it. Otherwise the slope of its weight would vanish with the weight,
+    and states in which the option is the best one could not bring it back.
 
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]
@@ -67,18 +67,18 @@ class Choice(Actions):
         `normal` is one of the step's standard normals. `option` [size] is 1 on the option drawn
         and carries no derivative. `likelihood` is the number 1; its derivative is that of the
         option's log probability. The simulator carries the product of all likelihoods, and
-        multiplies by it every output that comes at or after the choice:
+        multiplies by it every output at or after the choice:
 
             option, likelihood = self.action.draw(action, noise[1])
             weight = state["weight"] * likelihood
             … {"cash": weight * cash}
 
-        Then the derivative of the mean is right whatever an option does, jumps included (the
-        likelihood ratio of Glynn, 1990). Its noise grows with the size of the output: take a
-        guess off before, `guess + weight * (cash - guess)`, that does not depend on the choice.
+        Then the derivative of the mean is correct for any effect of an option, including jumps (the
+        likelihood ratio of Glynn, 1990). Its noise grows with the size of the output: subtract a
+        guess that does not depend on the choice, `guess + weight * (cash - guess)`.
         """
         uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
-        # The last option takes what rounding leaves over.
+        # The last option takes the remainder of the rounding.
         below = jnp.concatenate([uniform < upper[:-1], jnp.ones(1, bool)]).astype(action.dtype)
         option = below - jnp.concatenate([jnp.zeros(1, action.dtype), below[:-1]])
         probability = option @ action
@@ -103,23 +103,23 @@ NEAR = 1e-3  # a hazard nearer to 0 or 1 than this moves as if it were this
 
 
 class Stop(Actions):
-    """At every step: stop, or go on. With `rights` above 1: use one of the rights left, or wait.
+    """At every step: stop or continue. With `rights` above 1: use one of the rights left, or wait.
 
-    In the value an action is 1, stop, or 0, go on. In training it is a hazard: the probability of
-    stopping here if not before. A path then is not stopped, it fades: the simulator's state holds
-    the weight that is still alive, and pays the payoff on the part that stops. That is the
-    expectation over the moment of stopping, without any jump, so that its derivative is right.
-    (An indicator of "stop now" in its place trains to stopping at once.)
+    In the value an action is 1, stop, or 0, continue. In training it is a hazard: the probability
+    of stopping here if not before. A path then does not stop but fades: the simulator's state has
+    the weight that is still alive, and the payoff is paid on the part that stops. That is the
+    expectation over the time of stopping, without any jump, so that its derivative is correct.
+    (Training with an indicator of "stop now" instead ends at stopping at once.)
 
         def initial(…):   state = {…, "right": self.action.initial()}
         def step(…):      right, used = self.action.use(state["right"], action)
                           return {…, "right": right}, {"payoff": used * payoff}
         def terminal(…):  return {"payoff": self.action.alive(state["right"]) * payoff}
 
-    Size: one hazard for each number of rights left, since how to decide depends on it.
+    Size: one hazard for each number of rights left, since the decision depends on it.
 
-    - `rights`: how often it can be used, at most once a step.
-    - `hazard`: of an untrained network, 0 to 1. Small enough that paths get to later steps.
+    - `rights`: the number of times it can be used, at most once per step.
+    - `hazard`: of an untrained network, 0 to 1; small enough that paths reach later steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 
@@ -137,11 +137,11 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, so moved that of 0 comes the untrained
-        hazard, by temperature * scale; exact: 1 where it is above 0.
+        """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, shifted by that of the untrained hazard,
+        over temperature * scale; exact: 1 where it is above 0.
 
         Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
-        first steps all say "stop less" never comes back.
+        first steps all lower the hazard never recovers.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 
@@ -172,7 +172,7 @@ class Stop(Actions):
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
         """(right, used): the weights after this step's decision, and the expected rights used.
 
-        `right` [rights] and `action` [rights] count from one right left to all of them.
+        `right` [rights] and `action` [rights] are for one right left up to all of them.
         """
         moved = right * action
         used = moved.sum()

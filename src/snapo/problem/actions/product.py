@@ -40,7 +40,7 @@ def decision_names(action: Actions) -> list[str]:
 class Product(Actions):
     """Several decisions at once, by name: `Product(run=Choice(2), power=Box(0.0, 1.0))`.
 
-    The numbers of all lie one after another in the action; `parts` gives them by name, and
+    The action is the concatenation of all parts; `parts` returns them by name, and
     `self.action["run"]` is the set of one of them.
 
         decided = self.action.parts(action)
@@ -80,11 +80,11 @@ class Product(Actions):
         }
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Each part into its own set."""
+        """Each part into its set."""
         return self._each(lambda item, part: item.squash(part, smooth), raw)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """Each part near its own base."""
+        """Each part near its base."""
         return self._each(lambda item, *values: item.near(*values, smooth), base, correction)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
@@ -95,7 +95,7 @@ class Product(Actions):
         return sum(item.exploration_size for item in self.sets)
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """Each part in its own set, with its own normals."""
+        """Each part in its set, with separate normals."""
         explores, first, parts = [], 0, self.parts(action)
         for name, item in zip(self.names, self.sets):
             local = normals[first : first + item.exploration_size]

@@ -1,4 +1,4 @@
-"""Sets of numbers: a box, integers, shares of a whole; and the base class of all sets of actions.
+"""Sets of numbers: a box, integers, shares; and the base class of all action sets.
 
 Shares of a whole.
 """
@@ -30,11 +30,10 @@ def count(name: str, values: Any, minimum: int, more: str = "") -> int:
 
 
 class Actions(eqx.Module):
-    """Where a decision lies: `size` numbers, and the way in from a network's unbounded ones.
+    """The set of a decision of `size` numbers, with a map into it from unbounded numbers.
 
-    A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one,
-    of the value, holds the decisions that can be taken. `smooth` determines which is meant, as it
-    does in a simulator.
+    A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one, of
+    the value, has the decisions that can be taken. `smooth` selects the form, as in a simulator.
     """
 
     size: eqx.AbstractVar[int]
@@ -45,7 +44,7 @@ class Actions(eqx.Module):
 
     @abc.abstractmethod
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """An action of the set, moved by an unbounded correction, and still in the set."""
+        """An action of the set after an unbounded correction, again in the set."""
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         """The action of the exact set nearest to one of the smooth set; in training, itself."""
@@ -53,24 +52,23 @@ class Actions(eqx.Module):
 
     @property
     def exploration_size(self) -> int:
-        """How many normals `explore` takes; 0 for a set whose smooth form explores by itself."""
+        """Number of normals used by `explore`; 0 for a set whose smooth form explores by itself."""
         return 0
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """An action of the smooth set that is drawn at random to this share, 0 to 1."""
+        """A random action of the smooth set, mixed with `action` by this share, 0 to 1."""
         return action
 
     @abc.abstractmethod
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
-        """What is wrong with these numbers for the exact set, and a remedy; None if nothing is."""
+        """The reason why these numbers are not in the exact set, with a remedy, or None."""
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """[size] low and [size] high, in float64: 0 and 1, unless the set has others."""
+        """[size] low and [size] high, in float64; by default 0 and 1."""
         return np.zeros(self.size), np.ones(self.size)
 
     def together(self) -> list[list[int]]:
-        """The components in groups whose members cannot move by themselves: by default each by
-        itself."""
+        """Groups of components that depend on each other; by default each is separate."""
         return [[i] for i in range(self.size)]
 
 
@@ -175,8 +173,8 @@ class Box(Actions):
         return result
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """base + correction, clipped to the box; rounded by `smooth`, whose scale is the box's
-        width, or one where that is infinite."""
+        """base + correction, clipped to the box; the corners are rounded by `smooth`, whose scale
+        is the box's width, or one if that is infinite."""
         low, high = self.bounds()
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         if self._uniform:
@@ -189,8 +187,8 @@ class Box(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """(1 - share) action + share x, with x uniform between two bounds, or a normal's size
-        beyond one; without bounds, action + share x with a normal x."""
+        """(1 - share) action + share x, with x uniform between two bounds, or the absolute value of
+        a normal from a single bound; without bounds, action + share x with a normal x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
         minimum, maximum = (
@@ -278,9 +276,9 @@ class Integers(Actions):
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
     nearest whole number (a half to the even one).
 
-    **Arguments:** as those of `BoxBounds`; a finite bound is a whole number.
+    **Arguments:** as for `Box`; finite bounds are whole numbers.
 
-    **Raises:** `ValueError` as `BoxBounds`, and for a finite bound that is no whole number.
+    **Raises:** `ValueError` as for `Box`, and for a finite bound that is not a whole number.
 
     >>> lots = snapo.Integers(0, 10)
     >>> lots.settle(np.array([3.4]), snapo.Exact()).tolist()  # in the value
@@ -311,7 +309,7 @@ class Integers(Actions):
         return self.box.bounds()
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Maps unbounded numbers between the bounds, as a `BoxBounds` does; exact: rounded."""
+        """Maps unbounded numbers between the bounds, as a `Box` does; exact: rounded."""
         return self.settle(self.box.squash(raw), smooth)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
@@ -323,7 +321,7 @@ class Integers(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """As of a `BoxBounds`: in training numbers need not be whole."""
+        """As for a `Box`: in training numbers need not be whole."""
         return self.box.explore(action, normals, share)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:

@@ -19,7 +19,7 @@ from .rules import RULES, Graph, Tensor, unrolled, unstacked
 
 
 class TableDecisions(NamedTuple):
-    """`x` [n, 2], the two numbers that move, and `action` [n, size], the exact decision there."""
+    """`x` [n, 2], the two varied numbers, and `action` [n, size], the exact decision there."""
 
     x: Float[np.ndarray, "n 2"]
     action: Float[np.ndarray, "n size"]
@@ -39,9 +39,9 @@ def decision_table(
 
     **Arguments:**
 
-    - `file`: a CSV to write, a row for each pair; None: the table is returned only.
-    - `x`, `y`: which number moves, counted from 0, and its values.
-    - `at`: all numbers of one observation; those of `x` and `y` in it do not matter.
+    - `file`: a CSV to write, a row for each pair; None: the table is only returned.
+    - `x`, `y`: the index of the varied number, from 0, and its values.
+    - `at`: all numbers of one observation; those of `x` and `y` are replaced.
     - `names`: of the columns: the two numbers, then those of the action.
     - `observe`: from raw numbers to one observation; `at`, `x` and `y` are then raw.
 
@@ -148,19 +148,19 @@ def to_onnx(
 ) -> Any:
     """The policy as an ONNX model: `observation` [states, features] to `action` [states, size].
 
-    The decision is that of the exact simulator: rounded, stopped, on one option. Whatever JAX
-    traces of the policy is written, so that a class of one's own can be exported too.
+    The decision is that of the exact simulator: rounded, stopped, on one option. The graph follows
+    the JAX trace of the policy, so that user-defined classes can be exported too.
 
     **Arguments:**
 
     - `file`: where to write the model; None: it is returned only.
-    - `features`: numbers of one observation; those of the policy's network where not given.
+    - `features`: the length of an observation; by default that of the policy's network.
     - `observe`: from one vector of raw numbers to one observation, `lambda raw: (raw - 50) / 20`;
       it becomes part of the graph, and `features` counts the raw numbers.
     - `dtype`: of the graph. The policy's weights are float32 in both.
 
     **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` where the policy
-    uses an operation that has no counterpart, named, or the number of features is not known.
+    uses an operation without a counterpart, which is named, or the number of features is unknown.
     """
     try:
         import onnx
@@ -170,7 +170,7 @@ def to_onnx(
     count = features if observe is not None or features is not None else features_of(policy)
     if count is None:
         raise ValueError(
-            "to_onnx: the number of features is not known from this policy; give features=, the "
+            "to_onnx: the number of features is unknown for this policy; specify features=, the "
             "length of one observation (of one raw vector, where you give observe=)."
         )
     graph = Graph(count, dtype)

@@ -10,7 +10,7 @@ from snapo.lanes.jax_private import arguments_of_scan
 
 class Tensor(NamedTuple):
     """A value in the graph: its name, the shape and type of ONE state, and whether it differs by
-    state. One that does not has no axis of states; it is broadcast against those that do."""
+    state. Values without an axis of states are broadcast against those with it."""
 
     name: str
     shape: tuple[int, ...]
@@ -70,7 +70,7 @@ class Graph:
         return node._replace(batched=True)
 
     def model(self, result: Tensor, about: str) -> Any:
-        """The whole, as an ONNX model that its own checker has passed."""
+        """The complete ONNX model, validated by the checker of onnx."""
         import onnx
         from onnx import TensorProto, helper, numpy_helper
 
@@ -284,7 +284,7 @@ def _slice(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
 
 
 def unstacked(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
-    """The entries along an axis, each as an array of its own."""
+    """The entries along an axis, each as a separate array."""
     (x,), axis = tensors, equation.params["axis"]
     shape, dtype = _out(equation)
     parts = []

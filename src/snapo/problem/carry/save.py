@@ -86,7 +86,7 @@ def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> N
 def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays `leaf_0`, `leaf_1` … in their order, and the header.
 
-    **Raises:** `ValueError` whatever may be wrong with the file.
+    **Raises:** `ValueError` for any defect of the file.
     """
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
@@ -150,7 +150,7 @@ class NotKnown(ValueError):
 
 
 def encoded(value: Any, arrays: list[np.ndarray], position: str = "policy") -> Any:
-    """What JSON can say of a policy; its arrays are appended to `arrays`.
+    """The JSON form of a policy; its arrays are appended to `arrays`.
 
     **Raises:** `NotKnown` at a class or function that is not in the registry.
     """
@@ -260,11 +260,11 @@ MISTAKES = (ValueError, KeyError, TypeError, AttributeError, IndexError, Recursi
 
 
 class PolicyFileError(ValueError):
-    """A policy that no file can describe, or a file that holds none."""
+    """A policy that cannot be written to a file, or a file without a valid policy."""
 
 
 def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
-    """Writes a policy of so many features with its kinds, sizes, activations and weights.
+    """Writes a policy for a number of features with its kinds, sizes, activations and weights.
 
     **Raises:** `PolicyFileError` for a policy of a user-defined class, or with such a function.
     """
@@ -273,16 +273,16 @@ def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
         metadata = encoded(policy, arrays)
     except NotKnown as error:
         raise PolicyFileError(
-            f"policy.save: {error}, which is your own code, and a file holds no code. Give "
-            "Solution.load(folder, like=policy) a policy made by your code in its place, "
-            "or carry it away with snapo.to_onnx, which takes any policy."
+            f"policy.save: {error}, which is user code, and a file contains no code. Use "
+            "Solution.load(folder, like=policy) with a policy made by your code instead, or "
+            "export it with snapo.to_onnx, which takes any policy."
         ) from None
     header = {"snapo policy": FORMAT, "features": features, "policy": metadata}
     write_arrays(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
 
 
 def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
-    """The policy that `save` wrote, of a class derived from `base`; nothing is executed.
+    """The policy written by `save`, of a subclass of `base`; nothing is executed.
 
     **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
     weights whose sizes do not fit each other.
@@ -292,7 +292,7 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
     except ValueError as error:
         raise PolicyFileError(str(error)) from None
     if not isinstance(header, dict) or "snapo policy" not in header:
-        raise PolicyFileError(f"{file}: this file holds no policy that policy.save wrote.")
+        raise PolicyFileError(f"{file}: this file has no policy written by policy.save.")
     if header["snapo policy"] != FORMAT:
         message = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
         raise PolicyFileError(f"{file}: it {message}.")
@@ -305,5 +305,5 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
             jax.eval_shape(policy, observation, Exact())  # pyright: ignore[reportArgumentType]
     except MISTAKES as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise PolicyFileError(f"{file}: this is no policy of this version ({text}).") from None
+        raise PolicyFileError(f"{file}: this is not a policy of this version ({text}).") from None
     return policy

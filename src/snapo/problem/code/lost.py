@@ -1,8 +1,8 @@
-"""Inputs whose derivative is lost: outputs depend on them, and every way there is cut.
+"""Inputs whose derivative is lost: outputs depend on them, but only by operations of slope zero.
 
-A rounded number does not move with what was rounded, and a comparison has no slope: of
-`floor(size * uniform)` the derivative with respect to `size` is 0 on every path, and that of its
-mean is not. Where another way stays open, as in `x - floor(x)`, nothing is reported here.
+Rounding and comparisons have a derivative of zero: the derivative of `floor(size * uniform)` with
+respect to `size` is 0 on every path, but that of its mean is not. Where the input has another way
+to the output, as in `x - floor(x)`, nothing is reported here.
 """
 
 from collections.abc import Sequence
@@ -45,8 +45,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held: what moves only them has rightly none. What `jax.lax.stop_gradient` takes
-    is left out, as its author wants no derivative there.
+    Decisions are held: an input that only moves them rightly has derivative zero. Operands of
+    `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]
     values = inputs_.values(inputs)
@@ -119,7 +119,7 @@ def _results(
 def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
     """What an equation's results depend on."""
     name, params = eqn.primitive.name, eqn.params
-    by_hand = name.startswith("custom_")  # it has a derivative of its own, whatever is inside
+    by_hand = name.startswith("custom_")  # it has a hand-written derivative, for any content
     inner = None if by_hand else jax_private.called(eqn)
     if inner is not None:
         return _results(getattr(inner, "jaxpr", inner), reaches)
@@ -142,7 +142,7 @@ def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
 
 
 def _rounds(params: Any, reaches: list[Reach]) -> list[Reach]:
-    """Of a scan: its body until what is carried depends on no more."""
+    """Of a scan: its body, repeated until the carry depends on no further input."""
     fixed, carried = jax_private.arguments_of_scan(params)
     while True:
         made = _results(params["jaxpr"].jaxpr, reaches)

@@ -33,14 +33,14 @@ MADE = frozenset(("getattr", "vars"))  # by these, attributes by names that are 
 
 
 class Names(NamedTuple):
-    """The names in a function, those of the functions inside it among them.
+    """The names in a function and in the functions inside it.
 
-    - `read`: of globals and of variables around it; `added`: those of them that it only adds to.
-    - `written`: globals that it sets itself.
-    - `members`: of attributes, and every text that may be the name of one.
-    - `modules`: those that it imports, with the level of a relative import.
-    - `made`: whether it reads attributes by names that it makes: of what else it names, that is.
-    - `unseen`: whether it reads in a way that no name shows.
+    - `read`: globals and enclosing variables; `added`: those of them that it only adds to.
+    - `written`: globals that it sets.
+    - `members`: attributes, and every string that may be the name of one.
+    - `modules`: the imported ones, with the level of a relative import.
+    - `made`: whether it reads attributes, of the other objects it names, by names made at run time.
+    - `unseen`: whether it reads anything that no name in its code shows.
     """
 
     read: frozenset[str]

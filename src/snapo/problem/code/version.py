@@ -1,8 +1,8 @@
-"""The version of a user's code: a number for all that it reads, such as globals and closures.
+"""The version of a user's code: a number for everything it reads, such as globals and closures.
 
 A program that was compiled for a simulator serves as long as its code reads the same. Every call
-of one is therefore in `following(version)`: JAX then keeps apart what was traced under other
-versions, in functions that the user compiles too. snapo's own code has no version.
+of one is therefore in `following(version)`: JAX then does not reuse a trace of another version, in
+functions that the user compiles too. snapo's code has no version.
 
 Programs as text: two traces that read the same things are the same text.
 """
@@ -34,7 +34,7 @@ ProgramText = tuple[str, tuple[bytes, ...]]
 def text(function: Callable[..., Any], *arguments: Any) -> ProgramText:
     """A function's program without the addresses in its print, and digests of its constants.
 
-    `function` must be a new one: JAX keeps the traces of those that it has met.
+    `function` must be a new one: JAX keeps the traces of earlier ones.
     """
     closed = jax.make_jaxpr(function)(*arguments)
     constants = tuple(blake2b(np.asarray(const).tobytes()).digest() for const in closed.consts)
@@ -64,7 +64,7 @@ def path(simulator: Any, policy: Any) -> Callable[..., Any]:
 
 
 def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
-    """The program of one step and of the end, exact and smooth, with all that is declared."""
+    """The program of one step and of the end, exact and smooth, with all declarations."""
     sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
     now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
     vectors = [jnp.zeros(size) for size in sizes]
@@ -74,7 +74,7 @@ def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
     return made, sizes, dict(simulator.totals()), simulator.control_variates()
 
 
-KEPT = 512  # versions; one that comes again after so many others is compiled again
+KEPT = 512  # versions; one that returns after this number of others is recompiled
 Version = int | None
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -85,7 +85,7 @@ _held: ContextVar[dict | None] = ContextVar("held", default=None)
 
 @contextmanager
 def reading_once() -> Iterator[None]:
-    """All code is read once, when it is first met: nothing changes it within."""
+    """All code is read once, on first use: it does not change within the context."""
     if _held.get() is not None:
         yield
         return
@@ -163,7 +163,7 @@ def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> 
 
 
 class _Kept:
-    """What was found last, by what it was found for; safe between threads."""
+    """The latest results by their keys; thread-safe."""
 
     def __init__(self):
         self._found: OrderedDict[Hashable, Any] = OrderedDict()
@@ -190,7 +190,7 @@ def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
             made = repr(trace())
     except Exception as error:  # the call itself will report it
         made = type(error).__name__
-    # The print of a program is without what hand-written derivatives read.
+    # The printed program does not show the values that hand-written derivatives read.
     read = repr(content) if "custom_" in made else ""
     return blake2b((made + read).encode()).digest()
 
@@ -200,7 +200,7 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _kind(leaf: Any) -> Hashable:
-    """An array's shape and type, as it is an argument; anything else itself."""
+    """Shape and dtype of an array, which is an argument; any other leaf itself."""
     return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
 
 

@@ -1,4 +1,4 @@
-"""All that a user's code reads: from the classes and functions in a tree to all that they name.
+"""Everything a user's code reads, from the classes and functions in a tree to what they name.
 
 Functions are read by their code, constants by value, mutable objects by their present content.
 Functions of libraries are taken unchanged.
@@ -25,7 +25,7 @@ from .names import CONTAINERS, Names, names
 
 INSTALLED = {"site-packages", "dist-packages"}
 SNAPO = __name__.partition(".")[0]
-UNDER = {SNAPO, "equinox", "jax", "jaxlib", "numpy", "optax", "scipy"}  # what snapo is made of
+UNDER = {SNAPO, "equinox", "jax", "jaxlib", "numpy", "optax", "scipy"}  # snapo and its dependencies
 
 
 def package(x: Any) -> str:
@@ -40,13 +40,12 @@ def package(x: Any) -> str:
 
 
 def is_library(name: str) -> bool:
-    """Whether a package is snapo, Python's own, or installed next to them."""
+    """Whether a package is snapo, part of Python, or installed with them."""
     return is_known(name) or _installed(name)
 
 
 def is_known(name: str) -> bool:
-    """Whether a package is snapo, one that it is made of, or Python's own: none has a simulator of
-    a user's."""
+    """Whether a package is snapo, a dependency, or part of Python: none has a user's simulator."""
     return name in UNDER or is_python(name)
 
 
@@ -63,7 +62,7 @@ def _installed(name: str) -> bool:
 
 PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
 ARRAYS = (np.ndarray, np.generic, jax.Array)
-MAXIMUM = 20_000  # things that are looked at; beyond, the rest is not known
+MAXIMUM = 20_000  # objects that are inspected; the rest is unknown
 # Entries of a class that no method reads.
 SET_BY_PYTHON = {"_abc_impl", "__annotate__", "__annotate_func__"}
 
@@ -71,10 +70,10 @@ SET_BY_PYTHON = {"_abc_impl", "__annotate__", "__annotate_func__"}
 class Walk:
     """What is read.
 
-    - `fixed`: code, and constants: with others it is another program.
-    - `moving`: the content of all that may change in place, such as lists and NumPy arrays, and
-      what the code itself sets, such as a counter: with others it may be another program.
-    - `unseen`: whether there is more that cannot be looked at.
+    - `fixed`: code and constants, on which the program depends.
+    - `moving`: the content of mutable objects, such as lists and NumPy arrays, and variables that
+      the code itself sets, such as a counter: the program may depend on them.
+    - `unseen`: whether there is anything else that cannot be inspected.
     - `user_code`: whether there is any code of a user's.
     """
 
@@ -109,7 +108,7 @@ class Walk:
             return
         children, rest = parts
         if not is_known(name := package(type(x))):
-            self._opened.add(name)  # a simulator's own package is read, even if it is installed
+            self._opened.add(name)  # a simulator's package is read, even if it is installed
         self._value(type(x), self.fixed)
         self._value(rest, self.fixed)
         for child in children:
@@ -144,7 +143,7 @@ class Walk:
         elif isinstance(x, property):
             self._value(x.fget, out)
         elif package(type(x)) == SNAPO and _is_hashable(x):
-            out.append(x)  # by what its own class calls equal, as in a tree of JAX
+            out.append(x)  # compared by `==` of its class, as in a tree of JAX
             if _is_frozen(x):  # it may hold a function of a user's
                 self._several((v for v in vars(x).values() if not isinstance(v, PLAIN)), out)
         else:
@@ -307,8 +306,8 @@ def _content(cell: CellType) -> Any:
 
 
 def _attributes(x: Any) -> dict[str, Any]:
-    """The attributes of an object, without those of Python itself and of functions that JAX
-    compiles, which hold what it needs to call them."""
+    """The attributes of an object, without those of Python itself, and none of a function compiled
+    by JAX, whose attributes belong to the call."""
     if package(type(x)) == "jaxlib":
         return {}
     result = dict(getattr(x, "__dict__", {}))

@@ -34,9 +34,9 @@ class Noise(eqx.Module):
 
     **Attributes:**
 
-    - `size`: the number of standard normals that one draw takes.
-    - `separate`: whether draws are separate values (whole numbers, regimes), so that a parameter
-      that moves slightly moves no path, or a few by a whole value: see `Simulator.in_mean`.
+    - `size`: the number of standard normals of one draw.
+    - `separate`: whether draws are discrete (whole numbers, regimes), so that a small change of a
+      parameter changes no path, or a few by a whole value: see `Simulator.in_mean`.
 
     Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
     plain arrays. The derivative with respect to a parameter is that of `draw`: where a draw jumps,
@@ -56,7 +56,7 @@ class Noise(eqx.Module):
     separate: ClassVar[bool] = False
 
     def prepare(self) -> "Noise":
-        """The same noise with all that no path changes worked out, for `Simulator.prepare`."""
+        """The same noise with all precomputations that paths share, for `Simulator.prepare`."""
         return self
 
     @abc.abstractmethod
@@ -101,7 +101,7 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     values, first = [], 0
     for path, item in result:
         if not _is_noise(item):
-            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {item!r}, which is no Noise.")
+            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {item!r}, not a Noise.")
         name = getattr(path[0], "key", None) if path else None
         state = (states[name],) if name in states else ()
         values.append(item.draw(normals[first : first + item.size], *state))
@@ -115,7 +115,7 @@ def only(normals: Float[Array, " 1"]) -> Float[Array, ""]:
 
 
 def numbers(value: Any) -> Any:
-    """A parameter as it is stored: lists are arrays, not trees of numbers."""
+    """A parameter in stored form: lists become arrays, not trees of numbers."""
     return np.asarray(value, np.float64) if isinstance(value, list | tuple) else value
 
 

@@ -32,7 +32,7 @@ class Markov(Noise):
     **Arguments:**
 
     - `transition` [k, k]: from the row's regime to the column's. Rows are divided by their sums,
-      and derivatives are those of the probabilities so made.
+      and derivatives are those of the resulting probabilities.
     """
 
     separate = True
@@ -75,7 +75,7 @@ class Markov(Noise):
 
 
 class Empirical(Noise):
-    """One row of a history, by chance: `values` [n], or [n, K] whose rows stay together.
+    """One row of a history, drawn at random: `values` [n], or [n, K] whose rows stay together.
 
     Rows are in the order of their first number, so that antithetic paths see high and low ones. The
     derivative with respect to the history's numbers is pathwise: every draw is one of them.
@@ -106,7 +106,7 @@ class Empirical(Noise):
 
 
 class Correlated(Noise):
-    """A tree of noises, each with its own distribution, whose normals are correlated.
+    """A tree of noises of any distributions, whose normals are correlated.
 
     `correlation` is that of the first normal of every noise (a Gaussian copula), as the strict
     lower triangle row by row, in the order of the tree: a dictionary's is that of its sorted keys.

@@ -1,6 +1,6 @@
 """Noise with a smooth quantile function of closed form: derivatives along the path are exact.
 
-Gamma and Student noise: quantiles on a grid, worked out once, with implicit derivatives.
+Gamma and Student noise: quantiles on a grid, computed once, with implicit derivatives.
 
 The logarithm y of a gamma number is smooth in the normal z that it has the quantile of. Its values
 and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
@@ -117,7 +117,7 @@ def cholesky(correlation: Any) -> Float[Array, "K K"]:
 
 
 def refuse_correlation(noise: Any) -> None:
-    """Refuses a triangle of the wrong length, or one that is no correlation."""
+    """Refuses a triangle of the wrong length, or one that is not a correlation."""
     if noise.correlation is None or (lower := concrete(noise.correlation)) is None:
         return
     name, k = type(noise).__name__, many(noise.correlation)
@@ -131,7 +131,7 @@ def refuse_correlation(noise: Any) -> None:
         full = np.eye(k)
         full[rows, columns] = full[columns, rows] = item
         if np.linalg.eigvalsh(full)[0] <= 0:
-            raise ValueError(f"{name}: {item.tolist()} is no correlation: not positive definite.")
+            raise ValueError(f"{name}: {item.tolist()} is not positive definite.")
 
 
 END = 6.5  # normals of 32 bits end at 6.34
@@ -173,7 +173,7 @@ def _quantiles(shape: Float[Array, ""]) -> Float[Array, " nodes"]:
     half, tail = INTERVALS // 2, ndtr(-np.abs(GRID))
 
     def excess(y):
-        """How far y lies above its quantile, by the smaller of both tails."""
+        """The distance of y above its quantile, measured in the smaller of both tails."""
         x = jnp.exp(y)
         lower = gammainc(shape, x[:half]) - tail[:half]
         return jnp.concatenate([lower, tail[half:] - gammaincc(shape, x[half:])])

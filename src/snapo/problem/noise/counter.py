@@ -14,11 +14,18 @@ STEP_STREAM, INITIAL_STREAM = 0, 1
 
 
 class Counter(eqx.Module):
-    """Noise drawn inside the engine: `keys` [2, 2] for steps and initial states, `paths` [N]."""
+    """Noise drawn inside the engine: `keys` [2, 2] for steps and initial states, `paths` [N].
+
+    - `first`: the number of the simulator's first step in the calendar by which steps are counted.
+    - `before`: the noise of the calendar's first so many steps, one after another, is that of the
+      initial state; 0: that is drawn by itself.
+    """
 
     keys: UInt32[Array, "2 2"]
     paths: UInt32[Array, " paths"]
+    first: UInt32[Array, ""]
     antithetic: bool = eqx.field(static=True)
+    before: int = eqx.field(static=True, default=0)
 
     @property
     def size(self) -> int:
@@ -26,14 +33,17 @@ class Counter(eqx.Module):
 
     def axes(self) -> "Counter":
         """The axis of the paths in every leaf, for `jax.vmap`."""
-        return Counter(None, 0, self.antithetic)  # pyright: ignore[reportArgumentType]
+        return Counter(None, 0, None, self.antithetic, self.before)  # pyright: ignore
 
     def initial(self, size: int, dtype) -> Float[Array, " size"]:
-        return self._normals(self.keys[INITIAL_STREAM], jnp.uint32(0), size, dtype)
+        if not self.before:
+            return self._normals(self.keys[INITIAL_STREAM], jnp.uint32(0), size, dtype)
+        steps = jnp.arange(self.before, dtype=jnp.uint32)
+        return jax.vmap(lambda t: self.noise(t, size // self.before, dtype))(steps).reshape(-1)
 
     def steps(self, first, length: int):
-        """What the scan over time carries along: the number of the step."""
-        return first.astype(jnp.uint32) + jnp.arange(length, dtype=jnp.uint32)
+        """What the scan over time carries along: the number of the step in the calendar."""
+        return self.first + first.astype(jnp.uint32) + jnp.arange(length, dtype=jnp.uint32)
 
     def noise(self, step: UInt32[Array, ""], size: int, dtype) -> Float[Array, " size"]:
         return self._normals(self.keys[STEP_STREAM], step, size, dtype)
@@ -88,8 +98,8 @@ def only(draws: Draws, selected: np.ndarray) -> Draws:
 def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, "..."]):
     """Threefry-2x32 with 20 rounds (Salmon et al. 2011): two words for the counter (x, y).
 
-    Written out so that it fuses with what follows and every engine traces the same operations;
-    JAX's own primitive computes the same words.
+    Written out so that it fuses with later operations and every engine traces the same ones;
+    JAX's primitive computes the same words.
     """
     keys = (key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(0x1BD11BDA))
     x, y = x + keys[0], y + keys[1]
@@ -104,7 +114,7 @@ def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, 
 def normal(text: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     """Standard normals from 32-bit words, by the inverse of the distribution function.
 
-    The top bit is the sign; the other 31 bits m give the tail probability (m + 1/2) / 2^32.
+    The top bit is the sign; the other 31 bits m determine the tail probability (m + 1/2) / 2^32.
     Wichura's AS241 (Applied Statistics 37, 1988): routine PPND16 (relative error 1e-16) in
     float64, PPND7 (1e-7) in float32. The tail probability is exact, so tails lose no digits.
     """

@@ -1,18 +1,19 @@
 """Whole numbers: the quantile of a discrete distribution, with a derivative with respect to its
 parameters.
 
-Number k is drawn where the uniform u lies between F(k - 1) and F(k). A step function has no
+Number k is drawn if the uniform u is between F(k - 1) and F(k). A step function has no
 derivative of use; a draw is given
 
     d k = -(d F(k - 1) + d F(k)) / (2 p(k)),        p(k) = F(k) - F(k - 1).
 
 Summed over k by parts, the derivative of E f(k) then is the sum over k of -d F(k) times the mean of
-f'(k) and f'(k + 1): the trapezoid's rule for f(k + 1) - f(k). It is right for every f that is
-quadratic between whole numbers without corners, and else off by a twelfth of the third differences
-or so. A corner at a whole number q, whose slope JAX has as the mean of both, is off by a quarter of
-its bend times d F(q) - d F(q - 1): for the mean of a Poisson, times p(q - 1) - p(q). Where q
-differs by path that averages out; at the end of the range, where q is 0 and no draw lies below, it
-does not. `weigh` gives the likelihood ratio, which is right whatever f does, with more noise.
+f'(k) and f'(k + 1): the trapezoid's rule for f(k + 1) - f(k). It is exact for every f that is
+quadratic between whole numbers without corners, and otherwise has an error of about a twelfth of
+the third differences. At a corner at a whole number q, where JAX uses the mean of both slopes, the
+error is a quarter of the change of slope times d F(q) - d F(q - 1): for the mean of a Poisson,
+times p(q - 1) - p(q). If q differs by path that averages out; at the end of the range, where q is 0
+and no draw is below, it does not. `weigh` gives the likelihood ratio, which is correct for any f,
+with more noise.
 """
 
 import abc
@@ -44,7 +45,7 @@ class Drawn(Noise):
 
     @classmethod
     def of(cls, probability: Float[Array, " K"]) -> "Drawn":
-        """The probabilities of 0 … K - 1; the last takes what they leave of 1."""
+        """The probabilities of 0 … K - 1; the last one also gets the remainder to 1."""
         below = jnp.cumsum(probability)
         above = jnp.cumsum(probability[::-1])[::-1] - probability
         # From the nearer end: the other has lost the digits of a tail.
@@ -79,10 +80,10 @@ class Drawn(Noise):
 class Counts(Noise):
     """Whole numbers 0 … `maximum`. Subclass it and write `logarithms`.
 
-    `draw` gives a number whose derivative with respect to the parameters is right where outcomes
-    are quadratic without corners, and nearly so where corners lie at different numbers on different
-    paths; `weigh` gives a number and its likelihood, which is right always. `maximum` is static,
-    and follows from the parameters where these are known.
+    `draw` gives a number whose derivative with respect to the parameters is exact if outcomes are
+    quadratic without corners, and nearly so if the positions of corners differ between paths;
+    `weigh` gives a number and its likelihood, which is right always. `maximum` is static, and
+    follows from the parameters where these are known.
     """
 
     separate = True
@@ -110,7 +111,7 @@ class Counts(Noise):
 
 
 class Poisson(Counts):
-    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of its own: give `maximum`.
+    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of that step: specify `maximum`.
 
     >>> [float(snapo.noise.Poisson(4.0).draw(np.array([z]))) for z in (-2.0, 0.0, 2.0)]
     [1.0, 4.0, 8.0]

@@ -9,7 +9,7 @@ A measure of risk with a negative weight is the same measure of minus its output
 one: `-CVaR("cost", 0.9)` is minus the mean of the dearest tenth, not of the cheapest. A sign that
 is taken back brings the first measure back.
 
-An objective of one's own is one formula in `jax.numpy`; weights and errors follow from it::
+A user-defined objective is one formula in `jax.numpy`; weights and errors follow from it::
 
     @dataclass(frozen=True)
     class Sharpe(snapo.Objective):
@@ -39,7 +39,7 @@ Weights = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Objective(abc.ABC):
-    """A number made from path totals {name: [N]}, the same in whatever order the paths are.
+    """A statistic of path totals {name: [N]} that does not depend on the order of the paths.
 
     A subclass is a frozen dataclass with `outputs` and `formula`. Value, weights and influence
     follow from the formula; the objectives below have closed forms instead of it.
@@ -48,7 +48,7 @@ class Objective(abc.ABC):
     @property
     @abc.abstractmethod
     def outputs(self) -> Any:
-        """The names of the outputs used, a tuple; a plain class attribute will do."""
+        """The names of the outputs used, a tuple; may be a plain class attribute."""
 
     @property
     def linear(self) -> Any:
@@ -60,14 +60,14 @@ class Objective(abc.ABC):
 
     @property
     def tail(self) -> float:
-        """The share of the paths that it is made of: 1, or that of a tail."""
+        """The share of the paths that it uses: 1, or that of a tail."""
         return 1.0
 
     @property
     def by_path(self) -> Any:
-        """Whether it is a mean of numbers, each made only of one path's totals: its `influence`.
+        """Whether it is a mean over paths of a function of one path's totals: its `influence`.
 
-        Such an objective has a bound from above. It is declared: a subclass sets `by_path = True`.
+        Such an objective has an upper bound. It is declared: a subclass sets `by_path = True`.
         """
         return False
 
@@ -86,11 +86,11 @@ class Objective(abc.ABC):
         return functional.weights(self, self.used(totals))
 
     def climb(self, totals: Totals) -> Weights:
-        """The weights that training follows: its derivative wherever there is one."""
+        """The weights used in training: the derivative wherever it exists."""
         return self.weights(totals)
 
     def influence(self, totals: Totals) -> np.ndarray:
-        """[N]: numbers whose mean is the value and whose spread is its sampling error."""
+        """[N] numbers with the value as their mean, whose spread gives its sampling error."""
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
@@ -109,8 +109,8 @@ class Objective(abc.ABC):
 
     @property
     def as_cost(self) -> "Objective":
-        """The same measure of a cost, instead of it where the weight is negative: of a measure of
-        risk the one that looks at the dear tail; itself for all others."""
+        """The same measure of a cost, used where the weight is negative: for a risk measure the one
+        of the tail of high values; itself for all others."""
         return self
 
     @property
@@ -229,7 +229,7 @@ class Weighted(Objective):
 
     @property
     def as_cost(self) -> "Weighted":
-        """Minus what a weight of -1 makes of it, term by term."""
+        """The same objective of a cost: every term with the sign of its weight reversed."""
         other = object.__new__(Weighted)
         terms = tuple((f, item.as_cost if f > 0 else item.as_gain) for f, item in self.terms)
         object.__setattr__(other, "terms", terms)
@@ -287,7 +287,7 @@ class OneOutput(Objective):
 
 
 class ByPath(OneOutput):
-    """A mean of each path's own number."""
+    """A mean of one number per path."""
 
     @property
     def by_path(self) -> bool:
@@ -314,7 +314,7 @@ class Mean(ByPath):
 
 @dataclass(frozen=True)
 class Limit:
-    """A number made of all paths' totals that is kept on one side of a level; see `AtMost`."""
+    """A limit on a statistic of all paths' totals; see `AtMost`."""
 
     of: Objective | str
     level: float
@@ -332,9 +332,9 @@ class Limit:
 
     @property
     def measure(self) -> Objective:
-        """The number that is limited, as an objective: the mean of an output that is named.
+        """The limited statistic as an objective; for the name of an output, its mean.
 
-        A measure of risk looks at the tail that breaks the limit: the dear one under `AtMost`.
+        A risk measure uses the tail that violates the limit: that of high values under `AtMost`.
         """
         of = as_objective(self.of)
         return of.as_cost if self.sign > 0 else of
@@ -351,7 +351,7 @@ class Limit:
         )
 
     def excess(self, totals: Totals) -> float:
-        """By how much the limit is not met; negative where it is."""
+        """The violation of the limit; negative where it is met."""
         return self.sign * (self.measure.value(totals) - self.level)
 
 
@@ -372,7 +372,7 @@ class AtMost(Limit):
 
 
 class AtLeast(Limit):
-    """The same from below: `AtLeast("filled", 0.98)`, or `Mean("filled") >= 0.98`."""
+    """A lower limit: `AtLeast("filled", 0.98)`, or `Mean("filled") >= 0.98`."""
 
     sign, relation = -1, "at least"
 

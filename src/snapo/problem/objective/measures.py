@@ -25,7 +25,7 @@ class _Risk(OneOutput):
 
 @dataclass(frozen=True)
 class OfCost(Objective):
-    """Minus a measure of risk of minus its output: of a cost, so that the dear paths count most.
+    """Minus a risk measure of minus its output, a cost, so that paths with high costs count most.
 
     >>> dear = snapo.AtMost(snapo.CVaR("cost", 0.9), 90.0).measure
     >>> round(float(dear.value({"cost": np.arange(100.0)})), 6)  # the mean of the largest ten
@@ -142,9 +142,9 @@ class Entropic(_Risk):
 class ExpectedUtility(ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
-    Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
-    has no derivative. Training leads away from it: a path of ruin has the weight of the path for
-    which a unit more is worth most.
+    Ruin is an outcome with the worst utility: with one such path the value is minus infinity and
+    has no derivative. Training moves away from it: a path of ruin has the weight of the path with
+    the largest marginal utility.
     """
 
     utility: "CRRA"
@@ -153,7 +153,7 @@ class ExpectedUtility(ByPath):
     def as_cost(self) -> Objective:
         raise ValueError(
             f"ExpectedUtility of {self.output}: a utility is of a quantity to be maximised, so its "
-            "weight is positive and it has no upper limit. Of a cost, let the simulator give "
+            "weight is positive and it has no upper limit. For a cost, let the simulator return "
             f"-{self.output} as an output, and write the utility of that."
         )
 
@@ -203,7 +203,7 @@ class CRRA:
         return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.risk_aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
-        """The certainty equivalent of this utility; infinite where there is none."""
+        """The certainty equivalent of this utility; infinite if there is none."""
         if self.risk_aversion == 1:
             return float(np.exp(utility)) - self.wealth
         power = (1 - self.risk_aversion) * utility
@@ -230,7 +230,7 @@ class Target(ByPath):
 
 @dataclass(frozen=True)
 class Probability(ByPath):
-    """The probability that x > threshold; its weights round the step over `width` (in x's unit).
+    """The probability that x > threshold; its weights smooth the step over `width` (in x's unit).
 
     The value is the exact frequency. The pathwise derivative of a step is zero, so the weights
     are those of a logistic step of this width.

@@ -1,2 +1,2 @@
-"""Policies other than the network and the classical rules: with a memory, by stage, of one's
-own."""
+"""Policies other than the network and the classical rules: with a memory, by stage,
+user-defined."""

@@ -15,12 +15,12 @@ from ..smooth import EXACT, Smooth
 
 
 class Stages(Policy):
-    """A policy for each stage of a `Chain`; each sees its own stage's observation, not padded, and
-    decides in its own stage's set.
+    """A policy for each stage of a `Chain`, with the observation of that stage, not padded, and its
+    action set.
 
-    `Stages([MLP(hidden=(16, 16)), Constant(0.3)])` is a recipe: `solve` gives every policy the
-    actions and features of its stage. `Stages(policies, chain.interface(schedule))` is made at
-    once, of policies that are made.
+    `Stages([MLP(hidden=(16, 16)), Constant(0.3)])` is a recipe: `solve` creates every policy for
+    the actions and features of its stage. `Stages(policies, chain.interface(schedule))` is a
+    policy, made of existing ones.
     """
 
     policies: tuple[Policy, ...]
@@ -78,11 +78,11 @@ NEEDED = (
 
 
 class Plain(Policy):
-    """An `eqx.Module` where a policy goes; `solve` makes it of whatever module it is given.
+    """An `eqx.Module` where a policy goes; `solve` creates it from any other module.
 
-    - `raw`: whether it is called as `network(observation)`: its numbers are unbounded, and are
-      squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and
-      what it gives lies in the set.
+    - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
+      squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its
+      outputs lie in the set.
     """
 
     module: Any

@@ -1,6 +1,6 @@
 """Policies that remember: recurrent networks and windows of past observations.
 
-A policy with memory decides by its observation and by numbers of its own, which it hands on to its
+A policy with memory decides by its observation and by internal numbers, which it passes on to its
 next decision. The engines carry these next to the simulator's state (`Remembering`): no one who
 writes a simulator sees them, and recorded actions replay without them.
 """
@@ -21,16 +21,16 @@ from ..smooth import EXACT, Exact
 
 
 class Memory(Policy):
-    """A policy that remembers `memory` numbers, which are zeros before the first decision.
+    """A policy with a memory of `memory` numbers, which are zeros before the first decision.
 
-    A subclass states how many in `memory` and writes `decide`. Called as policies are, it takes
-    the observation followed by the memory, and gives the action followed by the next memory.
+    A subclass defines their number in `memory` and the method `decide`. When called, it takes the
+    observation followed by the memory, and returns the action followed by the next memory.
     """
 
     @property
     @abc.abstractmethod
     def memory(self) -> int:
-        """How many numbers it remembers."""
+        """The size of the memory."""
 
     @abc.abstractmethod
     def decide(
@@ -55,9 +55,9 @@ class GRU(Memory):
     """A recurrent network (gated recurrent unit, Cho et al. 2014) with `hidden` units.
 
     Its decision is linear in the observation and in its units, squashed into the action set.
-    `GRU(hidden=16)` is a recipe, as `MLP(hidden=…)` is: `solve` makes it for the simulator.
-    `hidden` by default: 16 units, and where more than eight numbers are decided, half the width of
-    an `MLP`.
+    `GRU(hidden=16)` is a recipe like `MLP(hidden=…)`: `solve` creates the network for the
+    simulator. Default of `hidden`: 16 units, and if more than eight numbers are decided, half the
+    width of an `MLP`.
     """
 
     gates: Network | None
@@ -84,8 +84,8 @@ class GRU(Memory):
             return
         if action is None or features is None or key is None or hidden is None:
             raise ValueError(
-                "GRU: give the action set, the number of features and a key together, or none of "
-                "them: then solve finds them."
+                "GRU: specify the action set, the number of features and a key together, or none "
+                "of them: then solve adds them."
             )
         keys, width = jax.random.split(key, 3), features + hidden
         self.gates, self.fresh = (
@@ -143,7 +143,7 @@ class LastObservations(Memory):
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
-            raise ValueError("LastObservations: its inner policy has a memory of its own already.")
+            raise ValueError("LastObservations: its inner policy has a memory already.")
 
     @property
     def memory(self) -> int:
@@ -177,7 +177,7 @@ def remembered(policy: Policy | None) -> int:
 
 
 def first_decision(policy: Policy, observation: Float[Array, " features"]) -> Float[Array, " size"]:
-    """The exact decision of the first step, at which nothing is remembered yet."""
+    """The exact decision of the first step, when the memory is empty."""
     if isinstance(policy, Memory):
         return policy.decide(observation, jnp.zeros(policy.memory, observation.dtype), Exact())[0]
     return policy(observation, Exact())
@@ -199,7 +199,7 @@ class Remembering(Around):
         return self.initial_state(self.inner.initial(constants, noise))
 
     def initial_state(self, state: PyTree) -> PyTree:
-        """A state of the simulator's own, before the first decision."""
+        """A state of the simulator before the first decision."""
         return {"memory": jnp.zeros(self.memory), "own": state}
 
     def observe(self, constants, now, state):

@@ -15,7 +15,7 @@ from ..smooth import EXACT, Smooth
 class Constant(Policy):
     """Always the same action; `Constant()` starts in the middle of the action set.
 
-    With `action`, as `Constant()` has, it is settled in that set: rounded, or the best option.
+    With `action`, as `Constant()` has, it is projected to that set: rounded, or the best option.
     """
 
     value: Array | None
@@ -84,7 +84,7 @@ def _middle(interface: Interface) -> Float[Array, " size"]:
 
 
 class BaseStock(Policy):
-    """Order up to a level: max(level - position, 0), the position being one observed number.
+    """Order up to a level: max(level - position, 0), where the position is an observed number.
 
     >>> snapo.BaseStock(12.0)([5.0]).tolist()
     [7.0]

@@ -4,7 +4,7 @@ The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held 
 the decisions replayed, share all their noise. Their difference block by block, the reaction
 R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
 Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
-the moved input (`Problem.moved`); a table that stays fixed would pass for a bad policy.
+the moved input (`Problem.moved`); with the old table a good policy would look bad.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,7 +36,7 @@ NEGLIGIBLE = 2e-5  # of the value: a smaller reaction to one percent of an input
 CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
 THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
 MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not looked at
-SIGNIFICANT = 4.0  # standard errors between the sides: of twenty inputs none by chance
+SIGNIFICANT = 4.0  # standard errors between the sides: no false alarm among twenty inputs
 # Of the gap between the sides, at half the move: a kink leaves 1/2, a bend 1/4, a jump all of it.
 CORNER, JUMP = 0.375, 0.75
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
@@ -50,7 +50,7 @@ class Reaction(NamedTuple):
     - `up`, `down`: value after the bump less that before, and that before less that after the
       opposite one, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
-      only of costs, which reaches no state, changes no decision.
+      that only affects costs changes no decision.
     - `corner`: "kink" or "jump", where both sides differ and half the move shows the same; else "".
     """
 
@@ -81,7 +81,7 @@ class Reaction(NamedTuple):
         return len(self.reaction) == len(self.held)
 
     def probability(self) -> float:
-        """That of a reaction at least as large where there is none (Student's t)."""
+        """The p-value of the reaction (Student's t)."""
         value, error = self.estimate
         if not self.tested or not np.isfinite(value):
             return 1.0
@@ -126,14 +126,13 @@ def reactions(
     """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
     `maximum` paths together.
 
-    Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
-    and a wider move follow, the least certain input first, until about `rollouts` paths were
-    valued.
+    Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
+    wider move follow, the least certain input first, until about `rollouts` paths were valued.
     `centre`: the totals of these paths, and possibly more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
-    are all where the value is no number, as after a ruin. A held derivative that is not a number,
-    as one that is lost in a rounding, counts as zero: all of the bump is reaction.
+    are all if the value is non-finite, as after a ruin. A held derivative that is NaN, such as one
+    that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
@@ -151,8 +150,8 @@ def reactions(
 
 
 def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool:
-    """Whether no more paths are needed: nothing reacts, or so slightly that it may be nothing,
-    known to a share `precise` of the held derivative; or surely less than `negligible`."""
+    """Whether no more paths are needed: the reaction is insignificant and known to a share
+    `precise` of the held derivative, or certainly less than `negligible`."""
     if not reaction.tested or not np.isfinite(reaction.reaction).all():
         return True
     value, error = reaction.estimate
@@ -208,8 +207,8 @@ class _Bumper:
     def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
         """One input moved by `by`, on few paths.
 
-        What was built from the inputs stays fixed at first, which is soon done: where that shows
-        no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
+        Objects built from the inputs are first held fixed, which is fast: if that shows no
+        reaction, rebuilt ones, at a near-optimal policy, have none to first order either.
         """
         if self.problem.rebuild is None:
             return self._moved(name, by, held, self.few)
@@ -238,7 +237,7 @@ class _Bumper:
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
-        `at_values` by default rebuilds what it can; `mirrored`: for one side only, see `opposite`.
+        `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
@@ -293,11 +292,12 @@ class _Bumper:
 
 
 def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
-    """The problem at `values`, on the other side of `more`, with what was built from the inputs
-    mirrored: 2 x - y for a number that is x here and y there. None where it has another form.
+    """The problem at `values`, on the other side of `more`, with all that depends on the inputs
+    mirrored: 2 x - y for a number that is x in `problem` and y in `more`. None where `more` has a
+    different structure.
 
-    A build takes longer than a few paths. What is mirrored is off by its curvature, which moves a
-    value near its top by far less.
+    Building a problem takes longer than a few paths. Mirroring neglects curvature, whose effect on
+    a value near its maximum is far smaller.
     """
     here, there = (jax.tree.flatten(item.simulator) for item in (problem, more))
     if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):

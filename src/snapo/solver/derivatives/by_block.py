@@ -24,7 +24,7 @@ CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
 class PassResult(NamedTuple):
-    """Derivatives by every input and by the policy, and the number of paths left out.
+    """Derivatives with respect to every input and the policy, and the number of paths left out.
 
     `totals` {output: [paths]} in the order of the blocks; None where some were passed one by one.
     """
@@ -95,7 +95,7 @@ class DerivativePass(NamedTuple):
         scale = count / max(1, count - invalid.sum())
         available = all(np.isfinite(weight).all() for weight in plan.total.values())
         if not available or dropped > DROPPED * (count + dropped):
-            # Under ruin there is no derivative; nor is there one of what is left of many.
+            # No derivative exists under ruin, nor is one reported where many paths were left out.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - invalid)
         sums, segments = self._carried(passes), self._carried(further)
@@ -192,7 +192,7 @@ class DerivativePass(NamedTuple):
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
     def _pulled(self, result: Adjoint, invalid: int, count: int) -> list[Pulled]:
-        """The derivatives of each of so many columns."""
+        """The derivatives of each of a number of columns."""
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
         schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
         if count == 1:
@@ -205,7 +205,7 @@ class DerivativePass(NamedTuple):
         ]
 
     def _joined(self, paths: np.ndarray, weights: list[Weights], maximum: int) -> list[Pulled]:
-        """For each of the weights, the sum of passes on no more than so many paths each."""
+        """For each of the weights, the sum of passes on at most a given number of paths each."""
         if not weights:
             return []
         passes = [

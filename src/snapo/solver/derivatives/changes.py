@@ -2,14 +2,14 @@
 
 The derivative of a functional of all paths is D = sum_i w_i dX_i, and the weights depend on all
 paths too: they are normalised, ranked or measured from a mean. Only a block's part of that sum
-does not scatter as D does: with dX = 1 the derivative of a tail mean is one whatever the paths
-are. Without block b the derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the
-weights of the paths that are left; the scatter of D_b is that of D (Shao and Wu, A general theory
-for jackknife variance estimation, 1989; blocks of different sizes: Busing, Meijer and van der
-Leeden, Delete-m jackknife for unequal m, 1999).
+does not scatter as D does: with dX = 1 the derivative of a tail mean is one for any paths. Without
+block b the derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the weights of the paths
+that are left; the scatter of D_b is that of D (Shao and Wu, A general theory for jackknife variance
+estimation, 1989; blocks of different sizes: Busing, Meijer and van der Leeden, Delete-m jackknife
+for unequal m, 1999).
 
 It costs no adjoint pass for every block. With N / (N - n_b) times the old weights the new sum
-follows from the blocks' own parts; the rest of the change is, to first order, the same few
+follows from the blocks' parts; the rest of the change is, to first order, the same few
 functions of the paths for every block, times a number (the shift of a mean, of a quantile): the
 leading ones are kept, and each is pulled back once, on a sample of paths.
 """
@@ -43,7 +43,7 @@ class BlockPlan(NamedTuple):
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
         """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
 
-        From the blocks' own sums of w_i dX_i [B, *shape], and those of the pieces [K, *shape].
+        From the blocks' sums of w_i dX_i [B, *shape], and those of the pieces [K, *shape].
         """
         blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))
         value = sums.sum(0)

@@ -1,11 +1,11 @@
-"""The derivative that is reported: a value, and an interval that contains the true one.
+"""The reported derivative: a value, and an interval that contains the true one.
 
-The true derivative is that of the best policy's value. Two errors lie between it and an estimate:
-the sampling error of finitely many paths, and the error of the policy, which is near the best one
-and not the best one itself. A policy whose value is short of the best by a gap g has a derivative
-that is off by at most sqrt(2 g kappa), where kappa measures how fast the derivative changes with
-the policy, measured against the loss (see `margin`). The value's error is of second order in the
-policy's, the derivative's of first order: it goes with the root of the gap.
+The true derivative is that of the best policy's value. An estimate of it has two errors: the
+sampling error of a finite number of paths, and the error of the policy, which is close to the best
+one. A policy whose value is short of the best by a gap g has a derivative that is off by at most
+sqrt(2 g kappa), where kappa measures how fast the derivative changes with the policy, measured
+against the loss (see `margin`). The error of the value is of second order in that of the policy,
+the error of a derivative of first order: it grows with the root of the gap.
 """
 
 from typing import NamedTuple
@@ -21,8 +21,8 @@ SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leav
 class Interval(NamedTuple):
     """A derivative along a direction of an input: the value and the limits of its 95 % interval.
 
-    - `sampling`, `policy`: the half-width of the sampling error, and by how much the error of the
-      policy widens it. At a kink `low` and `high` also hold both one-sided derivatives.
+    - `sampling`, `policy`: the half-width due to the sampling error, and its increase due to the
+      error of the policy. At a kink `low` to `high` also contains both one-sided derivatives.
     """
 
     value: float
@@ -59,12 +59,12 @@ class Reported(NamedTuple):
     - `source`: "held" (decisions replayed), "through the policy" (a move of the exact simulator
       with the policy reacting), "range" (at a kink: between both one-sided derivatives) or "not
       known".
-    - `estimate`: by block; a number of which only the sum with its neighbours is known is NaN.
-    - `by`: the move of the input to which `whole` [B] belongs: the derivative along it by block.
-    - `unseen`: standard error of the policy's reaction that `estimate` leaves out, like the input.
+    - `estimate`: by block; NaN for numbers of which only the sum is known.
+    - `by`: a move of the input; `whole` [B]: the derivative along it by block.
+    - `unseen`: standard error of the policy's reaction that is not in `estimate`, like the input.
     - `slopes`: [n, *shape] of the estimate with respect to the coordinates of `curvature`;
       `others`: [K, *shape] changes in random directions of all weights, over sqrt(2 loss).
-    - `sides`: the one-sided derivatives along `by`, (less, more), of a kink; else None.
+    - `sides`: the one-sided derivatives along `by` at a kink, (less, more); else None.
     """
 
     source: str
@@ -118,7 +118,7 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """With this bound on the policy's gap, where it is the smaller one."""
+        """With this bound on the policy's gap, if it is smaller than the present one."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 

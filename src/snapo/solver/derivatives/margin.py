@@ -2,8 +2,8 @@
 
 With M the change of a derivative along the coordinates and H the curvature of the value, a policy
 whose value is short of the best by g has a derivative that is off by at most sqrt(2 g kappa), where
-kappa = M (-H)^-1 M' (Cauchy and Schwarz). The coordinates are few: kappa is at least what random
-moves of ALL weights show, as the squared change of the derivative over twice the loss.
+kappa = M (-H)^-1 M' (Cauchy and Schwarz). The coordinates are few: kappa is at least the squared
+change of the derivative over twice the loss under random moves of ALL weights.
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class Margin(NamedTuple):
 
 
 def passes(surface: Surface) -> int:
-    """How many derivatives a margin takes."""
+    """The number of derivatives needed for a margin."""
     return 1 + 2 * _pairs(surface) + 1 + RANDOM
 
 
@@ -53,7 +53,7 @@ def _pairs(surface: Surface) -> int:
 def margin_of(
     problem: Problem, policy: Policy, surface: Surface, paths: int, seed: int, engine: Engine
 ) -> Margin:
-    """Of the held derivatives, near the policy that is reported, on the first `paths` of those of
+    """Of the held derivatives, near the reported policy, on the first `paths` of those of
     the surface."""
     on = _Derivatives(problem, surface, engine, paths)
     half, pairs = (len(surface.points) - 1) // 2, _pairs(surface)
@@ -70,7 +70,7 @@ def margin_of(
 
 
 def floor_of(actions: Actions) -> float:
-    """The gap that is assumed at least, in targets: whole numbers hide more of it."""
+    """The minimum gap that is assumed, in targets: it is larger for discrete decisions."""
     hard = any(contains(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 

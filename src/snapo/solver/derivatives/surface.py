@@ -1,15 +1,15 @@
 """The value around a trained policy, as a quadratic surface in a few coordinates.
 
-The EXACT simulator is valued on fixed paths at a few dozen places around the policy. The surface
-V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is slightly
-higher, and H measures by how much a wrong policy would cost. Both go into the interval of every
-derivative, and the policy at the top is a candidate for the one that is reported.
+The EXACT simulator is valued on fixed paths at a few dozen points around the policy. The fitted
+surface V = G z + z H z / 2 has its maximum near the policy: there the value is slightly higher, and
+H measures the loss of a suboptimal policy. Both enter the interval of every derivative, and the
+policy at the maximum is a candidate for the reported one.
 
-A few coordinates of a policy, along which its value is looked at: directions of its numbers.
+The coordinates are a few directions in the space of the policy's parameters.
 
 For a network they are a shift and a gain of every raw output of its last layer, which move all
-decisions together; for many outputs a common gain, what the second half of training changed, and
-a few mixtures of the shifts. A rule with few numbers has one coordinate for each.
+decisions together; for many outputs a common gain, the change in the second half of training, and a
+few mixtures of the shifts. A rule with few parameters has one coordinate for each.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from ..evaluate import path_totals
 from ..statistics import Estimate
 from .bump import block_means
 
-EACH = 4  # outputs at most that have a shift and a gain of their own
+EACH = 4  # maximum number of outputs with a separate shift and gain
 MIXTURES = 4  # of the shifts of more outputs
 FEW = 8  # numbers at most of a rule without a network that has a coordinate for each
 SMALL = 1e-3  # the size that a number of a rule has at least, in its own coordinate
@@ -133,13 +133,13 @@ def _vector(policy: Policy) -> np.ndarray:
 
 
 SEARCH = 4  # of the evaluation's streams
-SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
+SEEN, SHARE = 4.0, 5e-4  # a target is this number of standard errors, and this share of the value
 FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
 BEYOND, MINIMUM, MAXIMUM = 1.2, 1.5, 8.0  # of the distance to a loss; how far a try goes at a time
-CLIFF = 4.0  # targets: a fall that is no slope any more
+CLIFF = 4.0  # targets: a fall that is no longer a slope
 POINTS = 1.6  # places for each coefficient of the surface
 LACK, CLOSER, TRIES = 0.2, 1.7, 2  # of a target; closer places where the surface does not fit
-FLAT = 0.5  # of a target: the least curvature over a radius
+FLAT = 0.5  # of a target: the minimum curvature over a radius
 STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the top of the other
 
 
@@ -207,14 +207,14 @@ class _Value:
 
 
 def fresh(source: Scenarios, number: int) -> Scenarios:
-    """Scenarios that nothing else uses; those of Sobol or of one's own serve unchanged."""
+    """Scenarios that are used for nothing else; Sobol or supplied ones are returned unchanged."""
     if not isinstance(source, Pseudo):
         return source
     return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))
 
 
 def rollouts(count: int) -> int:
-    """About how many valuations a surface in so many coordinates takes."""
+    """The approximate number of valuations for a surface in `count` coordinates."""
     return 14 * count + 3 * (count + 1) * (count + 2)
 
 
@@ -249,7 +249,7 @@ def surface_of(
 
 
 def distance_factor(loss: float, target: float) -> float:
-    """How many times as far a loss of `target` lies, if it grows with the square."""
+    """The factor on the distance at which the loss is `target`, if the loss is quadratic."""
     return float(
         np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MAXIMUM, MINIMUM, MAXIMUM)
     )

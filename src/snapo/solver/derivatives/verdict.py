@@ -1,11 +1,10 @@
 """Which derivative is reported: the held one, unless a bump refutes it.
 
-All inputs of a run are tested together: with twenty inputs, one in a run would be refuted by chance
-by a test of each at 5 %. Holm's procedure (1979) refutes a right one in at most 1 % of all runs.
-A refuted held derivative gives way to the bump itself. One that is not refuted may still be a
-slightly wrong: the reaction is then added as far as it is larger than its own error (James and
-Stein's shrinkage) or as it takes noise away (a control variate), and the interval has room for
-the rest.
+All inputs of a run are tested together: separate tests of twenty inputs at 5 % would falsely refute
+one per run. Holm's procedure (1979) falsely refutes any in at most 1 % of all runs. A refuted held
+derivative is replaced by the bump. One that is not refuted may still be slightly wrong: the
+reaction is then added as far as it exceeds its own error (James and Stein's shrinkage) or reduces
+noise (a control variate), and the interval includes the rest.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -32,9 +31,9 @@ class Verdict(NamedTuple):
 
     - `source`: of the reported derivative, see `Reported`.
     - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
-    - `up`, `down`: the change of the value by more, and by less, of the input; `side_error` of
-      their difference.
-    - `probability`: that of so large a reaction by chance; `tested`: whether there is any.
+    - `up`, `down`: the change of the value for an increase and a decrease of the input;
+      `side_error` of their difference.
+    - `probability`: the p-value of the reaction; `tested`: whether there is one.
     - `corner`: "kink", "jump" or "".
     """
 
@@ -57,7 +56,7 @@ class Verdict(NamedTuple):
 
     @property
     def two_sided(self) -> bool:
-        """Whether more and less of the input differ, by a corner or by curvature."""
+        """Whether the one-sided derivatives differ, because of a corner or of curvature."""
         return abs(self.up - self.down) > AGREE * self.side_error
 
     def row(self, name: str) -> tuple:
@@ -74,10 +73,10 @@ def verdicts(
 ) -> dict[str, Verdict]:
     """{input: verdict}.
 
-    - `reacting`: the policy does not see the whole state, so that held derivatives are wrong in
-      principle: every input that a decision reacts to is reported through the policy.
-    - `lost`: inputs whose derivative no adjoint sees, as it is lost in a rounding (`Problem.lost`):
-      the bump is reported.
+    - `reacting`: the policy does not observe the whole state, so that held derivatives are wrong in
+      principle: inputs to which decisions react are reported with the policy's reaction.
+    - `lost`: inputs whose derivative the adjoint misses, since it is lost in a rounding
+      (`Problem.lost`): the bump is reported.
     """
     probabilities = {name: item.probability() for name, item in reactions.items()}
     refuted = holm(probabilities)
@@ -107,7 +106,7 @@ def verdicts(
 
 
 def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
-    """The names whose hypothesis is refuted; a right one is with probability `level` at most."""
+    """The names whose hypothesis is refuted; a true one with probability at most `level`."""
     refuted = set()
     ordered = sorted(probabilities, key=lambda name: probabilities[name])
     for number, name in enumerate(ordered):
@@ -124,7 +123,7 @@ def reported(
     reactions: Mapping[str, Reaction],
     results: Mapping[str, Verdict],
 ) -> dict[str, Reported]:
-    """{input: the derivative that is reported}, with only the sampling error."""
+    """{input: the reported derivative}, with only the sampling error."""
     result = {}
     for name, values in problem.inputs_by_name.items():
         by = one_percent(values)
@@ -144,7 +143,7 @@ def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Repo
 def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
     """Shares of the numbers of an input in a change along `by`, per unit of each number.
 
-    Their sum times `by` is one; a number has more of it the more it moves the value.
+    Their sum times `by` is one; numbers with a larger effect on the value have larger shares.
     """
     size = np.abs(estimate.value * by)
     if not size.sum() > 0:

@@ -1,31 +1,31 @@
-"""Adjoints that grow on their way back: their record, and when to clip or to cut the horizon.
+"""Adjoints that grow backwards in time: their record, and when to clip or to cut the horizon.
 
-When to clip, and at which bound: from gradients as they come, and adjoints as they are measured.
+When to clip, and at which bound, is decided from the gradients of training and measured adjoints.
 
-Most simulators need no clip, and it would bend their gradient. Where the derivative explodes on
-its way back, a few paths lead training astray. That shows in the norms of the first gradients (see
-`is_chaotic`), or in a leap of one norm over all before it, and costs nothing to see. Only then
-the paths' adjoints are measured, with a memory of sqrt(T) steps, and bounded at the usual size of
-the largest on a path: an adjoint that has grown beyond it is that of chaos, or of a policy that is
-being left behind. No unit enters. Where gradients were far larger than they are now, Adam's memory
-of them would hold its steps down for the rest of the run: it forgets them.
+Most simulators need no clip, and it would bias their gradient. Where derivatives explode backwards
+in time, a few paths mislead training. The norms of the first gradients show this (see
+`is_chaotic`), or a jump of one norm above all earlier ones, at no extra cost. Only then are the
+paths' adjoints measured, with a memory of sqrt(T) steps, and bounded at the usual size of the
+largest on a path: a larger adjoint comes from chaos, or from a policy that training is leaving. The
+rule depends on no unit. Where gradients were far larger than they are now, Adam's memory of them
+would keep its steps small for the rest of the run: it is reset.
 
-It is the largest of the whole horizon: where a plant settles, its last steps have small
-adjoints, and a bound from them cuts off what the way there teaches. (A quadrotor at -41.5 climbed
-down to -73 so, and ends at -38.5 now.)
+The bound uses the largest adjoint of the whole horizon: where a plant settles, its last steps have
+small adjoints, and a bound from them would remove the gradient of the approach. (A quadrotor at
+-41.5 fell to -73 that way, and ends at -38.5 now.)
 
-Once adjoints do not grow on their way back any more, the bound is lifted: those that are still far
-larger than the usual one belong to paths that matter, such as those near ruin, and a rule trained
-with a bound on them takes too much risk.
+Once adjoints no longer grow backwards in time, the bound is lifted: those that are still far larger
+than usual belong to important paths, such as those near ruin, and a rule trained with a bound on
+them takes too much risk.
 
-When the whole horizon is chaotic, and windows (`learning.windows`) that are not.
+If the whole horizon is chaotic, training uses windows (`learning.windows`) that are not.
 
-On a chaotic horizon adjoints grow a hundredfold and more on their way back, and differently on
-every path, so that a few paths drown all others: the gradient is noise however it is clipped. On a
-plant that is unstable and no more, they grow equally on all paths. It shows in the norms of the
-first gradients, which leap up and down from one step to the next, at no cost; only then the
-adjoints of some paths are measured. A window is half as long again as their largest stays near the
-usual one. No unit enters.
+On a chaotic horizon adjoints grow a hundredfold and more backwards in time, and differently on
+every path, so that a few paths dominate all others: the gradient is noise however it is clipped. On
+a plant that is merely unstable they grow equally on all paths. The norms of the first gradients
+show the difference at no extra cost, since they jump up and down between steps in the chaotic case;
+only then are the adjoints of some paths measured. A window is 1.5 times as long as the time over
+which their largest stays near the usual one. The rule depends on no unit.
 """
 
 import math
@@ -52,7 +52,7 @@ MANY = 64  # paths whose gradient has low noise
 
 
 def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
-    """Whether the norms of successive gradients, of so many paths each, leap up and down."""
+    """Whether the norms of successive gradients, of `paths` paths each, jump up and down."""
     with np.errstate(divide="ignore", invalid="ignore"):
         changes = np.abs(np.diff(np.log(np.asarray(norms, float))))
     # Few paths leave noise in the gradient of a tame problem too.
@@ -61,7 +61,7 @@ def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
 
 
 def is_chaotic(norms: Sequence[float], paths: int = MANY) -> bool:
-    """Whether the first gradients show chaos: they are erratic, or one of them fell far."""
+    """Whether the first gradients indicate chaos: they are erratic, or one of them fell far."""
     result = np.asarray(norms, float)
     return bool(np.any(result * GROWTH < np.maximum.accumulate(result))) or erratic(norms, paths)
 
@@ -92,8 +92,8 @@ def grows(norms: np.ndarray) -> bool:
 
 
 def share_kept(norms: np.ndarray) -> float:
-    """The share of an adjoint that goes on at each step back (`Clip.keep`), from norms [T, N]: a
-    third is left after the steps in which they grow a hundredfold; 1 where they do not.
+    """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
+    N]: a third is left after the steps in which they grow a hundredfold; 1 where they do not.
 
     A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
     -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
@@ -108,7 +108,7 @@ def _finite(norms: np.ndarray) -> np.ndarray:
 
 
 def _agreeing(norms: np.ndarray) -> int | None:
-    """The number of steps from the end after which paths do not agree any more."""
+    """The number of steps from the end after which paths no longer agree."""
     back = norms[::-1]
     usual = np.maximum(np.median(back, axis=1), np.finfo(float).tiny)
     apart = np.flatnonzero(back.max(1) > SPREAD * usual)
@@ -137,8 +137,8 @@ def has_leapt(norms: Sequence[float], since: int) -> bool:
 
 
 def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
-    """Whether Adam's mean square of all gradients after `since`, of which it keeps a share `forget`
-    a step, is far above the usual size of the last ones: its steps are as many times too short."""
+    """Whether Adam's mean square of all gradients after `since`, with the decay `forget` per step,
+    is far above the usual size of the last ones: its steps are then too short by that factor."""
     local = np.asarray(norms[since:])
     if len(local) < 2 * EARLY:
         return False
@@ -147,8 +147,8 @@ def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
 
 
 def clip_level(norms: np.ndarray) -> float | None:
-    """The bound for `engine.Clip` from norms [T, N] of a short memory; None where the usual path
-    has none that is finite."""
+    """The bound for `engine.Clip` from norms [T, N] of a short memory; None if the usual path has
+    no finite one."""
     median = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
     return median if 0 < median < np.inf else None
 
@@ -196,18 +196,18 @@ class Growth(NamedTuple):
 
     @property
     def times(self) -> float:
-        """How many times as large the largest is as before the last step."""
+        """The ratio of the largest adjoint to the one before the last step."""
         return max(self.largest) / max(self.largest[-1], np.finfo(float).tiny)
 
     @property
     def large(self) -> bool:
-        """Whether a reader must know of it: a hundredfold growth, from which on training looks for
-        windows or a bound. Where a step's worth is added to the adjoint at every step back and
-        nothing grows, it is as many times as large as there are such steps."""
+        """Whether the growth must be reported: it is a hundredfold, at which training looks for
+        windows or a bound. Adjoints that only add one payment per step grow by a factor equal to
+        the number of steps."""
         return self.times > TAME
 
     def describe(self) -> str:
-        """One sentence: by how much they grow, at which step and in which part of the state."""
+        """One sentence on their growth, with the step and the part of the state."""
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:

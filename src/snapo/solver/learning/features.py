@@ -1,24 +1,24 @@
-"""Features that no decision moves are put on one scale before training.
+"""Features that no decision affects are standardised before training.
 
-A feature that stays near one number is, to an untrained network, a constant: training first finds
-the best decision that ignores it, and saturates there. So the first layer of a network that nobody
-has made yet is drawn, and trained, for features of mean 0 and deviation 1. That needs a mean and a
-deviation that hold whatever is decided, as those of prices, demands and times do. Features that a
-decision moves are left unchanged: an untrained policy does not bring them where a trained one
-does.
+A feature that varies little around one number is a constant to an untrained network: training first
+finds the best decision that ignores it, and saturates there. So the first layer of a network that
+snapo creates is drawn, and trained, for features of mean 0 and deviation 1. That needs a mean and a
+deviation that do not depend on decisions, as those of prices, demands and times. Features that
+decisions affect are left unchanged: under an untrained policy their range differs from that under a
+trained one.
 
-So it is where many numbers are decided, each of which has to distinguish states: a battery of 24
-powers a day earns 95 % of its bound instead of 84 %. With few, a regulator, a pendulum
-and a cart train well without.
+This matters where many numbers are decided, each of which has to distinguish states: a battery of
+24 powers a day earns 95 % of its bound instead of 84 %. With few, a regulator, a pendulum and a
+cart train well without it.
 
-And so it is where the decision is when to stop. Stopping without regard to the state is worse than
-waiting, so the first steps lower the hazard everywhere. Where features are small, it vanishes
-before the network distinguishes states, and training never comes back: a max-call of five shares
-ended at its European value, 23.10 for 26.14, with one seed of three, and at 26.14 with scaled
+It also matters for optimal stopping. Stopping without regard to the state is worse than waiting, so
+the first steps lower the hazard everywhere. Where features are small, the hazard vanishes before
+the network distinguishes states, and training never recovers: a max-call of five shares ended at
+its European value, 23.10 instead of 26.14, with one seed of three, and at 26.14 with scaled
 features.
 
-A policy with a memory sees past observations again, or numbers of its own: the first are scaled as
-the present ones are, the others are left.
+A policy with a memory sees past observations, or internal numbers: the former are scaled like the
+present observation, the latter are left unchanged.
 """
 
 from collections.abc import Callable
@@ -49,15 +49,15 @@ class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
     A network's first layer has weights for unscaled features. Training moves those for scaled
-    features, which are equivalent: `scaled` and `plain` go there and back. So do all first layers
-    of a policy that has several.
+    features, which are equivalent: `scaled` and `plain` are inverse to each other. So do all first
+    layers of a policy that has several.
     """
 
     mean: tuple[float, ...]
     deviation: tuple[float, ...]
 
     def plain(self, policy: Policy) -> Policy:
-        """The policy of unscaled features that does what `policy` does with scaled ones."""
+        """The policy of unscaled features that decides as `policy` does with scaled ones."""
         return self._applied(policy, plain)
 
     def scaled(self, policy: Policy) -> Policy:
@@ -65,7 +65,8 @@ class FeatureScale(NamedTuple):
         return self._applied(policy, scaled)
 
     def slope(self, gradient: Policy) -> Policy:
-        """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
+        """The gradient with respect to the numbers of `scaled`, from that with respect to those of
+        `plain`."""
         return self._applied(gradient, slope)
 
     @classmethod
@@ -93,8 +94,8 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 def networks(policy: Policy) -> list[Network | None]:
     """The networks of a policy that see the features; None instead of each that is not drawn.
 
-    Empty for a policy without any, such as a rule, and for one of which that is not known: the
-    stages of a chain, a class of one's own.
+    Empty for a policy without any, such as a rule, and if they are unknown: for the stages of a
+    chain, or a user-defined class.
     """
     if isinstance(policy, LastObservations):
         return networks(policy.policy)
@@ -123,7 +124,7 @@ def layers(policy: Policy) -> list[tuple[Any, Any]]:
 
 
 def plain(weights, bias, mean, deviation) -> tuple[Any, Any]:
-    """The layer of unscaled features that does what this one does with scaled ones."""
+    """The layer of unscaled features with the outputs of this one with scaled ones."""
     weights = weights / deviation
     return weights, bias - weights @ mean
 
@@ -139,8 +140,8 @@ def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 
 def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
-    """The scale of the features that no decision moves; None where there is none to be seen, for
-    a policy without a network that sees them, and where few numbers are decided, none a `Stop`."""
+    """The scale of the features that no decision moves; None if there is no such feature, if no
+    network of the policy observes it, and if few numbers are decided, without a `Stop`."""
     if not layers(policy):
         return None
     if problem.action.size <= MANY and not contains(problem.action, Stop):

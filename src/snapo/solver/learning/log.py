@@ -24,7 +24,7 @@ from .starts import describe
 
 
 def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
-    """With the adjoints of the trained rule, where a user said how to go back and nothing else
+    """With the adjoints of the trained rule, where a user set window, clip or keep and nothing else
     measured them."""
     values = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
     if progress.growth is not None or not any(values):
@@ -53,8 +53,8 @@ def _slowed(steps: tuple[int, ...]) -> str:
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
-        f"Training broke at {summary}, where too many paths were non-finite, and went on each time "
-        "from the best policy so far with a quarter of the learning rate."
+        f"Training broke at {summary}, where too many paths were non-finite, and continued each "
+        "time from the best policy so far with a quarter of the learning rate."
     )
 
 
@@ -64,7 +64,7 @@ def went_back(progress: Progress) -> str:
     if progress.window is not None:
         since = _before(record.window > 0 for record in history)
         return (
-            f"From step {since} of the training on it went back through windows of "
+            f"From step {since} of the training on it used windows of "
             f"{progress.window} steps with a critic (Training(window=None) never does)."
         )
     ways = []
@@ -75,14 +75,14 @@ def went_back(progress: Progress) -> str:
             lifted = len(clips) - _before(reversed(clips))
             until, end = f" to step {lifted}, after which they grew no more,", ""
         ways.append(
-            f"from step {_before(clips)} of the training on{until} each path's own adjoint was "
+            f"from step {_before(clips)} of the training on{until} each path's adjoint was "
             f"bounded{end} (Training(clip=None) never does)"
         )
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)
         ways.append(
-            f"from step {since} of the training on a share of {progress.keep:.3g} of it went on at "
-            "every step back (Training(keep=1.0) keeps all)"
+            f"from step {since} of the training on a share of {progress.keep:.3g} of it was passed "
+            "on at every backward step (Training(keep=1.0) keeps all)"
         )
     if not ways:
         return "Training did nothing about it; Training(clip=…) or Training(keep=…) would."
@@ -91,7 +91,7 @@ def went_back(progress: Progress) -> str:
 
 
 def _before(there: Iterable[bool]) -> int:
-    """The number of steps before the first of which this is true."""
+    """The number of steps before the first one for which this is true."""
     return next((number for number, item in enumerate(there) if item), 0)
 
 
@@ -103,7 +103,7 @@ class CSV:
 
         snapo.solve(…, callbacks=[snapo.log.CSV("training.csv")])
 
-    Columns are those of `history.csv`. A run that goes on from a `Progress` writes all its steps.
+    Columns are those of `history.csv`. A run that continues from a `Progress` writes all its steps.
     """
 
     def __init__(self, file: Path | str):

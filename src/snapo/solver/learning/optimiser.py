@@ -89,7 +89,7 @@ def _ascent(plan: _Numbers, updates: int, forget: float):
 
 
 def memory(scale: FeatureScale | None) -> float:
-    """The share of its mean square of gradients that Adam keeps a step, over the whole horizon."""
+    """The decay per step of Adam's mean square of gradients, over the whole horizon."""
     return FORGET if scale is None else SCALED_FORGET
 
 
@@ -119,7 +119,7 @@ def updater(plan: Plan, updates: int = 1, scale: FeatureScale | None = None):
 
 
 class Parts(NamedTuple):
-    """Which leaves of a policy are trained, so that its numbers come and go as one vector."""
+    """The trained leaves of a policy, with conversion to and from one vector."""
 
     structure: Any
     trained: tuple[int, ...]  # places among the leaves
@@ -161,7 +161,7 @@ def initial_state(plan: Plan, policy: PyTree, updates: int) -> PyTree:
 
 
 def restarted(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
-    """An optimiser that remembers no gradient; its schedule goes on where `state` is."""
+    """An optimiser without memory of gradients; its schedule continues from that of `state`."""
     fresh = initial_state(plan, policy, updates)
     return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
 

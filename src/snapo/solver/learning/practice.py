@@ -1,8 +1,8 @@
 """The problem that training sees: with wider starts, or decisions drawn at random.
 
-Wider starting states, and decisions of which a share is drawn at random: both are a simulator
-around the user's own, so that both engines take them, derivatives are pathwise, and values and
-validations, which roll the user's own simulator, stay unchanged.
+Wider initial states, and decisions with a random share: both are wrappers of the user's simulator,
+so that both engines support them, derivatives are pathwise, and values and validations, which use
+the user's simulator, are not affected.
 
 A decision that explores is (1 - share) times that of the policy plus share times a point drawn
 anywhere in its set (`Actions.explore`). The share falls to 0 in a straight line over the steps in
@@ -89,7 +89,8 @@ class MoreNoise(Scenarios):
 
 
 def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
-    """The setting that this problem cannot have, and why; None where it can have all."""
+    """The setting that this problem does not support, and the reason; None where it can have
+    all."""
     simulator = problem.simulator
     if training.spread != 1 and not simulator.initial_noise_size:
         return "spread", (
@@ -106,7 +107,7 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
 
 
 def perturbed_problem(problem: Problem, training: TrainingPlan) -> Problem:
-    """The problem that training sees: the problem itself where nothing is perturbed.
+    """The problem used in training: the problem itself if nothing is perturbed.
 
     **Raises:** `ValueError` for settings that this problem cannot have.
     """

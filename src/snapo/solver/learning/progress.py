@@ -1,4 +1,4 @@
-"""The state of a training: all that a stopped run needs to go on."""
+"""The state of a training, from which a stopped run can continue."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,16 +18,16 @@ from .settings import Training, TrainingPlan, resolve_auto
 from .windows import UPDATES, Learner, learner
 
 SLOWER = 0.25  # of the rate, after a step that broke
-MAX_SLOWED = 3  # times that a run that broke goes on at a lower rate, if no rate is specified
+MAX_SLOWED = 3  # times that a failed run continues at a lower rate, if no rate is specified
 
 
 class Record(NamedTuple):
     """One line of the training history; `exact` and `best` as of the last validation.
 
-    `window`: the length of the windows that the step went back through; 0: the whole horizon.
+    `window`: the length of the windows for backpropagation; 0: the whole horizon.
     `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
-    `clip`, `keep`: the bound on each path's own adjoint in the step (0: none), and the share of it
-    that went on at every step back.
+    `clip`, `keep`: the bound on each path's adjoint in the step (0: none), and the share of it that
+    is passed on at every backward step.
     """
 
     step: int
@@ -62,20 +62,18 @@ class Round(NamedTuple):
 
 @dataclass(frozen=True)
 class Progress:
-    """Everything that a stopped run needs to go on: the whole state of the loop.
+    """The complete state of the training loop, from which a stopped run can continue.
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
-    steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
-    `window`, `critic`: of training on windows, given or chosen.
-    `clip` is the bound in force, if there is one, and `keep` the share; `since` the step at which
-    the optimiser began, or restarted, its gradients having exploded. `growth`: the adjoints, where
-    they were measured.
-    `dual`: the prices of the problem's limits.
-    `raced`: the rounds in which starts fell out, where there were several.
-    `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
-    `redrawn`: the steps at which it restarted from other initial weights (see `verdict.constant`);
-    `unchanged`: the validations in a row in which every path earned the same.
-    `scale`: of the features that no decision moves, for which the first layer is trained.
+    steps / 2, steps: whenever a run stops, the first is from its second quarter, or its middle.
+    `window`, `critic`: of training on windows, specified or chosen. `clip` is the current bound, if
+    any, and `keep` the share; `since` the step at which the optimiser began, or restarted after
+    exploding gradients. `growth`: the adjoints, where they were measured. `dual`: the prices of the
+    problem's limits. `raced`: the rounds in which starts were dropped, if there were several.
+    `slowed`: the steps that failed, after each of which the rate is lower (see `train`). `redrawn`:
+    the steps at which it restarted from other initial weights (see `verdict.constant`);
+    `unchanged`: the validations in a row in which every path earned the same. `scale`: of the
+    features that no decision affects, for which the first layer is trained.
     """
 
     step: int
@@ -114,7 +112,7 @@ class Progress:
 
     @property
     def restarted(self) -> int:
-        """The last step after which training went on with a lower rate; 0: none."""
+        """The last step after which training continued with a lower rate; 0: none."""
         return self.slowed[-1] if self.slowed else 0
 
     def rate(self, training: TrainingPlan) -> float:
@@ -124,7 +122,7 @@ class Progress:
     @property
     def last_two(self) -> tuple[float, float] | None:
         """The exact values of the last two starts of a race at the same step, the better one first;
-        None without a race. Their distance shows how much of a value is the start's."""
+        None without a race. Their distance shows the effect of the start on the value."""
         if not self.raced:
             return None
         (_, better), (_, other) = self.raced[-1].values
@@ -153,9 +151,9 @@ def initial_progress(
     window, critic = None, None
     if isinstance(training.window, int):
         if problem is None:
-            raise ValueError("begin: give the problem too where training has a window.")
+            raise ValueError("begin: pass the problem too if training has a window.")
         if problem.constraints:
-            raise ValueError("begin: training on windows knows no constraints; take window=None.")
+            raise ValueError("begin: windows do not support constraints; use window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
     state = initial_state(plan, policy, UPDATES if window else 1)
@@ -181,8 +179,8 @@ def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
 
 
 def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:
-    """On from the best policy so far, with a lower rate; the optimiser, the critic and the dual
-    variables of the limits, which the steps before led astray too, restart."""
+    """Continues from the best policy so far, with a lower rate; the optimiser, the critic and the
+    dual variables of the limits, which the failed steps affected too, restart."""
     step = progress.step + 1
     moved = _begun_with(problem, training, progress, progress.best, step)
     return replace(moved, slowed=(*progress.slowed, step), status="training")
@@ -191,7 +189,7 @@ def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> P
 def begin_again(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy
 ) -> Progress:
-    """On from another start, which the next validation values; the best so far stays known."""
+    """Continues from another start, which the next validation values; the best so far is kept."""
     if progress.scale is not None:
         policy = progress.scale.plain(policy)
     moved = _begun_with(problem, training, progress, policy, progress.step)

@@ -1,26 +1,26 @@
 """The settings of a training.
 
-Settings that are chosen from the problem where they are not given: paths, steps, rates and shares.
+Paths, steps, rates and shares that are not specified are chosen from the problem.
 
-A path of many steps holds many decisions, so fewer paths are as informative; and a step of training
-over a short horizon is cheap, so there is time for more of them. Work counts the products that a
-network takes over a path: horizon times parameters. It is the same on every machine.
+A path of many steps contains many decisions, so fewer paths are as informative; and a training step
+over a short horizon is cheap, so there is time for more steps. Work counts the products of a
+network over a path: horizon times parameters. It is the same on every machine.
 
-More steps bear a higher rate, which falls to zero in the end; wider layers a lower one, since all
-their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its features are
-scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
+More steps allow a higher learning rate, which falls to zero at the end; wider layers need a lower
+one, since all their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its
+features are scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
 
-Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
-leads out of: a battery that always discharges at midnight, when it is empty. Two remedies are
-taken. A tenth of every decision is drawn at random at first, which visits states that the rule does
-not. And weights decay, since nothing holds against it there: to a quarter over all steps, however
-many they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with
-the decay only, 95.7 to 97.7 % with both; of the first five with exploration only, one earned 94.4
-%. Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
-both; .45 and .48 % with a decay of .2, seven times as large.
+Where many numbers are decided, one of them may get stuck at a limit where its gradient is zero: a
+battery that always discharges at midnight, when it is empty. There are two remedies. A tenth of
+every decision is drawn at random at first, which visits states that the rule does not. And weights
+decay, to a quarter over all steps of any training, since no gradient opposes the decay there. Ten
+batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with the decay only, 95.7
+to 97.7 % with both; of the first five with exploration only, one earned 94.4 %. Twelve stocks of
+known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with both; .45 and .48 %
+with a decay of .2, seven times as large.
 
-A `Choice`, `Integers` or a `Stop` decides between few values, so that where the weights begin
-matters more: several of them begin, and the better half goes on (`starts`).
+A `Choice`, `Integers` or a `Stop` decides between few values, so that the initial weights matter
+more: training begins from several of them and continues with the better half (`starts`).
 """
 
 import math
@@ -46,34 +46,33 @@ EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a tr
 
 @dataclass(frozen=True)
 class Training:
-    """How a policy is trained; an "auto" is chosen when the problem is known.
+    """How a policy is trained; "auto" is chosen from the problem.
 
-    - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": they follow the
-      horizon and the size of the policy (below: where they are "auto").
+    - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": chosen from the
+      horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
-      decay to zero. "auto": 0.01, and where the steps are "auto" too, it follows them.
-    - `decay`: the share that a step takes off every trained number, times the rate (AdamW). "auto":
-      0, and where the steps are "auto" too, above 0 for more than eight decisions in one step.
+      decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
+    - `decay`: of weights, per step and times the rate (AdamW). "auto": 0, or if the steps are
+      "auto" too, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
-    - `average`: the averaged policy remembers about this share of the steps.
-    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
-      steps ("auto": every 50, in a short training at every quarter); after `patience` validations
-      without a new best the run stops (None: never).
+    - `average`: the policy is averaged over about this share of the steps.
+    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every
+      `validation_every` steps ("auto": every 50, in a short training at every quarter); after
+      `patience` validations without a new best the run stops (None: never).
     - `window`: backpropagate through windows of this many steps, after which a critic gives the
       continuation value (see `windows`); for means only.
-    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
-      where gradients explode and leaves all others unchanged (`learning.conditioning`); None:
-      never.
-    - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
-      `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": all
-      but where adjoints grow and gradients leap (`learning.conditioning`); 1.0: all, always.
-    - `spread`: the normals of `initial` times this, in training only: wider starting states.
-    - `exploration`: the share of a decision that is drawn at random in training (see
-      `learning.practice`); it falls to 0 with the temperature. 0: none. "auto": as the decay, if
-      the decisions have bounds.
-    - `starts`: so many initial weights of the policy's networks begin, and after every tenth of the
-      steps the better half goes on (`solver.learning.starts`). "auto": four where `solve`
-      draws them, the steps are "auto" too and a `Choice`, `Integers` or `Stop` decides; else one.
+    - `clip`: bound on each path's adjoint at every step (see `engine.Clip`); "auto" sets one only
+      where gradients explode (`learning.conditioning`); None: never.
+    - `keep`: the share of a path's adjoint that is passed from one step to the one before it (see
+      `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": 1
+      unless adjoints grow and gradients jump (`learning.conditioning`); 1.0: always 1.
+    - `spread`: factor on the normals of `initial`, in training only: wider initial states.
+    - `exploration`: the share of a decision that is drawn at random in training; it falls to 0 with
+      the temperature. 0: none. "auto": as the decay, if the decisions have bounds.
+    - `starts`: the number of initial weights of the policy's networks from which training begins;
+      after every tenth of the steps it continues with the better half (`solver.learning.starts`).
+      "auto": four where `solve` draws them, `steps` is "auto" too and the action is a `Choice`,
+      `Integers` or `Stop`; else one.
     - `seed`: of the network's initial weights and of all scenarios.
     """
 
@@ -151,7 +150,7 @@ class TrainingPlan(Training):
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
-        """The plan of a case's numbers; one that is None or missing has its usual value."""
+        """The plan of a case's settings; a missing one or None has its default."""
         numbers: dict[str, Any] = {"validation_every": every(settings["steps"])}
         numbers |= {name: value for name, value in settings.items() if value is not None}
         return cls(**numbers)
@@ -173,7 +172,7 @@ class TrainingPlan(Training):
 
 
 def every(steps: int) -> int:
-    """Steps between two validations, where nothing is chosen."""
+    """The default number of steps between two validations."""
     return min(EVERY, max(1, -(-steps // QUARTERS)))
 
 
@@ -184,7 +183,7 @@ COUNTS = {
 
 
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
-    """Refuses what is no finite number, or not one of those allowed: a test and its text."""
+    """Refuses a value that is not a finite number or fails the test `allowed`: (test, text)."""
     plain = isinstance(value, int | float | np.integer | np.floating)
     available = float(value) if plain and not isinstance(value, bool) else np.nan
     if not (np.isfinite(available) and allowed[0](available)):
@@ -218,7 +217,7 @@ RATED = 48_000  # the same, of the steps that the rate follows: chosen before th
 def resolve_auto(
     training: Training, problem: Problem, policy: Policy, fresh: bool = False
 ) -> TrainingPlan:
-    """The training with numbers instead of all that is chosen from the problem.
+    """The training with all "auto" settings resolved from the problem.
 
     `fresh`: the policy's networks were drawn for it, so that others may be.
     """

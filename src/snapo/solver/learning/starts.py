@@ -1,11 +1,11 @@
-"""Several starts at low cost: all begin, and after every round the better half goes on.
+"""Several starts at low cost: all begin, and after every round the better half continues.
 
 Successive halving (Jamieson and Talwalkar 2016): starts differ in the initial weights of their
 networks only and see the same scenarios, so they are distinguished by the exact value on the
-validation's paths, which all share. The last one goes on as a run of one start would.
+validation paths, common to all. The last one continues like a run with one start.
 
-They run one after another: the paths of one start are work for all cores already, so that several
-at once would take as long, in more memory; and all of them share the kernels of the first one.
+They run one after another: the paths of one start occupy all cores, so that several at once would
+take as long and need more memory; and all of them share the kernels of the first one.
 
 A policy that does as a rule does: a warm start for `solve`.
 """
@@ -67,8 +67,8 @@ class Imitating(Around):
 class Imitation(NamedTuple):
     """A policy that imitates a rule.
 
-    - `distance`: the root of the mean square by which its decisions differ from the rule's, a
-      component's range being 1 where it has one.
+    - `distance`: the root mean square difference of its decisions from those of the rule, in units
+      of the range of each component, if it has one.
     """
 
     policy: Policy
@@ -84,7 +84,7 @@ def imitate(
     training: Training | None = None,
     engine: EngineName = "auto",
 ) -> Imitation:
-    """Trains a policy to decide as `rule` does, in the states that the rule itself meets.
+    """Trains a policy to imitate `rule` in the states that the rule visits.
 
         begun = snapo.imitate(problem, snapo.BaseStock(12.0))
         solution = snapo.solve(problem, policy=begun.policy)
@@ -122,12 +122,12 @@ APART = 1.0  # percent between two starts at the same step, from which more of t
 
 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
-    """`count` untrained policies: the given one, and others with initial weights of their own.
+    """`count` untrained policies: the supplied one, and others with different initial weights.
 
-    Each weight of a `Network`, or of a layer of Equinox, is drawn again, as large as those of its
-    layer for the same feature are; numbers of one axis, such as biases, stay.
+    Each weight of a `Network`, or of a layer of Equinox, is drawn again, with the size of the
+    weights of its layer for the same feature; one-dimensional arrays, such as biases, are kept.
 
-    **Raises:** `ValueError` where the policy has no network: its starts would all be one.
+    **Raises:** `ValueError` if the policy has no network: all its starts would be equal.
     """
     if count > 1 and not any(_is_network(node) for node in _nodes(policy)):
         raise ValueError(
@@ -159,7 +159,7 @@ def race(
 
 
 def describe(rounds: tuple[Round, ...]) -> str:
-    """Who won a race, how far apart the starts were at equal steps, and remedies."""
+    """The winner of a race, the differences of the starts at equal steps, and remedies."""
     count, winner = len(rounds[0].values), rounds[-1].values[0][0]
     summary, furthest = [], 0.0
     for step, values in rounds:

@@ -12,8 +12,8 @@ Only an objective that is a mean of sums has such a value; others are refused.
 
 The critic: a network that gives the value of all outputs that come after a state.
 
-It learns by least squares from whole paths of the present policy, so that it is right on average
-whatever the window; its derivative is the value of a change of the state.
+It is fitted by least squares to complete paths of the present policy, so that it is correct on
+average for any window; its derivative is the value of a change of the state.
 """
 
 from typing import NamedTuple
@@ -71,9 +71,9 @@ def has_worth_ahead(problem: Problem) -> bool:
 
 
 def learner(problem: Problem, seed: int) -> Learner:
-    """A critic that knows nothing yet.
+    """An untrained critic.
 
-    **Raises:** `ValueError` where the objective is no mean of sums, and only that has a
+    **Raises:** `ValueError` if the objective is not a mean of sums, since only that has a
     continuation value.
     """
     if not has_worth_ahead(problem):
@@ -87,7 +87,7 @@ def learner(problem: Problem, seed: int) -> Learner:
 
 
 def blank(features: int, seed: int = 0) -> Learner:
-    """A critic of observations with so many features, whose weights are the first ones."""
+    """A critic of observations with this number of features, with initial weights."""
     key = jax.random.fold_in(jax.random.key(seed), 1)  # the policy's weights have the key itself
     network = Network((features + 1, *HIDDEN, 1), key=key, activation=jnp.tanh)
     critic = Critic(network, jnp.zeros(()), jnp.zeros(()))
@@ -210,7 +210,7 @@ def starts(horizon: int, length: int) -> np.ndarray:
 
 
 class Sweep(NamedTuple):
-    """A sweep over the whole horizon: the states of its paths, and the critic that it taught."""
+    """A sweep over the whole horizon: the states of its paths, and the critic fitted to it."""
 
     objective: float
     states: PyTree

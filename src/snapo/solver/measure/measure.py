@@ -1,4 +1,4 @@
-"""The value of a training: the policy that is reported, its value, and its derivatives."""
+"""The result of a training: the reported policy, its value, and its derivatives."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -51,7 +51,7 @@ from .selection import (
 )
 
 GAP_PATHS = 4096  # at most: paths are paired, so the gap is known far better than the value
-TAIL = 200  # paths in a tail, below which the error of its measure is not known well
+TAIL = 200  # paths in a tail, below which the error of its measure is inaccurate
 KEPT = "start kept"  # how a training ended whose starting rule is reported
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
@@ -73,7 +73,7 @@ class MeasuredRun(NamedTuple):
 
     @property
     def effort(self) -> Effort:
-        """What the derivatives may take in addition to the training."""
+        """The number of paths for derivatives, in addition to the training."""
         steps, maximum = (
             max(1, self.progress.step),
             min(self.evaluation.search_paths, self.held_paths),
@@ -183,7 +183,7 @@ def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
 
 
 def _selection(run: MeasuredRun, surface: Surface | None) -> Selection:
-    """The policy that is reported; within limits the newest one, as training keeps it."""
+    """The reported policy; with limits the newest one, as in training."""
     problem, progress, evaluation = run.problem, run.progress, run.evaluation
     paths = min(evaluation.selection_paths, max(evaluation.paths, run.training.validation_paths))
     if problem.constraints or not paths or not np.isfinite(progress.best_value):
@@ -241,8 +241,8 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 
 def _spread(progress: Progress) -> float:
-    """Between the last two of several starts, beyond what the better one has gained since: as much
-    as that the other one would have gained too, unless it is in another optimum."""
+    """The difference of the last two starts, less the gain of the better one since: the other would
+    have gained as much too, unless it is in another optimum."""
     values = progress.last_two
     if not values or not np.isfinite([*values, progress.best_value]).all():
         return 0.0

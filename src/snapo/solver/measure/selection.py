@@ -1,12 +1,12 @@
-"""The policy that is reported: of those that a training leaves, and the rule that it began with.
+"""The choice of the reported policy, among those of a training and its initial rule.
 
 The values of a training's history are compared on the same few paths again and again, so that the
-highest is high by chance. The final choice is made once, on fresh paths that nothing else uses,
-with differences paired and the control variates regressed out of them. The starting rule stays
-unless another is significantly better: training must not make a good rule worse. The paths
-of the reported value choose nothing.
+highest is biased upwards. The final choice is made once, on fresh paths that are used for nothing
+else, with paired differences and the control variates regressed out of them. The starting rule
+stays unless another is significantly better: training must not make a good rule worse. The paths of
+the reported value are not used for this choice.
 
-How a policy is measured: how many paths each of its numbers has.
+The numbers of paths with which a policy is measured.
 """
 
 from collections.abc import Mapping
@@ -34,16 +34,16 @@ PAIR = 2  # coordinates that a surface has in any case
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How a policy is measured. Zero paths leave a number out.
+    """How a policy is measured. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
       through the smooth policy.
-    - `judge_paths`: at most, for bumps of every input, which the held derivatives are tested by.
-    - `search_paths`: at most, for the value around the policy, which gives the part of every
-      interval that is due to the policy.
-    - `selection_paths`: at most, for the final choice between the policies of a training and the
-      rule that it began with; never more than `paths`.
+    - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
+    - `search_paths`: maximum for the value around the policy, from which the part of every interval
+      due to the policy is computed.
+    - `selection_paths`: maximum for the final choice between the policies of a training and its
+      initial rule; never more than `paths`.
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
 
@@ -63,7 +63,7 @@ class Evaluation:
             count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 
     def sources(self, seed: int) -> Sources:
-        """Fresh scenarios for every role, those of the evaluation as requested here."""
+        """Fresh scenarios for every role, with the kind requested here for the evaluation."""
         fresh = Sources.of(None, seed)
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
@@ -90,15 +90,15 @@ class Effort(NamedTuple):
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
-        """That of a training on so many paths in all, of so many steps each."""
+        """That of a training on a total number of paths, with a number of steps each."""
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
 
     def valued(self, times: int) -> int:
-        """Paths that can be valued so many times."""
+        """The number of paths that can be valued this number of times."""
         return self._within(self.work / max(times, 1))
 
     def gone_back(self, times: int) -> int:
-        """Paths that can be gone back over so many times."""
+        """The number of paths for this number of backward passes."""
         return self._within(self.work / (BACK * max(times, 1)))
 
     def _within(self, paths: float) -> int:
@@ -117,9 +117,9 @@ class Selection(NamedTuple):
 
     - `kind`: "start", "newest" (the average at the end of training), "highest" (of the validation)
       or "top of the surface" (see `derivatives.surface`); `policy`: the policy itself.
-    - `gain`, `error`: of the best candidate over the starting rule, paired; not a number where they
-      were not compared.
-    - `search`: what the top of the surface gains over the newest policy, and its standard error.
+    - `gain`, `error`: of the best candidate over the starting rule, paired; NaN where they were not
+      compared.
+    - `search`: gain of the top of the surface over the newest policy, and its standard error.
     """
 
     kind: str
@@ -148,8 +148,8 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths decide where that is plain. Without a candidate of a finite value the first
-    one is kept, uncompared.
+    A few of the paths suffice where the choice is clear. Without a candidate of a finite value the
+    first one is kept, uncompared.
 
     - `paths`: at most.
     """
@@ -173,7 +173,7 @@ def _selected(
     paths: int,
     engine: Engine,
 ) -> tuple[Selection, float]:
-    """The choice on so many paths, and the value of the starting rule on them."""
+    """The choice on a number of paths, and the value of the initial rule on them."""
     controls = problem.simulator.control_variates()
     names = list(candidates)
 

@@ -64,7 +64,8 @@ class StopRelaxation:
         with jax.enable_x64(True):
             ahead = self._end(rollout.state)
             for earned, innovation in zip(earnings[::-1], innovations[::-1]):
-                # `better` adds the continuation value to what a decision earns less its penalty.
+                # `better` adds the continuation value to the earnings of a decision less its
+                # penalty.
                 ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]
 
@@ -142,11 +143,10 @@ def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
 
 
 class Relaxation(Protocol):
-    """The inner problem of a simulator: best decisions of one path with perfect foresight,
-    penalised.
+    """The inner problem of a simulator: the best decisions with perfect foresight, penalised.
 
-    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
-    - `description`: the penalty in a phrase, for a report.
+    - `terms`: the number of scalable parts of the penalty; 0 without a penalty.
+    - `description`: a short description of the penalty, for a report.
     """
 
     @property
@@ -156,7 +156,7 @@ class Relaxation(Protocol):
     def description(self) -> str: ...
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the most that each path can add to the objective, or more; penalties subtracted.
+        """[N] an upper bound on the contribution of each path, with penalties subtracted.
 
         `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
         paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
@@ -165,7 +165,7 @@ class Relaxation(Protocol):
         ...
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the penalties of the policy's own decisions: of mean zero."""
+        """[N] the penalties of the policy's decisions: of mean zero."""
         ...
 
 
@@ -176,11 +176,11 @@ class Relaxable(Protocol):
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
-UNKNOWN = "its simulator has no method `relaxation` and is no stopping problem; see docs/bounds.md"
+UNKNOWN = "its simulator has no method `relaxation` and is not a stopping problem: docs/bounds.md"
 
 
 def bounded(problem: Problem) -> bool:
-    """Whether `relaxation_of` knows one, as far as that is known without work."""
+    """Whether `relaxation_of` has one, as far as this can be decided without computation."""
     return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
 
 

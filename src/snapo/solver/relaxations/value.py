@@ -7,7 +7,7 @@ waiting. It is used only for penalties: its error widens a bound, and never make
 The earnings of every decision of a stopping problem, on states that the decisions do not move.
 
 A state is split in two: the weights of `Stop` (the rights left), and all else, which no decision
-may move. Then one path's states serve every way of stopping: a step's earnings are computed for
+may affect. Then one path's states serve every way of stopping: a step's earnings are computed for
 every number of rights left, with and without using one.
 """
 
@@ -31,7 +31,7 @@ PATHS = 16  # on which decisions are tried, to see which states they move
 
 
 class NotStopping(ValueError):
-    """A problem that has no bound of its own as a stopping problem; the message has the reason."""
+    """A problem without a bound as a stopping problem; the message has the reason."""
 
 
 class Decisions(NamedTuple):
@@ -78,7 +78,7 @@ class Decisions(NamedTuple):
         return simulator.observe(schedule.constants, now, self.having(state, self.rights))
 
     def having(self, state: PyTree, left: Any) -> PyTree:
-        """A state with so many rights left."""
+        """A state with this number of rights left."""
         leaves, tree = jax.tree.flatten(state)
         weights = (jnp.arange(1, self.rights + 1) == left).astype(leaves[self.right].dtype)
         leaves[self.right] = weights
@@ -100,8 +100,8 @@ class Decisions(NamedTuple):
 def decisions(problem: Problem) -> Decisions:
     """The problem as a stopping problem.
 
-    **Raises:** `NotStopping` where it is none, or has no bound: another action than one `Stop`,
-    another objective than means of sums, or a decision that moves the state.
+    **Raises:** `NotStopping` if it is not one, or has no bound: an action other than one `Stop`, an
+    objective other than means of sums, or a decision that affects the state.
     """
     simulator, objective = problem.simulator, problem.objective
     if not isinstance(simulator.action, Stop):
@@ -109,7 +109,7 @@ def decisions(problem: Problem) -> Decisions:
         raise NotStopping(f"its action is a {kind}; only a `Stop` is bounded without a relaxation")
     totals = simulator.totals()
     if not objective.linear or any(totals.get(n, "sum") != "sum" for n in objective.outputs):
-        raise NotStopping("its objective is no mean of outputs that are summed over the path")
+        raise NotStopping("its objective is not a mean of outputs that are summed over the path")
     right = _right(problem, simulator.action)
     one = {name: np.zeros(1) for name in objective.outputs}
     value = {name: float(weight[0]) for name, weight in objective.weights(one).items()}

@@ -1,12 +1,12 @@
-"""Constant decisions: those that a trained rule takes itself, and those that it should beat.
+"""Constant decisions: those of a trained rule, and those that it should beat.
 
-Trainings that end at doing nothing: every path earns the same, whatever is random.
+Also trainings that end at doing nothing: every path earns the same, whatever the noise.
 
-A store that never buys has nothing to sell, and one that never sells has no use for what it buys:
-no gradient leads out of there, from whichever side a training got in. It is seen by validations
-that have the same value on every path. Training then restarts from other initial weights,
-with a part of every decision drawn at random, so that it meets what a rule that does nothing never
-sees.
+A store that never buys has nothing to sell, and one that never sells has no use for buying: the
+gradient there is zero, whichever of the two came first. Such a rule is detected by validations that
+have the same value on every path. Training then restarts from other initial weights, with a part of
+every decision drawn at random, so that it visits states that a rule that does nothing never
+reaches.
 """
 
 import itertools
@@ -36,7 +36,7 @@ NONE = 1e-9  # of a total: a difference that is round-off
 def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
     """Whether every path has the same totals of the objective, although paths are random.
 
-    An error of zero does not say so: antithetic pairs have none where noise counts linearly.
+    An error of zero is no proof: antithetic pairs have none if noise enters linearly.
     """
     results = [np.asarray(totals[name]) for name in problem.objective.outputs]
     return problem.is_random and all(
@@ -46,7 +46,7 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 
 
 def caught(progress: Progress, training: TrainingPlan) -> bool:
-    """Whether training should restart: the last two validations say that it does nothing."""
+    """Whether training should restart: in the last two validations it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
 
@@ -73,7 +73,7 @@ def describe_idle(steps: Sequence[int], history: Sequence[Record]) -> str:
 def idle_advice(value: float) -> str:
     """One sentence where the trained rule does nothing."""
     return (
-        f"Every path earns the same ({value:,.6g}): the decisions do nothing with what is random. "
+        f"Every path earns the same ({value:,.6g}): the decisions make no use of the randomness. "
         "If that is not meant, try another seed, a wider exploration (exploration=0.4), or a rule "
         "to begin from (snapo.Residual)."
     )
@@ -124,7 +124,7 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDec
 
 
 def describe(constants: list[ConstantDecision], of: int) -> str:
-    """A sentence on decisions that never change, of so many."""
+    """A sentence on decisions that never change, out of several."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
         where = numbers_text(np.concatenate([item.value for item in constants]))

@@ -1,8 +1,8 @@
-"""How a training ended, in a word, and reasons to distrust its result.
+"""How a training ended, as a keyword, and reasons to distrust its result.
 
 "trained" only means that all steps were taken. Here the policy is compared with the untrained one,
-with that of halfway and with constant decisions on the same paths, in kernels that are there
-already. "converged" has to be earned: without evidence, the word is "too short to tell".
+with the one at half of training and with constant decisions on the same paths, in kernels that are
+compiled already. "converged" needs evidence: without it, the keyword is "too short to tell".
 """
 
 from collections.abc import Iterable
@@ -43,7 +43,7 @@ UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # verdicts that a bound may make CONVERGED
 DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
 SIGNIFICANT = 2.0  # standard errors of a gain
-OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
+OFFSET = 10  # times the total gain: a larger value has a part that no decision affects
 ENOUGH = 2048  # paths on which two rules are compared
 TRY_OTHERS = (
     "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
@@ -95,15 +95,14 @@ def ending(
     engine: Engine,
     gradient: tuple[float, float] | None = None,
 ) -> Ending:
-    """How training ended, by the exact simulator on paths of the evaluation; a training that
-    broke off has notes and no word.
+    """How training ended, by the exact simulator on paths of the evaluation; a training that broke
+    off has notes but no keyword.
 
-    A rule that breaks a limit of the problem, and more than the trained one does, is no baseline.
+    A rule that violates a limit of the problem more than the trained one is not a baseline.
 
-    - `progress`: its `best` is the policy that is reported; `training`: with numbers for all that
-      is chosen from the problem.
+    - `progress`: its `best` is the reported policy; `training`: with "auto" settings resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: of the held derivatives; 0 leaves out what needs decisions.
+    - `held_paths`: of the held derivatives; 0 leaves out the checks that need decisions.
     - `decisions` [T, held_paths, A] of that policy there, where they were recorded before.
     - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
     """
@@ -157,7 +156,7 @@ def ending(
 
 
 def without_advice(notes: Iterable[str]) -> list[str]:
-    """The sentences that do not say to train for longer."""
+    """The sentences that do not suggest longer training."""
     return [note for note in notes if not note.startswith((STILL, TELLS_NOT, NOTHING))]
 
 
@@ -208,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is not known whether a training has ended; empty where it has."""
+    """Why it is unknown whether a training has converged; empty where it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:
@@ -235,7 +234,7 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
         )
     return (
         f"A constant decision ({numbers_text(constant)}) does as well (the trained rule gains "
-        f"{gain}): what the policy observes does not help it. If it should, {attempt}."
+        f"{gain}): the observation does not help the policy. If it should, {attempt}."
     )
 
 

@@ -1,12 +1,12 @@
-"""What more steps would bring, and how much a policy can still gain.
+"""The gain of more steps, and the possible gain of any policy.
 
-What more steps would bring: the gain of the second half of a training, extrapolated.
+The gain of more steps is that of the second half of a training, extrapolated.
 
 A training's rate rises in the warm-up and falls to zero, so that late steps hardly change whether
-or not there is something left to gain. Gains are therefore seen over the sum of the rates, the way
-that a training can go, and not over its steps. Along it the shortfall falls like one over the way:
-a training of a cosine whose second half gained 1 would gain 2.25 with as many steps again. Eight
-problems with a known optimum were between 1 and 4.
+or not there is something left to gain. Gains are therefore measured over the sum of the rates, the
+length that a training can move, and not over its steps. The shortfall is assumed inversely
+proportional to it: a training with a cosine schedule whose second half gained 1 would gain 2.25
+with as many further steps. Eight problems with a known optimum were between 1 and 4.
 
 Whether a decision acts as one of when to stop, although it is not written with `Stop`.
 """
@@ -30,8 +30,8 @@ from ..learning.settings import TrainingPlan
 
 def ends_for_good(problem: Problem) -> bool:
     """Whether one extreme of the only decision takes a flag of the state from 1 to 0, or from 0 to
-    1, for good, and the other one leaves it unchanged: an option that is exercised, a plant that is
-    closed. From the initial state, with all noise zero.
+    1, permanently, while the other one leaves it unchanged: exercise of an option, closure of a
+    plant. From the initial state, with all noise zero.
     """
     extremes = _extremes(problem.action)
     if extremes is None:
@@ -86,10 +86,10 @@ MATTERS = 0.001  # of the size: the gain of a gradient step of the length of the
 
 
 class Further(NamedTuple):
-    """What as many steps again would bring.
+    """The expected gain of as many further steps.
 
     - `late`, `late_error`: the gain of the last part of the training, on the same paths.
-    - `times`: by how much that is multiplied; `size`: what counts as all.
+    - `times`: its multiplier; `size`: the scale of the gains.
     """
 
     late: float
@@ -99,7 +99,7 @@ class Further(NamedTuple):
 
     @property
     def more(self) -> float:
-        """What as many steps again would bring."""
+        """The expected gain of as many further steps."""
         return self.times * self.late
 
     @property
@@ -109,7 +109,7 @@ class Further(NamedTuple):
 
     @property
     def is_small(self) -> bool:
-        """Whether it is surely not much, in either direction."""
+        """Whether it is significantly small, in either direction."""
         wide = SIGNIFICANT * self.times * self.late_error
         return bool(abs(self.more) <= SHARE * self.size and wide <= UNSURE * self.size)
 
@@ -123,7 +123,7 @@ def compared_step(progress: Progress, training: TrainingPlan) -> int:
 
 
 def times_of(progress: Progress, training: TrainingPlan) -> float:
-    """What the gain since `compared_step` is multiplied by; at least 1.
+    """The factor on the gain since `compared_step`; at least 1.
 
     With a shortfall of c / way, that gain is c / half - c / way, and twice the way gains c / 2 way.
     """
@@ -133,7 +133,7 @@ def times_of(progress: Progress, training: TrainingPlan) -> float:
 
 
 def too_short(training: TrainingPlan, step: int) -> bool:
-    """Whether so many steps are inconclusive: the warm-up is a large part of them."""
+    """Whether this number of steps is inconclusive: the warm-up is a large part of them."""
     return step < WARMUPS * training.warmup
 
 
@@ -158,14 +158,14 @@ USEFUL = 0.05  # of the bound: one that leaves more room is no evidence on a tra
 
 
 class Room(NamedTuple):
-    """The share of a value that can be gained at most, and the sentence on it."""
+    """The maximum share of a value that can be gained, and the sentence on it."""
 
     share: float
     description: str
 
     @property
     def near(self) -> bool:
-        """Whether that is next to nothing."""
+        """Whether that is negligible."""
         return self.share <= NEAR
 
 
@@ -177,7 +177,7 @@ def room(
 ) -> Room | None:
     """What is known of a value; None where nothing is, or no more than `USEFUL` could say.
 
-    - `bounds`: as `Bound.row` has it; `exact`: the exact value, of which no policy has more.
+    - `bounds`: as `Bound.row` has it; `exact`: the exact value, which no policy exceeds.
     """
     results = [_below_exact(value, error, exact), _below_bound(bounds)]
     available = [item for item in results if item is not None and item.share <= USEFUL]
@@ -201,7 +201,7 @@ def _below_bound(bounds) -> Room | None:
     error = upper["standard_error"] or 0.0
     return Room(
         share,
-        f"{_at_most(share)}: no policy is worth more than {upper['value']:,.6g} ± {error:,.2g}.",
+        f"{_at_most(share)}: no policy has a value above {upper['value']:,.6g} ± {error:,.2g}.",
     )
 
 

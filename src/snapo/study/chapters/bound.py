@@ -108,7 +108,7 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
 
 
 def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
-    """ "No policy whatever earns more than EUR 78,498 …"."""
+    """ "No policy earns more than EUR 78,498 …"."""
     top, gap, low = (finite(x) for x in (result.upper.high, result.gap.high, result.lower.value))
     if top is None or gap is None or low is None:
         return "There are too few paths for an interval."
@@ -116,7 +116,7 @@ def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
         return f"This bound {small}. No policy earns more than {run.value_text(top, None, digits)}."
     share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
     return (
-        f"No policy whatever earns more than {run.value_text(top, None, digits)}, and the "
+        f"No policy earns more than {run.value_text(top, None, digits)}, and the "
         f"trained one leaves at most {run.value_text(gap, None, digits)}{share} on the table (95 "
         "% intervals)."
     )
@@ -157,6 +157,6 @@ def _chart(
 
 
 BOUND = Chapter(
-    "bound", "Bounds: how much better could a policy be?", ValueBounds, measure, show,
+    "bound", "Bounds: how far is the policy from the best one?", ValueBounds, measure, show,
     short="Bounds", key="bound",
 )  # fmt: skip

@@ -52,7 +52,7 @@ class LimitRow:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The checks of a run. A domain with figures of its own adds them in a subclass."""
+    """The checks of a run. A domain adds further figures in a subclass."""
 
     bump_check: tuple[BumpRow, ...] = ()
     feasibility: tuple[LimitRow, ...] = ()
@@ -91,7 +91,7 @@ def certificate(
     """The chapter "certificate": bumps, limits, the smoothing gap and the policy's gradient.
 
     Bumps are made at the inputs, and near them too where most paths are at kinks; inputs whose
-    derivative is right only in the mean are judged by their move. Limits are those of the
+    derivative is correct only in the mean are tested by their move. Limits are those of the
     simulator's `slack`.
 
     **Arguments:**

@@ -17,10 +17,10 @@ STATUS = {
 
 def headline(run: RunFiles) -> Section:
     """The value that a reader came for."""
-    value, unit = finite(run.result.get("value")), run.unit
+    value, unit = run.result.value, run.unit
     if value is None:
         return Section("value", "Value", "Value", [why_missing(run, "training")])
-    error = finite(run.result.get("standard_error"))
+    error = run.result.standard_error
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     text = f"{number(value, digits)}{SPACE}{unit}".rstrip(SPACE)
     objective = str(run.get("objective", "the objective"))
@@ -33,7 +33,7 @@ def headline(run: RunFiles) -> Section:
 
 def marks(run: RunFiles) -> list[Mark]:
     """The state of the run, and of its checks together."""
-    status = str(run.result.get("status", ""))
+    status = run.result.status
     result = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
     held = [passed for _, passed in checks(run)]
     if held:
@@ -43,10 +43,10 @@ def marks(run: RunFiles) -> list[Mark]:
 
 def _facts(run: RunFiles, value: float, digits: int) -> list[tuple[str, str, str]]:
     facts = []
-    for name, item in (run.result.get("references") or {}).items():
+    for name, item in run.result.references.items():
         if finite(item) is not None:
             facts.append((name.replace("_", " ").capitalize(), number(item, digits), run.unit))
-    gap = finite(run.result.get("smoothing_gap"))
+    gap = run.result.smoothing_gap
     if gap is not None:
         share = f"{part_of(gap / abs(value))} of the value; " if value else ""
         facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))

@@ -20,7 +20,7 @@ from ..study import Setup, StudyRun
 from .distribution import QUANTILES
 
 PATHS, MAX_NUMBERS = 4096, 4_000_000  # paths, and numbers of one record that are held at once
-MAX_ENTRIES = 12  # of an array in the state: a larger one has no band of its own
+MAX_ENTRIES = 12  # of an array in the state: a larger one has no band
 KINDS = ("state", "action", "outputs")
 PICTURES = 12  # of one kind
 HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one step"}
@@ -109,7 +109,7 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
         if kind == "state" and name in without:
             continue
         if entries > MAX_ENTRIES:
-            notes.append(f"{name} has {entries} numbers and no band of its own.")
+            notes.append(f"{name} has {entries} numbers and no band.")
             continue
         for i in range(entries):
             full = name if entries == 1 else f"{name}.{i}"
@@ -119,7 +119,7 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
 
 
 def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(kind, name, numbers [T or T + 1, paths, entries]) of all that a path does."""
+    """(kind, name, numbers [T or T + 1, paths, entries]) of all series of a path."""
     problem = setup.problem
     bound, source = setup.engines.evaluate.bind(problem), problem.sources.evaluation
     records: dict[tuple[str, str], list[np.ndarray]] = {}

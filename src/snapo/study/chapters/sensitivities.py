@@ -48,7 +48,7 @@ CAVEAT = (
 
 
 class ReportedInterval:
-    """The interval of a record with `low` and `high`, None where it is not known."""
+    """The interval of a record with `low` and `high`, None where it is unknown."""
 
     low: float | None
     high: float | None
@@ -61,7 +61,7 @@ class ReportedInterval:
 
 @dataclass(frozen=True)
 class InputMove(ReportedInterval):
-    """The effect on the value when all numbers of an input move together; None where not known.
+    """The effect on the value when all numbers of an input move together; None where unknown.
 
     - `words`, `group`: of the input; `numbers`: how many it has.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
@@ -130,7 +130,7 @@ def direction(entry: Input) -> np.ndarray:
 
 
 def interval(table: Sensitivities, name: str, along: np.ndarray) -> dict[str, float | None]:
-    """The reported derivative along a direction as numbers of a table; None where not known."""
+    """The reported derivative along a direction as numbers of a table; None where unknown."""
     names = ("effect", "low", "high", "sampling", "policy")
     numbers = table.along(name, along)
     return {key: float(x) if np.isfinite(x) else None for key, x in zip(names, numbers)}

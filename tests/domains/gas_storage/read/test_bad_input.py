@@ -246,10 +246,10 @@ MISTAKES = {
     ),
     "file elsewhere": (
         "case.toml", '"curve.csv"', '"../curve.csv"',
-        ["market.forward_curve", "'../curve.csv'", "beside"],
+        ["market.forward_curve", "'../curve.csv'", "in the folder"],
     ),
     "absolute file": (
-        "case.toml", '"curve.csv"', '"/etc/curve.csv"', ["market.forward_curve", "beside the case"]
+        "case.toml", '"curve.csv"', '"/etc/curve.csv"', ["market.forward_curve", "in the folder"]
     ),
 }  # fmt: skip
 

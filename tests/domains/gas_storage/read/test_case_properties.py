@@ -1,5 +1,6 @@
 """Properties of reading a case: dates, quotes, settlement months, and attainable inventories."""
 
+import calendar
 import copy
 import datetime
 import math
@@ -14,7 +15,7 @@ from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.domains.gas_storage.contract.feasibility import attainable
-from snapo.domains.gas_storage.read.case import month_days, quotes
+from snapo.domains.gas_storage.read.case import quotes
 from snapo.domains.gas_storage.read.case import read_case as resolve
 from snapo.domains.gas_storage.read.contract import months_after
 
@@ -26,7 +27,7 @@ FLAGSHIP = Path(__file__).parents[1] / "cases" / "G1"
 def test_months_after_counts_months_and_stays_in_the_month(day, months, day_of_month):
     paid = months_after(day, months, day_of_month)
     assert (paid.year * 12 + paid.month) - (day.year * 12 + day.month) == months
-    assert paid.day == min(day_of_month, len(month_days(paid.year, paid.month)))
+    assert paid.day == min(day_of_month, calendar.monthrange(paid.year, paid.month)[1])
 
 
 @given(st.dates(D(1, 1, 1), D(9999, 12, 31)))

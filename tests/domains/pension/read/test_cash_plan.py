@@ -48,7 +48,7 @@ def test_payments_after_the_horizon_are_left_out_with_a_note(tmp_path):
     ("text", "named"),
     [
         ("date,amount\n2024-12-31,1\n", "after the valuation date, 2024-12-31"),
-        ("date,amount\n2026-01-01,1\n2025-01-01,1\n", "times must rise"),
+        ("date,amount\n2026-01-01,1\n2025-01-01,1\n", "times must increase"),
         ("date,amount\n2026-01-01,-1\n", "at least 0"),
         ("date,year,amount\n2026-01-01,1,1\n", "exactly one of the columns date and year"),
         ("date,amuont\n2026-01-01,1\n", "amount is missing"),

@@ -7,7 +7,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.closed_loop import KeptShares, better, rates
-from snapo.domains.pharma.control.stages import decided, staged
+from snapo.domains.pharma.control.staging import decided, staged
 from snapo.problem.scenarios import Pseudo
 
 
@@ -26,12 +26,14 @@ def control(held=(), **changes):
 def test_stages_are_where_something_is_decided_or_measured():
     """The reactor runs before the first decision; what has no time runs after the last one."""
     case = control()
-    assert [unit.name for unit in staged(case)] == ["crystalliser"]
+    assert case.control is not None
+    assert [unit.name for unit in staged(case.units, case.control)] == ["crystalliser"]
     reactor = {"of": "reactor.temperature", "low": "303 K", "high": "323 K"}
     wash = {"of": "filter.wash_ratio", "low": 1, "high": 4}
     more = control(manipulated=[reactor, wash])
-    assert [unit.name for unit in staged(more)] == ["reactor", "crystalliser"]
-    assert decided(more, staged(more)[0]) == (0,) and decided(more, None) == (1,)
+    parts = more.units, more.control
+    assert [unit.name for unit in staged(*parts)] == ["reactor", "crystalliser"]
+    assert decided(*parts, "reactor") == (0,) and decided(*parts, "") == (1,)
 
 
 def test_what_is_measured_must_be_known_in_time():
@@ -44,7 +46,7 @@ def test_what_is_measured_must_be_known_in_time():
     ("of", "low", "high", "words"),
     [
         ("charge.volume", "50 L", "70 L", "none of a unit"),
-        ("crystalliser.seed.size", "10 um", "30 um", "what may change over time"),
+        ("crystalliser.seed.size", "10 um", "30 um", "fields that change over time"),
     ],
 )
 def test_what_cannot_be_decided_over_time_is_refused(of, low, high, words):
@@ -68,7 +70,7 @@ def test_what_is_held_cannot_be_decided():
             "The best fixed recipe does better than the policy: 95.9 % under",
         ),
         (0.016, 0.002, "policy", "The policy does better than the best fixed recipe"),
-        (0.003, 0.002, "", "The policy is not told from the best fixed recipe"),
+        (0.003, 0.002, "", "The policy and the best fixed recipe do not differ"),
     ],
 )
 def test_the_headline_says_which_rival_is_better(gain, error, which, words):

@@ -16,7 +16,12 @@ from snapo.domains.pharma.control.rivals import (
     ziegler_nichols,
 )
 from snapo.domains.pharma.control.rules import LoopConnection, Loops
-from snapo.domains.pharma.control.sensors import initial_history, reading, shifted
+from snapo.domains.pharma.control.sensors import (
+    history_length,
+    initial_history,
+    reading,
+    shifted,
+)
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
@@ -105,7 +110,7 @@ def test_a_first_order_process_is_found_from_its_step():
     found = first_order(times, 0.1 * GAIN * shape, 0.1)
     assert found.gain == pytest.approx(GAIN, rel=0.02)
     assert found.lag == pytest.approx(LAG, rel=0.1) and abs(found.dead - DEAD) < 3
-    with pytest.raises(ValueError, match="does not answer"):
+    with pytest.raises(ValueError, match="does not respond"):
         first_order(times, 0 * times, 0.1)
 
 
@@ -186,7 +191,7 @@ def test_a_sensor_shows_the_state_a_dead_time_ago():
     """Of a state that rises evenly it shows t - delay, also between two decisions; its first
     reading before that."""
     sensors = [Measurement("reactor.x", 0.0, 0.0, 1.0, 7.0), Measurement("reactor.y", 0, 0, 1)]
-    past = initial_history(jnp.array([0.0, 5.0]), sensors, 3.0)
+    past = initial_history(jnp.array([0.0, 5.0]), history_length(sensors, 3.0))
     seen = []
     for t in np.arange(1, 8) * 3.0:
         past = shifted(jnp.array([t, 5.0]), past)

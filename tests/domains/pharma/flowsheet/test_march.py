@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import TEMPLATE, template
+from tests.compilations import compilations
+from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small, template
 
 from snapo.domains.pharma.flowsheet import march
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
-from snapo.domains.pharma.read.case import read_case
+from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.engine import Unsupported
 
 PLUG_FLOW = Path(__file__).parents[4] / "examples" / "plug_flow" / "case.toml"
@@ -112,6 +113,29 @@ def test_steps_chosen_freely_are_for_xla():
     process = Process(replace(case, numerics=replace(case.numerics, method="adaptive")))
     with pytest.raises(Unsupported, match="on a mesh"):
         process.batch((), np.zeros((1, 0)), engine="native")
+
+
+@pytest.mark.parametrize("stiff", ["none", "all"])
+def test_a_unit_of_another_process_of_its_form_takes_the_same_kernel(stiff):
+    def process(volume: str) -> Process:
+        data = tomllib.loads(small(CASE + LOOP))
+        data["feeds"]["charge"]["volume"] = volume
+        case = resolve(TEMPLATE, data)
+        numerics = replace(case.numerics, method="mesh", steps=8, stiff=stiff)
+        return Process(replace(case, numerics=numerics))
+
+    def batch(process: Process, engine="native") -> np.ndarray:
+        draws = process.at(process.entries) + np.array([[0.0, 0.0], [1.0, -60.0]])
+        return process.batch(process.entries, draws, process.entries, engine=engine).values
+
+    first, other = process("60 L"), process("65 L")
+    batch(first)
+    with compilations() as compiled:
+        moved = batch(other)
+    assert "/snapo/compile" not in compiled
+    marches = [next(iter(x._natives.values())).legs["reactor"].march for x in (first, other)]
+    assert marches[0] == marches[1]
+    np.testing.assert_allclose(moved, batch(other, "xla"), rtol=1e-11)
 
 
 def test_marks_spread_to_what_depends_on_them():

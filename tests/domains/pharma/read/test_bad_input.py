@@ -148,7 +148,7 @@ MISTAKES = {
     "limit without a citation": (
         'citation = "own limit, constructed for this example"\n\n[[attributes]]\nname = "mean',
         '\n[[attributes]]\nname = "mean',
-        "attributes[0].citation: a limit needs its source, or that it is your own.",
+        "attributes[0].citation: a limit needs its source, or a note that you set it.",
     ),
     "nominal outside its range": (
         'range = ["304 K", "311 K"]', 'range = ["309 K", "311 K"]',
@@ -172,7 +172,7 @@ MISTAKES = {
     "entry not said": (
         'of = "crystalliser.temperature[3]"', 'of = "crystalliser.temperature"',
         "parameters[3].of: got 'crystalliser.temperature'; crystalliser.temperature has 4 "
-        "entries; say which, such as crystalliser.temperature[0].",
+        "entries; specify one, such as crystalliser.temperature[0].",
     ),
     "two parameters of one number": (
         'of = "dryer.temperature"\nrange = ["313.15 K", "333.15 K"]\nnormal = ["321.15 K", "325.15 K"]\n'
@@ -209,8 +209,7 @@ MISTAKES = {
         '["kinetics.prefactor[0]", "crystalliser.kinetics.growth"]\nvalue = 0.9\n'
         '[[correlations]]\nbetween = ["kinetics.prefactor[1]", "crystalliser.kinetics.growth"]\n'
         "value = -0.9\n# Where the probability",
-        "correlations: the correlations together are not those of any numbers (not positive "
-        "definite).",
+        "correlations: the correlations together are not positive definite.",
     ),
     "spread in percent of a temperature": (
         '{ kind = "normal", spread = "0.5 K" }', '{ kind = "normal", spread = 0.5 }',

@@ -92,5 +92,5 @@ def test_seed_moments_are_those_of_some_crystals():
     for k in (0, 2, 3, 4, 5):
         wrong = list(two)
         wrong[k] *= 0.4
-        with pytest.raises(CaseError, match="no crystals have these moments"):
+        with pytest.raises(CaseError, match="these moments are impossible"):
             seeded(wrong)

@@ -140,13 +140,41 @@ def test_orders_give_every_rate_constant_its_own_unit():
     assert np.array_equal(pharma_inputs(moved.case)["kinetics.prefactor"].value, wanted)
 
 
-def test_a_list_with_one_unit_is_written_where_that_is_the_domains():
-    for unit, recorded in (("K", True), ("degC", False)):
-        tables = template()
-        numbers = [313.15, 308.0, 295.0, 278.15] if recorded else [40, 35, 22, 5]
-        at(tables, NODES[:-1])["nodes"] = {"value": numbers, "unit": unit}
-        places, _ = positions(tables)
-        assert ("crystalliser.temperature" in places.recorded) == recorded
-        if recorded:
-            moved = places.case_at({"crystalliser.temperature": np.array(numbers) - 0.5})
-            assert at(moved.files.tables, NODES)["value"] == [312.65, 307.5, 294.5, 277.65]
+@pytest.mark.parametrize("unit", ["K", "degC"])
+def test_a_list_with_one_unit_is_written_with_its_unit(unit):
+    tables = template()
+    numbers = [313.15, 308.0, 295.0, 278.15] if unit == "K" else [40, 35, 22, 5]
+    at(tables, NODES[:-1])["nodes"] = {"value": numbers, "unit": unit}
+    wanted = [312.65, 307.5, 294.5, 277.65]
+    moved = moved_to(tables, "crystalliser.temperature", wanted)
+    assert at(moved, NODES) == {"value": wanted, "unit": "K"}
+
+
+def moved_to(tables: dict, name: str, numbers: list[float]) -> dict:
+    """The tables with other numbers of an input, which are read again with exactly these."""
+    places, _ = positions(tables)
+    moved = places.case_at({name: np.array(numbers)})
+    found = pharma_inputs(moved.case)
+    assert np.array_equal(found[name].value, numbers)
+    others = [key for key in found if key != name]
+    assert all(np.array_equal(found[key].value, places.inputs[key].value) for key in others)
+    return moved.files.tables
+
+
+@pytest.mark.parametrize(
+    ("changes", "written"),
+    [({}, None), ({"unit": "g/mL"}, "kg/m^3"),
+     ({"kind": "exponential", "unit": "g/mL", "coefficients": [-6.0, 0.02]}, "kg/m^3")],
+)  # fmt: skip
+def test_coefficients_of_a_solubility_are_written_in_one_unit(changes, written):
+    tables = template()
+    table = at(tables, ("units", "crystalliser", "solubility"))
+    if "coefficients" not in changes:
+        table["coefficients"] = [x / (1000 if changes else 1) for x in table["coefficients"]]
+    table |= changes
+    places, _ = positions(tables)
+    name = "crystalliser.solubility"
+    wanted = (places.inputs[name].value * 1.001).tolist()
+    moved = at(moved_to(tables, name, wanted), ("units", "crystalliser", "solubility"))
+    assert moved["coefficients"] == wanted
+    assert moved.get("unit") == (written or table.get("unit"))

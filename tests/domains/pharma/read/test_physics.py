@@ -36,7 +36,7 @@ REFUSED = {
         "units.crystalliser.seed: the seed takes 166.7 % of the volume; allowed is less than 50 %"),
     "negative solubility": (
         "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
-        "units.crystalliser.solubility: at 278.15 K, which crystalliser comes to, it is -5."),
+        "units.crystalliser.solubility: at 278.15 K, which crystalliser reaches, it is -5."),
     "density of another unit": (
         'density = "1200 kg/m^3"', 'density = "1.2 kg/m^3"', "from 300 to 10,000 kg/m3"),
     "solvent in kilograms a litre": (
@@ -89,7 +89,7 @@ ODD = {
              "uncertainty[1]: 0.043 % of its draws are none that"),
     "solubility where it is studied": (
         'range = ["273.15 K", "283.15 K"]', 'range = ["240 K", "283.15 K"]',
-        "crystalliser.temperature may come to 241.3"),
+        "crystalliser.temperature may reach 241.3"),
 }  # fmt: skip
 
 

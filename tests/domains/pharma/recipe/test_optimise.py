@@ -150,7 +150,7 @@ def test_deviations_of_the_batches_stay_within_the_limit():
         (
             "decisions",
             [{"of": "reactor.duration", "low": "2 h", "high": "3 h"}],
-            "the case's own number, 1 h, must lie within the bounds",
+            "the number in the case, 1 h, must be within the bounds",
         ),
         (
             "decisions",

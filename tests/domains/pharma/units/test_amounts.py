@@ -29,7 +29,7 @@ from tests.domains.pharma.units.test_reactor import first_order_network
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances, unit_balances
-from snapo.domains.pharma.control.stages import Stage
+from snapo.domains.pharma.control.loop import stages_of
 from snapo.domains.pharma.flowsheet.grid import NO_CRYSTALS
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.flowsheet.ledger import ledger
@@ -228,7 +228,7 @@ def test_a_policy_doses_until_its_feed_is_empty(share, dosed):
     """0.8 L/h for an hour of a feed of 0.5 L; at a quarter of that all that is asked for."""
     found = read(DOSED + CONTROL)
     with jax.enable_x64(True):
-        stage = Stage(case=found, unit=found.units[0], horizon=4, before=0, total=4)
+        (stage,) = stages_of(found)
         schedule = stage.prepare({name: each.value for name, each in pharma_inputs(found).items()})
         state = stage.initial(schedule.constants, jnp.zeros(stage.initial_noise_size))
         for row in range(4):

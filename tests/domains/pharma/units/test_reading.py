@@ -1,6 +1,7 @@
 """Finite volumes and the tray dryer in a case and in a report: numbers, mistakes, charts."""
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from snapo.domains.pharma.chapters.batch import ONE_BATCH, BatchResult, drying
 from snapo.domains.pharma.chapters.model import UnitStatement, number_text
 from snapo.domains.pharma.units.crystalliser import Crystalliser
 from snapo.domains.pharma.units.reactor import Reactor
+from snapo.domains.pharma.units.registry import read_units
 from snapo.domains.pharma.units.tray_dryer import TrayDryer
+from snapo.live.files import Files, with_numbers
 from snapo.report.page import Chart, Table
 
 SIZES = {"smallest": "1 um", "largest": "400 um", "cells": 100, "spacing": "geometric"}
@@ -74,6 +77,19 @@ def test_a_tray_dryer():
     np.testing.assert_allclose(unit.pressure.value.values, [20_000, 5000])
     assert unit.critical.values[0] == pytest.approx(0.03)
     assert case.numerics.method == "mesh"  # on steps chosen once, by error control
+
+
+def test_antoines_numbers_are_written_for_pascal_and_kelvin():
+    tables = {"dryer": TRAY | {"liquid": LIQUID}}
+    (unit,) = read_units(Path("case.toml"), tables, (), [])
+    assert isinstance(unit, TrayDryer)
+    wanted = unit.liquid.antoine.values * 1.001
+    files = with_numbers(Files(Path(), {"units": tables}), unit.liquid.antoine, wanted)
+    written = files.tables["units"]["dryer"]["liquid"]
+    assert (written["antoine"], written["unit"], written["scale"]) == (wanted.tolist(), "Pa", "K")
+    (again,) = read_units(Path("case.toml"), files.tables["units"], (), [])
+    assert isinstance(again, TrayDryer)
+    assert np.array_equal(again.liquid.antoine.values, wanted)
 
 
 def test_what_a_tube_is_filled_with():

@@ -33,9 +33,9 @@ STARTS = 2000
 
 @dataclass(frozen=True)
 class Baseline:
-    """A rule: its `value`, and by how much the trained policy earns more on the same paths.
+    """A rule: its `value`, and the advantage of the trained policy over it on the same paths.
 
-    - `less`, `less_error`: the policy's value less its own, and the standard error of that.
+    - `less`, `less_error`: the policy's value less that of the rule, and its standard error.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Baselines:
-    """The rules, the best first; `optimum`: the closed form, None where it is not known."""
+    """The rules, the best first; `optimum`: the closed form, None where there is none."""
 
     rivals: tuple[Baseline, ...]
     optimum: float | None = None
@@ -79,11 +79,11 @@ def plant_of(run: StudyRun) -> Plant:
 
 def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     """A ladder of rewards, and what the policy earns more than each rule."""
-    value = run.result.get("value")
+    value = run.result.value
     rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
     if not rules or value is None:
         return [why_missing(run, "rivals")]
-    bars = [Bar("trained policy", value, run.result.get("standard_error"), strong=True)]
+    bars = [Bar("trained policy", value, run.result.standard_error, strong=True)]
     bars += [Bar(rule.name, rule.value) for rule in rules]
     if result.optimum is not None:
         bars.append(Bar("optimum, in closed form", result.optimum))
@@ -96,7 +96,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     )
     blocks: list[Block] = [
         ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
-        table(rules, columns, "Classical rules on the policy's own paths", decimal_places=digits),
+        table(rules, columns, "Classical rules on the paths of the policy", decimal_places=digits),
     ]
     if (best := result.optimum) is not None:
         share = 100 * (best - value) / abs(best) if best else 0.0
@@ -110,7 +110,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     return [*blocks, Text(f"The linear regulator is {regulator}")]
 
 
-BASELINES = Chapter("rivals", "Beside classical rules", Baselines, measure, show)
+BASELINES = Chapter("rivals", "Comparison with classical rules", Baselines, measure, show)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _check_same(plant: Plant, values: Any) -> None:
                 allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
     if values["noise"] or values["measurement"] or plant.time_feature:
-        allowed = f"{plant.twin} has no disturbances, no errors of measurement and shows no clock; "
+        allowed = f"{plant.twin} has no disturbances, no measurement noise and shows no clock; "
         allowed += "leave --reference out"
         raise CaseError("--reference", "", None, allowed)
 

@@ -23,7 +23,7 @@ class CartPole(Plant):
     """
 
     type: ClassVar = "cart-pole"
-    description: ClassVar = "a cart that swings its pole up and holds it"
+    description: ClassVar = "a cart that swings its pole up and balances it"
     steps: ClassVar = 100
     portrait: ClassVar = ("angle", "spin")
     parameters: ClassVar = {

@@ -21,10 +21,11 @@ class MountainCar(Plant):
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
     speed' = 0 where it runs into the left wall. A step costs 0.1 a^2 while the car is on its way.
 
-    The exact reward holds no hint of the goal. In training the goal is reached by energy: each step
-    ends the way with a probability that is 1/2 where the energy, v^2 / 2 + gravity sin(3 x) / 3,
-    is a little more than the hill takes, and falls off below over a width of the temperature;
-    `alive` is the probability to be still on the way. With this energy the next swing arrives.
+    The exact reward gives no hint of the goal. In training the goal counts as reached by energy:
+    each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 + gravity
+    sin(3 x) / 3, slightly exceeds the energy needed for the hill, and falls off below over a width
+    set by the temperature; `alive` is the probability of not having arrived. With this energy the
+    next swing arrives.
     """
 
     type: ClassVar = "mountain-car"
@@ -109,7 +110,7 @@ class MountainCar(Plant):
 
 
 def energy(p, state):
-    """Above that at rest in the valley, as a share of what the goal takes."""
+    """Energy above that at rest in the valley, as a share of the energy needed for the goal."""
     high = (jnp.sin(3 * p["goal"]) + 1) * p["gravity"] / 3
     lifted = (jnp.sin(3 * state["position"]) + 1) * p["gravity"] / 3
     return (state["speed"] ** 2 / 2 + lifted) / high

@@ -1,4 +1,4 @@
-"""What every plant has: states with units, equations of one step, a cost by parts.
+"""The base class of all plants: states with units, equations of one step, a cost by parts.
 
 A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
 distribution of its initial state and its disturbances are inputs, so that each has a sensitivity.
@@ -23,8 +23,8 @@ PlantState = dict[str, Array]
 
 
 class PlantParameter(NamedTuple):
-    """A number of a plant or of its cost: its value where the case is silent (None: it must be
-    given; infinite: there is none), its unit and meaning. `positive`: it must be above 0."""
+    """A parameter of a plant or of its cost: its default (None: it is required; infinite: there is
+    no such limit), its unit and meaning. `positive`: it must be above 0."""
 
     value: Any
     unit: str
@@ -35,8 +35,8 @@ class PlantParameter(NamedTuple):
 class Variable(NamedTuple):
     """A state or an action: its unit and meaning.
 
-    - `start`: of a state, its distribution where the case is silent: {"at"}, {"low", "high"} or
-      {"mean", "deviation"}.
+    - `start`: the default distribution of an initial state: {"at"}, {"low", "high"} or {"mean",
+      "deviation"}.
     - `turn`: an angle, unwrapped in the state; its cost and features repeat every 2 pi.
     """
 
@@ -46,7 +46,7 @@ class Variable(NamedTuple):
     turn: bool = False
 
 
-MEASURED = "measurement"  # under which inputs hold the errors, and a state what is seen of it
+MEASURED = "measurement"  # key of the errors in the inputs, and of the readings in a state
 STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform; normal
 
 
@@ -57,9 +57,9 @@ class Plant(Simulator):
 
     - `horizon`: steps; `time_feature`: whether the policy sees the share of the horizon that is
       left.
-    - `starts`: ((state, keys of its distribution), …), of every state.
+    - `starts`: ((state, keys of its distribution), …) of all states.
     - `disturbed_parts`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
-    - `measured`: the states that are seen with an error of measurement, the others exactly.
+    - `measured`: the states that are observed with measurement noise, the others exactly.
     """
 
     type: ClassVar[str]
@@ -151,7 +151,7 @@ class Plant(Simulator):
         """The state that an observation shows; angles between -pi and pi."""
 
     def target_at(self, p: PlantValues) -> dict[str, np.ndarray]:
-        """The state at which the plant should rest: 0, unless it says otherwise."""
+        """The state at which the plant should rest, by default 0."""
         shapes = {name: (n,) if n > 1 else () for name, n in self.sizes}
         return {name: np.zeros(shapes[name]) for name in self.states}
 
@@ -182,7 +182,7 @@ class Plant(Simulator):
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
         for name in self.disturbed_parts:
             values = jnp.asarray(inputs["noise"][name])
-            # Of three axes: a matrix of its own for each step.
+            # With three axes: a different matrix for each step.
             every = values if values.ndim == 3 else values[None]
             steps[name] = jnp.broadcast_to(every, (self.horizon, *every.shape[1:]))
         return Schedule(constants, steps)
@@ -205,7 +205,7 @@ class Plant(Simulator):
         return self.read_off(constants, state, noise[used:])
 
     def observe(self, constants, now, state):
-        # A state without readings is one that somebody asks about: it is seen as it is.
+        # A state without readings is passed by a caller: it is observed exactly.
         displayed = {name: state[name] for name in self.states} | state.get(MEASURED, {})
         observed = self.features(constants["plant"], displayed)
         return jnp.append(observed, now["left"]) if self.time_feature else observed
@@ -223,7 +223,7 @@ class Plant(Simulator):
         return outputs(parts) if parts else {}
 
     def read_off(self, constants, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
-        """The state with what is measured of it, each with an error of its own."""
+        """The state with its readings, which have independent errors."""
         if not self.measured:
             return state
         observed, used, sizes = {}, 0, dict(self.sizes)

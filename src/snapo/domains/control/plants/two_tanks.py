@@ -14,13 +14,13 @@ MINIMUM = 1e-3  # of the height: below it the outflow falls linearly to 0, as th
 class TwoTanks(Plant):
     """Levels h of water, outflow c sqrt(2 g h) (Torricelli); the pump feeds the upper tank.
 
-    area h1' = flow - c1 sqrt(2 g h1), area h2' = c1 sqrt(2 g h1) - c2 sqrt(2 g h2); Runge-Kutta
-    of order 4, then levels between 0 and `height`: what is above spills. The cost of a step is the
-    squared distance of the lower level to its target, and the pump's squared share.
+    area h1' = flow - c1 sqrt(2 g h1), area h2' = c1 sqrt(2 g h1) - c2 sqrt(2 g h2); Runge-Kutta of
+    order 4, then levels between 0 and `height`: the excess spills. The cost of a step is the
+    squared distance of the lower level from its target, plus the pump's squared share.
     """
 
     type: ClassVar = "two-tanks"
-    description: ClassVar = "two tanks and a pump that holds a level"
+    description: ClassVar = "two tanks and a pump that controls a level"
     steps: ClassVar = 60
     parameters: ClassVar = {
         "area": PlantParameter(15.0, "cm2", "cross section of a tank"),

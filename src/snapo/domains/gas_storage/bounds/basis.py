@@ -22,7 +22,7 @@ from scipy.special import ndtr
 
 from ..prices.process import GaussianFactors
 
-DEGREES = {1: 6, 2: 4, 3: 4}  # of products of so many factors, in all; of more of them: 3
+DEGREES = {1: 6, 2: 4, 3: 4}  # total degree by number of factors; of more factors: 3
 # Hinges, in standard deviations of the fast factor: many where it is the only one.
 ALONE, FEW = np.arange(-3.0, 3.1, 0.25), np.arange(-1.75, 2.0, 0.5)
 REACH = 4.0  # standard deviations of a factor beyond which nothing is fitted

@@ -122,7 +122,7 @@ def spacing_of(schedule, inventories: int) -> float:
 
 
 def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:
-    """Where a line bends most, at most so many of its inner breakpoints."""
+    """The inner breakpoints with the largest kinks of a line, up to a maximum number."""
     if len(line.at) < 3:
         return np.zeros(0)
     change = np.abs(np.diff(np.diff(line.value) / np.diff(line.at)))
@@ -244,8 +244,8 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
     - `prices`: present values of a unit bought and sold, [columns] each.
     - `after` [m, columns]: the value on the day's last nodes, linear between them.
-    - `above`: the result, linear between nodes, nowhere lies below the value of the best flow from
-      there; otherwise it is that value at the nodes, and may lie below it in between.
+    - `above`: the result, linear between nodes, is never below the value of the best flow from
+      there; otherwise it equals that value at the nodes, and may be below it in between.
     """
     keep = day.keep[:, None]
     buying = _less(after, day.after, prices.pay)
@@ -276,7 +276,7 @@ def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray
 
 
 def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndarray:
-    """[rows, columns] the most of a line, given on nodes and linear between them, within reach."""
+    """[rows, columns] the maximum of a piecewise linear function on nodes, within reach."""
     best = np.full((rows, line.shape[1]), -np.inf)
     levels = [line]
     for k, selected, first, last in reach.inside:
@@ -293,7 +293,7 @@ def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndar
 
 
 def _exceed(excess, value, line, price, bends: Bends | None) -> None:
-    """The most by which a bend of a cell lies above the chord of `value`, into `excess`."""
+    """The maximum height of the kinks of a cell above the chord of `value`, into `excess`."""
     if bends is None:
         return
     reduceat = value[bends.left] - value[bends.right]

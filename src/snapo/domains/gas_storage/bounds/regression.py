@@ -34,8 +34,8 @@ T = TypeVar("T")
 class Recent(Generic[T]):
     """The results of the last few different calls; safe between threads.
 
-    A page that moves a curve, or a table of sensitivities that moves one input after another, asks
-    for the same ones again and again.
+    A page that moves a curve, or a table of sensitivities that moves one input after another, uses
+    the same ones repeatedly.
     """
 
     def __init__(self, maximum: int):
@@ -70,7 +70,7 @@ LAST = 3  # factors: those of the case, and others that sensitivities move to
 
 
 class RegressionDay(NamedTuple):
-    """One day, or the end date. K functions, of which n are no hinges, on Q nodes.
+    """One day, or the end date. K functions, n of which are not hinges, on Q nodes.
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
     - `ahead` [K, Q]: the expected functions of the next date (none on the end date).
@@ -144,7 +144,7 @@ _last: Recent[Regression] = Recent(LAST)
 
 
 def regression(basis: PolynomialBasis) -> Regression:
-    """The regression of a basis: one of the last, where the factors are the same."""
+    """The regression of a basis, cached by the factors."""
     key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
     return _last.of(key, lambda: Regression(basis))
 

@@ -50,7 +50,7 @@ class Hindsight:
             self.coefficients = [fitted_value.at(t, nodes) for t, nodes in enumerate(grids)]
 
     def best(self, spots: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0) -> np.ndarray:
-        """[paths] the most that each path can earn, penalised.
+        """[paths] the maximum penalised earnings of each path.
 
         `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: of the
         penalty, a number or one for each function of the basis.

@@ -92,7 +92,7 @@ def fit_value(
 ) -> FittedValue:
     """Backwards in time, the value of the best flow on quadrature nodes, regressed on the basis.
 
-    The continuation is the basis' own expectation, so that only the fit is an approximation:
+    The continuation is the basis' expectation, so that only the fit is an approximation:
     Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12 (2001). There must be a day.
     """
     days = day_grids(schedule, interpolation, inventories, bends=False)
@@ -162,7 +162,7 @@ class FittedMarginal(NamedTuple):
 
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
-    """The table of a fitted value; beyond the inventories that it knows, the last slope goes on."""
+    """The table of a fitted value; outside its inventories the last slope continues."""
     basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
     available = regression(basis)

@@ -97,7 +97,7 @@ def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]
 def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, str]]:
     facts = []
     if (gap := finite(result.smoothing_gap)) is not None:
-        value = finite(run.result.get("value"))
+        value = run.result.value
         share = f" ({percent(gap / abs(value), 2)})" if value else ""
         facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
     facts += evidence.gradient(run)
@@ -154,7 +154,7 @@ def _glossary(run: StorageRun) -> Table:
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
-        ("Smooth delta", gas, "through the smooth policy's own reaction; a diagnostic"),
+        ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
         ("Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"),
         ("Standard error", "", "of the estimate; 95 % is ± 1.96 of them, of a delta ± 2.04"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),

@@ -164,8 +164,8 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     svg = draw("deltas-by-month", alt, month_painter(run, months), 280)
     caption = (
         f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
-        " error and error of the policy together. Hatched: how far the delta still moved in the"
-        " last half of training."
+        " error and error of the policy together. Hatched: the change of the delta in the second "
+        "half of training."
     )
     return [Chart(svg, caption), _month_table(run, months)]
 

@@ -16,7 +16,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
-from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.quantity import MONTHS, SPACE, decimals, long_month, number, plus_minus
 from snapo.report.rows import Column, table
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -203,7 +203,7 @@ def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
 def sliders(run: StorageRun) -> Section:
     """Sliders for the whole curve, each delivery month, and the model numbers."""
     title, short = "What if: inputs moved to first order", "What if"
-    value = finite(run.result.get("value"))
+    value = run.result.value
     curve, months = _curve_sliders(run)
     groups = (
         ("Forward curve", curve),

@@ -10,7 +10,7 @@ from snapo.report.folder import RunFiles
 from snapo.report.folder import Sensitivity as Sensitivity
 from snapo.report.quantity import quantity
 
-# Moves of the inputs' own size that a slider goes to either side.
+# Moves of the inputs' size that a slider goes to either side.
 SPAN = 10
 
 

@@ -70,7 +70,7 @@ def first_decision(
 ) -> FirstDecision:
     """The first day's decision; `levels`: see `levels_of`; `prices`: the triggers at them."""
     now, ladder = _decisions(problem, policy_of(solution), levels, prices)
-    # The network's own price of gas is exact at the trigger only; the adjoint's everywhere.
+    # The network's price of gas is exact at the trigger only; the adjoint's everywhere.
     marginal = float("nan")
     if solution.sensitivities is not None:
         marginal = float(solution.sensitivities.of(case.contract.inventory.name).value.sum())

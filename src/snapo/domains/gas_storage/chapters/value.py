@@ -90,7 +90,7 @@ class CashFlow:
 
 @dataclass(frozen=True)
 class ContractValues:
-    """The value ladder from the least to the best method, and the spread of the earnings.
+    """The value ladder from the lowest to the best method, and the spread of the earnings.
 
     - `break_even_fee`: per unit of working volume, paid today, at which the contract has no
       value; NaN without a working volume.
@@ -164,7 +164,7 @@ def _distribution(cash: np.ndarray) -> CashFlow:
 
 
 def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
-    """Every value of the same contract on the same curve, from the least to the best."""
+    """Every value of the same contract on the same curve, from the lowest to the best."""
     values = result.value_of
     if not values:
         return [why_missing(run, VALUES.name)]
@@ -189,7 +189,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
 
 def ladder_bars(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.LadderBar]:
     """The bars of the ladder; that of the headline's value is set apart."""
-    digits, headline = decimals([x.value for x in values]), finite(run.result.get("value"))
+    digits, headline = decimals([x.value for x in values]), run.result.value
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [
         charts.LadderBar(
@@ -228,8 +228,8 @@ def cash_flow(run: StorageRun) -> Section:
         lambda axes: charts.histogram(axes, cash.edges, cash.counts, marks, unit),
     )  # fmt: skip
     caption = (
-        "Earnings of only the storage on one path, unhedged; trading the deltas above takes most"
-        " of this spread out."
+        "Earnings of only the storage on one path, unhedged; trading the deltas above removes "
+        "most of this spread."
     )
     return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])
 

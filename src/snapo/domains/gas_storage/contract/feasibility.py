@@ -50,7 +50,7 @@ def reachable(
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
     """Least and greatest inventory at the start of every day, and on the end date.
 
-    A day on which nothing can go on has least > greatest (and so have all days before it).
+    A day without a feasible continuation has least > greatest (and so have all days before it).
     """
     tolerance = TOLERANCE * jnp.max(jnp.abs(limits.maximum), initial=1.0)
 
@@ -63,7 +63,7 @@ def reachable(
 
 
 def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
-    """The longest interval of one day from which the one that follows can be reached."""
+    """The longest interval of one day from which that of the next day can be reached."""
     next_low, next_high = successor
     # A row at a limit is the limit: with jnp.clip each would take half of the derivative.
     inner = jnp.where(day.levels <= day.minimum, day.minimum, day.levels)
@@ -85,7 +85,7 @@ def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
         following_row = jnp.append(day.levels[1:], jnp.inf)
         contains = (day.levels <= day.maximum) & (following_row > day.minimum)
         some = some & jnp.concatenate([contains[:1], contains])
-        # At a row its own rates hold: where those cannot go on, stop short of it.
+        # At a row its own rates apply: if these are infeasible, stop before it.
         goes_on = some[1:] & touches[0][1:]
         stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
         spare = jnp.where(high[:-1] - low[:-1] > tolerance, tolerance, 0.0)
@@ -94,7 +94,7 @@ def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
 
 
 def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):
-    """Four numbers [4, pieces] that must not be negative for an inventory to go on."""
+    """Four numbers [4, pieces] that must not be negative for an inventory to be feasible."""
     withdrawal, injection = rates
     selected = inventory * (1 - day.inventory_loss)
     minimum = jnp.where(day.min_injection > 0, day.min_injection, -withdrawal)
@@ -180,7 +180,7 @@ class FeasibleDay:
 
 @dataclass(frozen=True)
 class Corner:
-    """An inventory at the start of the day, and the most that may leave and enter there."""
+    """An inventory at the start of the day, and the maximum withdrawal and injection there."""
 
     level: float
     withdrawal: float

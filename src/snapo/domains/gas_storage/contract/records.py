@@ -69,7 +69,7 @@ class EndRule(eqx.Module):
 
     @abc.abstractmethod
     def end_value(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
-        """Worth of the inventory left on one path; `price` gives that day's spot price."""
+        """Value of the remaining inventory on one path; `price` gives that day's spot price."""
 
     @abc.abstractmethod
     def value_known(self, inventory: float, price: float) -> float:

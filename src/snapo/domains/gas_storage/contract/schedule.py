@@ -84,7 +84,7 @@ class StoreState(NamedTuple):
 
 
 class FlowLimits(NamedTuple):
-    """The net flow that a day must have (`base`), and the bounds of the one that it may have.
+    """The required net flow of a day (`base`), and the bounds of the allowed one.
 
     `keep` is the inventory left without any flow.
     """
@@ -143,7 +143,7 @@ class Discounts(eqx.Module):
 
 
 def of_prices(schedule: Schedule) -> Schedule:
-    """The price process's own schedule, T + 1 rows of NumPy, out of that of the whole problem."""
+    """The price process's schedule, T + 1 rows of NumPy, out of that of the whole problem."""
     days, last = schedule.steps.price, schedule.constants.end_price
     rows = jax.tree.map(lambda leaf, end: np.concatenate([leaf, np.asarray(end)[None]]), days, last)
     return Schedule(schedule.constants.price, rows)

@@ -35,7 +35,7 @@ from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 class StorageSimulator(Simulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
-    It holds no case: all in which two contracts of one form differ is an array, or an input.
+    It holds no case: contracts of the same form differ only in arrays and inputs.
 
     **Arguments:**
 
@@ -68,7 +68,7 @@ class StorageSimulator(Simulator):
 
     @classmethod
     def of(cls, case: StorageCase, value_table: ValueTable | None = None) -> Self:
-        """The contract of a case, with the scales of its own numbers."""
+        """The contract of a case, with the scales of its numbers."""
         contract, market = case.contract, case.market
         rows = contract.ratchets
         scaled = (market.forward_curve, rows.withdrawal, rows.injection)
@@ -123,6 +123,14 @@ class StorageSimulator(Simulator):
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.process.initial_noise_size
+
+    @property
+    def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return int(self.day[0]) if self.horizon else 0
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_steps
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices = self.process.prepare(inputs)
@@ -285,7 +293,7 @@ class StorageSimulator(Simulator):
         return self.process.level(constants.price, now.price, state.price)
 
     def flows(self, now: Day, state: StoreState, smooth, scale: Any = 1.0) -> FlowLimits:
-        """The day's forced net flow, and the least and the most that is feasible."""
+        """The day's forced net flow, and the feasible minimum and maximum."""
         kind = self.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
         injection = rate(now.levels, now.injection_rate, state.inventory, kind, smooth)

@@ -4,7 +4,7 @@ The common part of all Gaussian factor prices comes first; each kind adds its pa
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -41,6 +41,15 @@ class StorageStep(NamedTuple):
     slow_variance: Array
 
 
+class StorageConstants(NamedTuple):
+    """The core's `FactorConstants`, and `before` [F, n F]: the factors on the first date as a sum
+    of the noise of the n days before; its covariance is that of `first_shock`."""
+
+    first_shock: Array
+    size: Array
+    before: Array
+
+
 class FactorPrices(FactorPrice, PriceProcess):
     """Correlated mean-reverting factors around the forward curve; see the core's `FactorPrice`."""
 
@@ -57,12 +66,31 @@ class FactorPrices(FactorPrice, PriceProcess):
     def gaps(self) -> Gaps:
         return self.delivery.gaps
 
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.delivery.before
+
+    @property
+    def initial_noise_size(self) -> int:
+        return max(self.initial_steps, 1) * self.noise_size
+
     def prepare(self, inputs) -> Schedule:
         numbers = self.parameters(inputs)
         rows = self.schedule(numbers)
         slow = numbers.loading * (np.arange(self.noise_size) != self.fast_factor)
         variance = jnp.einsum("ti,tij,tj->t", slow, self.covariance(numbers), slow)
-        return Schedule(rows.constants, StorageStep(**rows.steps._asdict(), slow_variance=variance))
+        # The share of every earlier day's shock that is left on the first date.
+        age = self.delivery.age[:, None]
+        left = jnp.exp(-numbers.mean_reversion * jnp.maximum(age, 0.0)) * (age >= 0)
+        before = jnp.einsum("nf,fg->fng", left, rows.steps.next_shock[0])
+        before = before.reshape(self.noise_size, self.initial_noise_size)
+        return Schedule(
+            StorageConstants(**rows.constants._asdict(), before=before),
+            StorageStep(**rows.steps._asdict(), slow_variance=variance),
+        )
+
+    def initial(self, constants, noise):
+        return constants.before @ noise
 
     def state_at(self, constants, now, spot):
         loading = now.loading[self.fast_factor]
@@ -151,13 +179,6 @@ class GivenFactors(FactorPrices):
             lower + lower.T + jnp.eye(size),
         )
 
-    def correlation_matrix(self) -> np.ndarray:
-        """The full matrix [F, F] of the correlations given."""
-        size = self.noise_size
-        lower = np.zeros((size, size))
-        lower[np.tril_indices(size, -1)] = self.correlation.values
-        return lower + lower.T + np.eye(size)
-
 
 def read_factors(
     section: TableContext,
@@ -199,8 +220,8 @@ class MultiFactorTable(CaseTable):
     """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
 
     kind: Literal["multi-factor"]
-    factors: Annotated[list[Any], Field(min_length=1)] = Field(
-        description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
+    factors: list[Any] = Field(
+        min_length=1, description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
     )
     correlation: list[list[float]] | None = Field(
         None, description="a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]"
@@ -262,7 +283,7 @@ def _correlation(section: TableContext, values, size: int) -> list[float]:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12:
         message = (
-            "a correlation matrix must be positive definite, and the least eigenvalue of this "
+            "a correlation matrix must be positive definite, and the smallest eigenvalue of this "
             f"one is {smallest:.3g}; factors that move as one are one factor"
         )
         raise section.error("correlation", values, message)

@@ -1,13 +1,13 @@
-"""A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
+"""A price process of a gas store: the core's `Process`, with the additions for a storage.
 
 Everything that depends on the kind of price is in its class: its table in the case file, its
-parameters, noise, dynamics, forward price, description. Nothing outside asks which kind it is.
+parameters, noise, dynamics, forward price, description. Nothing outside depends on the kind.
 """
 
 import abc
 import datetime
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
+FEWEST = 32  # days of noise before the first date, where they are several
 
 SPEED = "it is per year, ln 2 over a half-life in years"
 VOLATILITY = Quantity(
@@ -55,8 +56,8 @@ class SingleFactorTable(CaseTable):
 class Delivery(NamedTuple):
     """The days that a process has prices for, and the market around it.
 
-    - `days`: the T decision days; `end`: the end date, which comes after them as number T.
-    - `price_days`: those that need a price: the end date only where gas left is paid by it.
+    - `days`: the T decision days; `end`: the end date, which follows them as number T.
+    - `price_days`: those that need a price: the end date only if remaining gas is paid by it.
     - `valuation`: the day on which the curve is known.
     - `curve`: the forward price of each of `price_days`.
     """
@@ -80,8 +81,10 @@ class Delivery(NamedTuple):
     @property
     def times(self) -> "Times":
         """All of it that a process keeps."""
-        years = np.array([days / YEAR for days in self.ahead])
-        return Times(years, Gaps.of(years.tolist()), self.curve)
+        years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
+        rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
+        age = (before - 1 - np.arange(max(rows, 1))) / YEAR
+        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows)
 
 
 class Times(eqx.Module):
@@ -89,11 +92,16 @@ class Times(eqx.Module):
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
     - `curve`: the forward price of each date, but for an end date that needs none.
+    - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
+      negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
+      where the first date is the valuation date.
     """
 
     years: Float[np.ndarray, " T+1"]
     gaps: Gaps
     curve: CaseInput
+    age: Float[np.ndarray, " n"]
+    before: int = eqx.field(static=True)
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""
@@ -131,8 +139,11 @@ class PriceProcess(Process):
     **Class attributes:** `kind`, the name in `[model]`; `table`, its keys.
 
     **Attributes:** `proportional`: whether every price is the forward price times noise, so that
-    it scales with the curve (which must then be positive).
+    it scales with the curve (which must then be positive). `initial_steps`: the noise of so many
+    days after the valuation date gives the initial state; 0: that is drawn by itself.
     """
+
+    initial_steps: ClassVar[int] = 0
 
     kind: eqx.AbstractClassVar[str]
     table: eqx.AbstractClassVar[type[CaseTable]]
@@ -166,12 +177,12 @@ class PriceProcess(Process):
         return jnp.ones(())
 
     def factors(self, schedule) -> GaussianFactors | None:
-        """Factors for dynamic programs, from the process's own prepared schedule; None: none, and
+        """Factors for dynamic programs, from the process's prepared schedule; None: none, and
         the policy begins without the values of a dynamic program."""
         return None
 
     def sources(self, seed: int) -> Sources | None:
-        """Scenarios of its own for every role, instead of drawn normals."""
+        """Separate scenarios for every role, instead of drawn normals."""
         return None
 
 

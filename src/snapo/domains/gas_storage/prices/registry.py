@@ -1,4 +1,4 @@
-"""Finds the price processes of this folder, and reads `[model]` with the one that it names."""
+"""Collects the price processes of this folder, and reads `[model]` with the named one."""
 
 import pkgutil
 from collections.abc import Mapping

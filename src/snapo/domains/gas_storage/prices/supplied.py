@@ -1,4 +1,4 @@
-"""`[model]` of kind "supplied": price paths of one's own, from two different files."""
+"""`[model]` of kind "supplied": user-supplied price paths, from two different files."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -48,7 +48,7 @@ class SuppliedStep(NamedTuple):
 
 @register
 class SuppliedPrices(PriceProcess):
-    """Prices from a file; its paths take the place of the noise.
+    """Prices from a file; its paths replace the noise.
 
     With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
     own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,
@@ -80,7 +80,7 @@ class SuppliedPrices(PriceProcess):
         arrays = [read_array(reference, len(days), span) for reference in references]
         if np.array_equal(arrays[0], arrays[1]):
             message = (
-                "this holds the same paths as training_paths; evaluation needs paths of its own"
+                "this holds the same paths as training_paths; evaluation needs different paths"
             )
             raise references[1].error(message)
         if table.rescale_to_curve:

@@ -1,1 +1,4 @@
-"""Reads the TOML tables and CSV files of a case into records."""
+"""Reads the TOML tables and CSV files of a case into records.
+
+`case.read_case` is the entry point; `tables` declares every key with unit, range and meaning.
+"""

@@ -113,12 +113,6 @@ def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
     quotes[period] = price
 
 
-def month_days(year: int, month: int) -> list[datetime.date]:
-    """All days of a month."""
-    count = calendar.monthrange(year, month)[1]
-    return [datetime.date(year, month, day) for day in range(1, count + 1)]
-
-
 def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.ndarray]:
     """The rates of all nodes, and their days since the valuation date."""
     starts = rate.starts
@@ -130,7 +124,7 @@ def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.nda
 ENERGY = {"MWh": 1.0, "kWh": 1e-3, "GWh": 1e3, "therm": 0.0293071, "MMBtu": 0.293071, "GJ": 1 / 3.6}
 MONEY = {"EUR": 1.0, "USD": 1.0, "GBP": 1.0, "CHF": 1.0, "p": 0.01, "GBp": 0.01, "ct": 0.01}
 PRICES = (1.0, 1000.0)  # per MWh, in one of these currencies
-APART = 20.0  # a forward price is less than so many times its neighbours
+APART = 20.0  # a forward price is less than this multiple of its neighbours
 
 
 def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
@@ -148,10 +142,10 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:
-        paid = f"a cost is in {name}, and the dearest gas costs {highest:.6g}"
+        paid = f"a cost is in {name}, and the most expensive gas costs {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} a day, and the dearest gas costs {highest:.6g}"
+        paid = f"it is in {name} a day, and the most expensive gas costs {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 
@@ -177,7 +171,7 @@ def end_too_early(start: datetime.date, end: datetime.date) -> str:
 
 
 def free_money(case: StorageCase) -> Iterator[str]:
-    """Remarks where the contract pays for moving gas, whatever the price: often a wrong sign."""
+    """Remarks where the contract pays for moving gas at any price: often a wrong sign."""
     contract = case.contract
     inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
     if not len(case.days):
@@ -192,7 +186,7 @@ def free_money(case: StorageCase) -> Iterator[str]:
         )
     elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
         yield (
-            "Injecting gas and withdrawing it again pays by itself: the least injection_cost and "
+            "Injecting gas and withdrawing it again pays by itself: the lowest injection_cost and "
             f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
         )
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.case.csv import FileReference, read_rows
-from snapo.case.dates import ordinals
+from snapo.case.csv import FileReference, ordinals, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.plausible import more
@@ -43,7 +42,7 @@ def payment_days(
 ) -> np.ndarray:
     """[T] integer days since `valuation` on which the flow of each of `days` is paid.
 
-    - `moving`: [T] whether gas can move on the day; a month in which none can needs no row.
+    - `moving`: [T] whether gas can move on the day; a month without such days needs no row.
     - `gas`: [T] the same for the gas itself, which the rule "gas" of a cost refers to.
     """
     if rule == "gas" and gas is not None:
@@ -164,7 +163,7 @@ def read_contract(
 
 
 def _stock(level: CaseInput, limits: LimitRows) -> CaseInput:
-    """An inventory; one of zero moves by more than the least inventory does, and stays above it."""
+    """An inventory; one of zero moves by more than the minimum inventory, and stays above it."""
     return replace(level, move=2 * small_move(limits.ratchets))
 
 
@@ -176,7 +175,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     rows = read_rows(FileReference(section, "fixed_costs", table.fixed_costs), ("date", "amount"))
     dates = [row.day("date") for row in rows]
     when = ordinals(dates) - valuation.toordinal()
-    # Nothing is owed any more when the contract has ended, nor amounts due before today.
+    # Nothing is owed after the end of the contract, nor amounts due before today.
     due = np.flatnonzero((when >= 0) & (valuation <= table.end))
     before = [row for row, day in zip(rows, when) if day < 0 and valuation <= table.end]
     if before:
@@ -191,7 +190,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
 def _read_end(section: TableContext, table: ContractTable, limits: LimitRows) -> EndRule:
     if table.end_inventory != "free":
         if table.end_value not in (None, 0.0):
-            message = 'a value of the gas left needs end_inventory = "free"'
+            message = 'a value of the remaining gas needs end_inventory = "free"'
             raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
         position = (*section.keys, "end_inventory")

@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from snapo.case.csv import DAY, FileReference, Row, read_rows
-from snapo.case.dates import ordinals
+from snapo.case.csv import DAY, FileReference, Row, ordinals, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
@@ -200,7 +199,7 @@ def _check_limits(section: TableContext, dates, minimum: CaseInput, maximum: Cas
 def read_outages(
     section: TableContext, table: ContractTable, days: Sequence[datetime.date]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[T] shares of the injection and the withdrawal rates that outages leave; the least counts."""
+    """[T] shares of the injection and the withdrawal rates left by outages; the smallest counts."""
     factors = np.ones((2, len(days)))
     day_numbers = ordinals(days)
     outages = _outages(section, table.outages)

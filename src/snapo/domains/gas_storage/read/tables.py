@@ -12,7 +12,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import FRACTION, Plausible
-from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range, choice
+from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range
 from snapo.case.table import TITLE, CaseTable, NotNegative, Title
 
 
@@ -28,8 +28,8 @@ def _plain_day(value: Any) -> Any:
 
 DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 FileName = Annotated[str, Field(min_length=1)]
-Days = Annotated[int, Field(ge=0, le=36500)]
 
+END_VALUES = "a CSV file with columns inventory,value"
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 RULES = (
     '"flow", { days = 10 }, { date = 2021-06-20 }, { months = 1, day = 20 } '
@@ -74,9 +74,9 @@ FORWARD = Quantity(
 
 
 class AfterDays(CaseTable):
-    """{ days = 10 }: so many calendar days after the flow."""
+    """{ days = 10 }: this number of calendar days after the flow."""
 
-    days: Days
+    days: Annotated[int, Range(0, 36500)]
 
 
 class OnDate(CaseTable):
@@ -86,10 +86,10 @@ class OnDate(CaseTable):
 
 
 class MonthsAfter(CaseTable):
-    """{ months = 1, day = 20 }: that day of the month so many months after delivery."""
+    """{ months = 1, day = 20 }: that day, this number of months after the month of delivery."""
 
-    months: Annotated[int, Field(ge=0, le=1200)]
-    day: Annotated[int, Field(ge=1, le=31)]
+    months: Annotated[int, Range(0, 1200)]
+    day: Annotated[int, Range(1, 31)]
 
 
 CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter
@@ -112,7 +112,7 @@ class ContractTable(CaseTable):
         None,
         description="a CSV file with columns date,inventory,max_withdrawal,max_injection",
     )
-    ratchet_interpolation: Literal["linear", "step"] = choice("linear", "step")
+    ratchet_interpolation: Literal["linear", "step"] = "linear"
     min_injection: CaseInput = FORCED("injection that must flow", 0.0)
     min_withdrawal: CaseInput = FORCED("withdrawal that must flow", 0.0)
     injection_cost: CaseInput = COST("per unit injected", 0.0)
@@ -127,19 +127,14 @@ class ContractTable(CaseTable):
         plausible=OF_STOCK,
     )  # fmt: skip
     inventory_cost: CaseInput = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
-    end_inventory: NotNegative | Literal["free"] = Field(
-        0.0, description='a number of at least 0, or "free"'
-    )
-    end_value: NotNegative | FileName | None = Field(
-        None,
-        description="a number of at least 0, or a CSV file with columns inventory,value",
-    )
+    end_inventory: NotNegative | Literal["free"] = 0.0
+    end_value: NotNegative | Annotated[FileName, Field(description=END_VALUES)] | None = None
     outages: list[str] | FileName = Field(
         [],
         description='a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
         "from,to,injection_factor,withdrawal_factor",
     )
-    first_decision: Literal["valuation-date", "next-day"] = choice("valuation-date", "next-day")
+    first_decision: Literal["valuation-date", "next-day"] = "valuation-date"
 
 
 class MarketTable(CaseTable):
@@ -154,7 +149,7 @@ class MarketTable(CaseTable):
 class StorageTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["gas-storage"] = Field(description='"gas-storage"')
+    kind: Literal["gas-storage"]
     title: Title = Field("Gas storage", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")

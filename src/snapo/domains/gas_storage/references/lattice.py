@@ -24,8 +24,8 @@ class LatticeResult:
     """Result of the dynamic program. Money is a present value on the valuation date.
 
     - `value`: of the contract, before fixed costs.
-    - `deltas`: [T] derivative of the value by each day's forward price, in discounted volume
-      (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
+    - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
+      volume (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
     - `selected`: indices of the price factors on the grid, fast one first; `dropped`: those left
       out.

@@ -31,7 +31,7 @@ class DayDecisions(NamedTuple):
 
     - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
     - `choice`: [n, columns] HOLD, UP, DOWN (smallest, greatest and least net flow), BUY_TO or
-      SELL_TO (a node of the column), MOVE_TO (a node of its own).
+      SELL_TO (a node of the column), MOVE_TO (a separate node).
     - `today`: the end-of-day inventory of the first three; `buy_to`, `sell_to` [columns] and
       `move_to` [n, columns]: node indices of the others.
     """

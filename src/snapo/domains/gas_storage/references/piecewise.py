@@ -95,7 +95,7 @@ def best_move(
 def visited(schedule, interpolation: Interpolation) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest inventory that the starting one can lead to, [T + 1] each.
 
-    Narrower than the schedule's own interval (from which the contract can still be met) early on.
+    Narrower than the schedule's interval (from which the contract can still be met) early on.
     """
     horizon = len(schedule.steps.forward)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)

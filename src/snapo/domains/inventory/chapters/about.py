@@ -1,4 +1,4 @@
-"""The case in the words of its run: written before any work, and read by all sections."""
+"""A description of the case, written before any work and read by all sections."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any

@@ -77,7 +77,7 @@ def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
 
 
 def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
-    """Costs of all rules, and by how much they are above that of the trained one."""
+    """Costs of all rules, and their excess over the cost of the trained one."""
     rows = result.rivals
     errors = [row.difference_error for row in rows if finite(row.difference_error)]
     digits = min(6, max([2, *(decimals([error], 2) for error in errors)]))

@@ -94,7 +94,7 @@ def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
 
 
 def lead_time(run: RunFiles) -> Section:
-    """The section; of a run that trains no other lead times, how to ask for them."""
+    """The section; for a run without other lead times, how to request them."""
     section = LEAD_TIME(run)
     if CaseSummary.of(run).other_leads:
         return section
@@ -113,7 +113,7 @@ def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
     if any(row.place for row in rows):
         columns.insert(0, Column("Place", "place"))
     digits = max(decimals([row.standard_error for row in rows], 2), 2)
-    text = "The rule is trained anew for each, and compared on the same paths."
+    text = "The rule is trained again for each lead time, and compared on the same paths."
     changes = table(rows, columns, "Other lead times", decimal_places=digits)
     return [changes, Text(text, caveat=True)]
 

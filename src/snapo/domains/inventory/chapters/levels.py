@@ -1,4 +1,4 @@
-"""The trained rule of an item: the order, and the level up to which it goes, by stock."""
+"""The trained rule of an item: the order, and the order-up-to level, by stock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

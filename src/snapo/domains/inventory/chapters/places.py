@@ -1,4 +1,4 @@
-"""Stock, demand and fill rate of every place of a network, and what stores send one another."""
+"""Stock, demand and fill rate of every place of a network, and transfers between stores."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -100,11 +100,11 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]
-        text += " Sent and received is what stores send one another in a period."
+        text += " Sent and received are the transfers between stores in a period."
     if any(place.orders for place in sites):
         columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
         columns.append(mean("order_size", "Order size", unit, 2))
-        text += " Where an order has a cost of its own, the level is the mean over its orders."
+        text += " With a fixed cost, the level is the mean over the orders."
     rows = table(sites, columns, "Stock and service by place")
     return [rows, Text(text, caveat=True)]
 

@@ -9,7 +9,7 @@ from snapo.report.evidence import notes
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Section, Table
-from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
+from snapo.report.quantity import decimals, measured, number, percent, plus_minus, quantity
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.headline import marks
 from snapo.study.study import LiveTable, PathTotals, StudyRun
@@ -113,10 +113,10 @@ def costs_of(paths: PathTotals, names: Sequence[str]) -> tuple[CostPart, ...]:
 
 def headline(run: RunFiles) -> Section:
     """The cost of the trained rule, and the service."""
-    title, value = "Cost and service", finite(run.result.get("value"))
+    title, value = "Cost and service", run.result.value
     if value is None:
         return Section("value", title, "Cost", [why_missing(run, "training")])
-    error = finite(run.result.get("standard_error"))
+    error = run.result.standard_error
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     if run.unit:
         label, text = "Cost", quantity(-value, run.unit, digits)

@@ -54,11 +54,11 @@ class Demand(eqx.Module):
         period."""
 
     def inputs(self) -> tuple[CaseInput, ...]:
-        """Its parameters: differentiable inputs under their names."""
+        """Its parameters, which are differentiable inputs."""
         return tuple(x for x in vars(self).values() if isinstance(x, CaseInput))
 
     def names(self) -> tuple[str, ...]:
-        """Those of its parameters, in a case and in a simulator."""
+        """The names of its parameters, in a case and in a simulator."""
         return tuple(x.name for x in vars(self).values() if isinstance(x, CaseInput | Use))
 
     @abc.abstractmethod
@@ -75,10 +75,10 @@ class Demand(eqx.Module):
 
     @abc.abstractmethod
     def describe(self) -> str:
-        """In a phrase: "Poisson, mean 5"."""
+        """A short description: "Poisson, mean 5"."""
 
     def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
-        """Of whole demand 0, 1, …, without the last hundred-millionth."""
+        """The probabilities of demand 0, 1, …, without a tail of 1e-8."""
         raise NotImplementedError(f"demand {self.kind!r} does not come in whole units.")
 
     def integral(self) -> bool:
@@ -86,7 +86,7 @@ class Demand(eqx.Module):
         return self.integer
 
     def in_pieces(self) -> bool:
-        """Whether demand, or its history, is whole: then orders are, unless a case says else."""
+        """Whether demand, or its history, is whole: by default orders are then whole, too."""
         return self.integral()
 
     def values(self) -> dict[str, float]:

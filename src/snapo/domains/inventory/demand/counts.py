@@ -1,15 +1,15 @@
 """Demand in whole units: the quantile of its distribution, with a derivative with respect to its
 parameters.
 
-Demand k is drawn where the uniform number u lies between F(k - 1) and F(k), F being the
-distribution function. A step function has no useful derivative; this one is given
+Demand k is drawn if the uniform number u is between F(k - 1) and F(k), where F is the distribution
+function. A step function has no useful derivative; this one is given
 
     d demand = - d F(k - 1) / p(k),        p(k) = F(k) - F(k - 1),
 
-with which the derivative of E f(demand) comes out right for every f that is straight between whole
-numbers, if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k - 1)) over
-k, by parts. Costs of an inventory with whole orders are such functions of every demand. For a
-Poisson demand d demand / d mean is k / mean.
+with which the derivative of E f(demand) is exact for every f that is linear between whole numbers,
+if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k - 1)) over k, by
+parts. Costs of an inventory with whole orders are such functions of every demand. For a Poisson
+demand d demand / d mean is k / mean.
 
 Between whole numbers the rule is to differentiate stock upwards and so demand downwards; the
 simulator writes its corners so that they do.
@@ -38,7 +38,7 @@ ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
 
 class CountDemand(Demand):
-    """Demand 0, 1, … up to `maximum`; the last one holds all that lie above.
+    """Demand 0, 1, … up to `maximum`; the last one includes all above.
 
     - `maximum`: the number of demands above zero that are distinguished.
     """

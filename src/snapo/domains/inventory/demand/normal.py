@@ -18,7 +18,7 @@ class NormalTable(CaseTable):
 
 @register
 class NormalDemand(Demand):
-    """mean + deviation z. Below zero it is goods that come back; rare from 3 deviations on."""
+    """mean + deviation z. Negative demand means returned goods; it is rare from 3 deviations on."""
 
     kind = "normal"
     table = NormalTable

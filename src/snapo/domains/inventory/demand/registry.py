@@ -1,4 +1,4 @@
-"""Finds the kinds of demand in this folder, and reads `[demand]` with the one that it names."""
+"""Collects the kinds of demand in this folder, and reads `[demand]` with the named one."""
 
 import pkgutil
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
 
 
 def kinds() -> dict[str, type[Demand]]:
-    """Every known kind of demand under its name in `[demand]`."""
+    """{name in `[demand]`: kind of demand}, for all kinds."""
     return dict(KINDS)
 
 

@@ -38,8 +38,8 @@ def economic_lot(case: InventoryCase) -> float:
 
 
 def usual_cost(case: InventoryCase) -> float:
-    """Of a period: that of economic lots and that of a newsvendor's safety stock, as if at right
-    angles, and purchases. Of three (s, S) optima it is off by 2 to 11 %."""
+    """Of a period: the costs of economic lots and of a newsvendor's safety stock, added in
+    quadrature, and purchases. For three (s, S) optima its error is 2 to 11 %."""
     item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")
     lots = economic_lot(case) * holding * shortage / (holding + shortage)
@@ -49,9 +49,9 @@ def usual_cost(case: InventoryCase) -> float:
 
 
 def memory(case: InventoryCase) -> float:
-    """Periods after which an order has no effect any more: twenty times a lot's and its lead time.
+    """Periods after which an order no longer has an effect: twenty times a lot's and its lead time.
 
-    In one case the derivative with respect to when to order, -.06 a deviation of a cost of 12.9, is
-    off by .02 with twenty, by .04 with ten.
+    In one case the derivative with respect to when to order, -.06 per deviation at a cost of 12.9,
+    has an error of .02 with twenty, .04 with ten.
     """
     return 20 * (case.item.lead_time + 1 + economic_lot(case) / mean_demand(case))

@@ -1,4 +1,4 @@
-"""An inventory case, as it was read."""
+"""An inventory case as read from its file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +38,7 @@ class Item:
 
     @property
     def fixed(self) -> bool:
-        """Whether an order costs something whatever its size."""
+        """Whether an order has a fixed cost."""
         return bool(self.ordering.values[0] > 0)
 
     def inputs(self) -> tuple[CaseInput, ...]:

@@ -12,11 +12,11 @@ A period t, with a lead time of L periods:
 With L = 0 the order of this period is on hand before its demand. Timing and names are those of
 Zipkin, Old and new methods for lost-sales inventory systems, Operations Research 56 (2008).
 
-Where an order has a cost of its own, training draws at random whether there is one, with the
-probability that the policy gives, and multiplies costs by the likelihood of what was drawn
-(`Choice.draw`). Placing a part of an order instead of that would be another problem: its best rule
-is as sharp as it can be, and derivatives through a sharp threshold explode. (Trained so, rules
-came to cost 1 to 18 % more than the best one, and the first rule was kept.)
+Where an order has a fixed cost, training draws at random whether an order is placed, with the
+probability given by the policy, and multiplies costs by the likelihood ratio of the draw
+(`Choice.draw`). Placing a fraction of an order would be another problem: its best rule is as sharp
+as possible, and derivatives through a sharp threshold explode. (Rules trained that way cost 1 to 18
+% more than the best one, and the initial rule was kept.)
 """
 
 from typing import Any, Self
@@ -45,15 +45,15 @@ AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "
 class InventorySimulator(Simulator):
     """One path of an item; the inputs are those of `InventoryCase.inputs`.
 
-    It holds no case: all in which two items of one form differ is an array, or an input.
+    It holds no case: items of the same form differ only in arrays and inputs.
 
     **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
     periods differ; `demand`: of the case, `formed`; `weights`, `counted` [T] as of the case; and
     its estimates `safety_factor`, `usual_cost` and `memory`.
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
-    "missed" (1 if demand was unmet since the last arrival; of the value alone), and with a cost of
-    an order the "likelihood" of what training has drawn: 1, with a derivative.
+    "missed" (1 if demand was unmet since the last arrival; exact simulation only), and with a fixed
+    cost the "likelihood" ratio of the draws of training: 1, with a derivative.
 
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
@@ -99,7 +99,7 @@ class InventorySimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Demand, and what decides whether an order is placed in training."""
+        """Demand, and the draw that decides whether an order is placed in training."""
         return 2 if self.fixed else 1
 
     def prepare(self, inputs: Any) -> Schedule:
@@ -240,15 +240,15 @@ def _order(action_set: Actions, action, fixed: bool, smooth):
 
 
 def _weighted(outputs, likelihood, usual):
-    """The outputs, with the derivative of the likelihood of what has led to them; of the result
-    only as far as it is not `usual`, for the less is multiplied, the less noise there is."""
+    """The outputs times the likelihood ratio of the draws before them; the result only in its
+    deviation from minus the `usual` cost, since a smaller factor adds less noise."""
     innovation = outputs["result"] + usual
     weighted = {name: likelihood * output for name, output in outputs.items()}
     return weighted | {"result": outputs["result"] + (likelihood - 1) * innovation}
 
 
 def _cycle(state, order, unmet, lead_time: int, smooth):
-    """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
+    """(whether the current cycle has missed demand, (cycles that end, those without unmet
     demand)): of the value only; training has no use for them."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):

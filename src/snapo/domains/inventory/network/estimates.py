@@ -1,4 +1,5 @@
-"""Rules of thumb of a network: where rules start, and the cost of a period to expect, by place."""
+"""Rules of thumb of a network: initial values of rules, and the expected cost of a period, by
+place."""
 
 import numpy as np
 from scipy import stats
@@ -31,7 +32,7 @@ def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
 
 
 def _above(case: NetworkCase, i: int) -> float:
-    """The holding cost of the supplier, 0 of what comes from outside."""
+    """The holding cost of the supplier, 0 for supply from outside."""
     supplier = case.network.sites[i].supplier
     return float(case.holding.values[supplier]) if supplier is not None else 0.0
 
@@ -50,11 +51,11 @@ def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 
 
 def economic_lots(case: NetworkCase) -> np.ndarray:
-    """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no cost of its own.
+    """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no fixed cost.
 
-    h is the local holding cost of the places with customers, e that of the place's echelon: what
-    holding a unit there costs more than at its supplier. One place by itself has the lot of an
-    item.
+    h is the local holding cost of the places with customers, e that of the place's echelon: the
+    additional cost of holding a unit there instead of at its supplier. A single place has the lot
+    of an item.
     """
     lots, (mean, _) = np.zeros(len(case.network.sites)), served(case)
     for i, cost in zip(case.network.fixed, _ordering(case)):
@@ -73,8 +74,7 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """[n], [m] how far S lies above and s below the first level, in deviations; 0 and none where
-    an order has no cost of its own.
+    """[n], [m] S above and s below the first level, in deviations; 0 and none without a fixed cost.
 
     With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
     holding cost of the supplier); an order is placed half a period's demand too late on average.
@@ -93,10 +93,11 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 
 
 def usual_costs(case: NetworkCase) -> np.ndarray:
-    """[n] costs of a period at each place: what is left over is the noise of training.
+    """[n] costs of a period at each place; deviations from them are the noise of training.
 
-    A place with customers has an item's: economic lots and a newsvendor's safety stock, as if at
-    right angles. Another one has its orders, and what its first levels leave there and on the way.
+    A place with customers has the costs of an item: economic lots and a newsvendor's safety stock,
+    added in quadrature. Any other place has the costs of its orders, and of stock and goods on
+    their way at its initial levels.
     """
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = first_batches(case)
@@ -123,7 +124,7 @@ def _usual_levels(case: NetworkCase) -> np.ndarray:
 
 
 def memory(case: NetworkCase) -> np.ndarray:
-    """[m] periods after which an order has no effect any more: twenty times a lot's, and those
+    """[m] periods after which an order no longer has an effect: twenty times a lot's, and those
     that it takes to the last customer. See `item.estimates.memory`."""
     lots, (mean, _), sites = economic_lots(case), served(case), list(case.network.fixed)
     return 20 * (case.network.cover[sites] + lots[sites] / mean[sites])

@@ -1,9 +1,9 @@
-"""Orders with a cost of their own: whether each place orders, and the likelihood of it in training.
+"""Orders with a fixed cost: whether each place orders, and its likelihood ratio in training.
 
 As for one item (see `item.simulator`), training draws at random whether a place orders, with the
-probability that the policy gives, and multiplies costs by the likelihood of what was drawn. Every
-place has its own likelihood; a cost is multiplied by those of the places that its place is linked
-to, for no other has an effect on it, and would only add noise.
+probability given by the policy, and multiplies costs by the likelihood ratio of the draws. Every
+place has its own ratio; a cost is multiplied by those of the places linked to its place, since the
+others have no effect on it and would only add noise.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from .records import SupplyNetwork
 
 
 def choices(network: SupplyNetwork) -> dict[str, Actions]:
-    """Whether to order, of every place where an order has a cost of its own."""
+    """Whether to order, for every place where an order has a fixed cost."""
     return {_name(network, i): Choice(2) for i in network.fixed}
 
 
@@ -30,8 +30,8 @@ def _name(network: SupplyNetwork, i: int) -> str:
 class Placed(NamedTuple):
     """Which places order.
 
-    - `orders` [n]: 1 where a place orders, or may at no cost of its own.
-    - `likelihood` [m]: 1, with the derivative of what has been drawn, of each of `network.fixed`.
+    - `orders` [n]: 1 where a place orders, or may do so without a fixed cost.
+    - `likelihood` [m]: ratios of the draws of `network.fixed`: 1, with a derivative.
     """
 
     orders: jax.Array
@@ -47,11 +47,10 @@ def placed(
     normals,
     smooth,
 ) -> Placed:
-    """Whether places order: as the policy says; in training drawn with its probabilities.
+    """Whether places order: decided by the policy; in training drawn with its probabilities.
 
     - `parts`: of the action; `likelihood` [m]: of the periods before; `normals` [m].
-    - `remembered` [m]: the share of it that counts: what was drawn long ago has no effect on this
-      period, only noise.
+    - `remembered` [m]: the share of it that counts: draws long ago add only noise to this period.
     """
     orders, ratios = jnp.ones(len(network.sites), likelihood.dtype), []
     for k, i in enumerate(network.fixed):
@@ -66,10 +65,10 @@ def placed(
 
 
 class LikelihoodWeights:
-    """The number 1 by which outputs are multiplied, with the derivative of what has led to them.
+    """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
 
-    - `likelihood` [m]: of this period; None where no order has a cost of its own.
-    - `usual_costs` [n]: of a period at each place.
+    - `likelihood` [m]: of this period; None where no order has a fixed cost.
+    - `usual_costs` [n] of a period at each place.
     """
 
     def __init__(self, network: SupplyNetwork, likelihood, usual_costs):

@@ -14,7 +14,7 @@ from ..policy.order_up_to import TRIGGER
 from .records import SupplyNetwork
 
 SHARP = 4.0  # of the softplus, as for one item
-KEPT = -0.5  # deviations: a store holds back little at first
+KEPT = -0.5  # deviations: a store initially holds back only a small amount
 
 
 class EchelonRule(Policy):
@@ -22,16 +22,15 @@ class EchelonRule(Policy):
 
     `gap` is the level of a place's echelon less its position: all goods there, on their way there
     and further down, less demand that waits. An echelon base-stock rule is optimal on a line
-    (Clark and Scarf, 1960). Where an order has a cost of its own, it is placed where
-    gap > wait + network(seen): an (s, S) rule of the echelon. What stores of a pool hold back, or
-    their bands, are unit softplus(kept + network(seen)), and the shift of their balance is
-    unit network(seen).
+    (Clark and Scarf, 1960). An order with a fixed cost is placed where gap > wait + network(seen):
+    an (s, S) rule of the echelon. The amounts that stores of a pool hold back, or their bands, are
+    unit softplus(kept + network(seen)), and the shift of their balance is unit network(seen).
 
-    - `batch` [n], `wait` [m]: where it starts, in deviations: S above the first level of the
-      echelon, and s below it, of each of the m places where an order has a cost.
+    - `batch` [n], `wait` [m]: initial values, in deviations: S above the first level of the
+      echelon, and s below it, for each of the m places with a fixed cost.
     - `plain`: without a network, and no order of nothing is placed: a classical rule.
-    - `movers`: the places of what is held back and of the bands, in the order of the action;
-      `shifts` of them, the last ones, have a shift; `fixed`: the m places.
+    - `movers`: the places that hold back an amount or have a band, in the order of the action; the
+      last `shifts` of them have a shift; `fixed`: the m places.
     """
 
     network: Network | None

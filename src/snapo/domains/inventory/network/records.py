@@ -20,7 +20,7 @@ class Site:
     - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
     - `lead_time`: periods from an order to its arrival, before the demand of that period.
     - `sells`: whether it has customers; `seasonal`: whether their demand has a season.
-    - `fixed`: whether an order costs something whatever its size.
+    - `fixed`: whether an order has a fixed cost.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Pool:
-    """Places with customers that send one another goods, at once: lateral transshipment.
+    """Places with customers that exchange goods without a lead time: lateral transshipment.
 
     - `sites`: their numbers; `one_way`: only from the first of two to the second.
     - `before`: whether they do so before the demand of a period is known, to balance their
@@ -59,7 +59,7 @@ class Pool:
 class SupplyNetwork:
     """The places of a network and the ways between them, without any costs and demands.
 
-    - `integer`: whether orders and all that is sent are whole numbers.
+    - `integer`: whether orders and shipments are whole numbers.
     - `cheapest_first`: the numbers of the pools in the order in which they act.
     """
 
@@ -76,7 +76,7 @@ class SupplyNetwork:
 
     @cached_property
     def fixed(self) -> tuple[int, ...]:
-        """The numbers of the places where an order costs something whatever its size."""
+        """The numbers of the places with a fixed cost per order."""
         return tuple(i for i, site in enumerate(self.sites) if site.fixed)
 
     @property
@@ -109,7 +109,7 @@ class SupplyNetwork:
 
     @cached_property
     def linked(self) -> np.ndarray:
-        """[n, n]: 1 where what one place does may have an effect on the other."""
+        """[n, n]: 1 where decisions of one place may have an effect on the other."""
         supplies = self.supplies + self.supplies.T + np.eye(len(self.sites))
         for pool in self.pools:
             supplies[np.ix_(pool.sites, pool.sites)] = 1.0

@@ -21,13 +21,12 @@ BAND = 0.5  # deviations: where the search for one begins
 
 
 class RuleNumbers(NamedTuple):
-    """Of a classical rule, all in deviations of the demand that a place serves.
+    """The numbers of a classical rule, in deviations of the demand that a place serves.
 
-    - `above` [n]: how far its levels lie above those of the simulator.
-    - `reserve`: the bands of stores; what they hold back after demand is nothing, but for
-      `ENDLESS`.
-    - `wait` [m]: how far reorder points lie below the levels of the simulator, of each place where
-      an order has a cost of its own; None where it orders whenever it is below its level.
+    - `above` [n]: its levels less those of the simulator.
+    - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
+    - `wait` [m]: the levels of the simulator less the reorder points, for each place with a fixed
+      cost; None where a place orders whenever it is below its level.
     """
 
     above: tuple[float, ...]

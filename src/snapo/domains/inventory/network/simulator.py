@@ -2,18 +2,18 @@
 
 A period:
 
-1. Every place orders, knowing all stocks and goods on their way. A supplier with less than all
-   that is asked of it shares it in proportion, and sends nothing later: what is missing is asked
-   for again.
+1. Every place orders, knowing all stocks and goods on their way. A supplier with less than the sum
+   of the orders shares its stock in proportion, and sends nothing later: places order the rest
+   again.
 2. Goods arrive: with a lead time of 0 those just sent, else those sent that many periods ago.
 3. Stores of a pool that acts before demand balance their stocks.
-4. Demand is met from stock; in a pool that acts after it, what is left goes where stock was short.
-   Demand that is still unmet is lost, or waits (stock is then below zero).
-5. Holding is paid on stock and on goods on their way from a place, shortage on unmet demand; where
-   an order has a cost of its own, it is paid by order placed, also where less is sent, or nothing.
+4. Demand is met from stock; in a pool that acts after it, remaining stock is sent to places that
+   ran out. Demand that is still unmet is lost, or waits (stock is then below zero).
+5. Holding is paid on stock and on goods on their way from a place, shortage on unmet demand; a
+   fixed cost is paid per order placed, even if less is sent, or nothing.
 
-A place has `lead_time + 1` periods of demand to cover before its next order can arrive, and one
-that it supplies as many more: the line of Clark and Scarf (1960) with lead times one longer.
+A place has to cover `lead_time + 1` periods of demand before its next order can arrive, and a place
+supplied by it as many more: the line of Clark and Scarf (1960) with lead times longer by one.
 """
 
 from typing import Any, NamedTuple, Self
@@ -63,19 +63,19 @@ class Levels(NamedTuple):
 class NetworkSimulator(Simulator):
     """One path of a network; the inputs are those of `NetworkCase.inputs`.
 
-    It holds no case: all in which two networks of one form differ is an array, or an input.
+    It holds no case: networks of the same form differ only in arrays and inputs.
 
     **Arguments:** `network`; `horizon`;
     `demands`: of the case, `formed`; `first`: the numbers of demand from which a path starts, a
     fact that moves with no input; `weights`, `counted` [T] as of the case; and its estimates
     `safety_factors` [n], `usual_costs` [n] and `memory` [m].
 
-    State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the
-    next arrival first; with costs of an order the "likelihood" [m] of what training has drawn: 1,
-    with a derivative. Action [n]: the amount that each place asks for; with pools of stores more
-    parts, [m] each: "held", the amount that a store holds back after demand; "band" and "shift",
-    how far from balance its stock may be before demand, and how much higher its balance is; and
-    "order_NAME", whether a place orders, where an order has a cost of its own.
+    State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the next
+    arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a
+    derivative. Action [n]: the amount that each place orders; with pools of stores further parts,
+    [m] each: "held", the amount that a store holds back after demand; "band" and "shift", the
+    distance of its stock from balance before demand that is allowed, and the shift of its balance;
+    and "order_NAME", whether a place with a fixed cost orders.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
     "demand", "sold" (met at once), "stock" and "short" (1 where any place falls short), and
@@ -115,7 +115,7 @@ class NetworkSimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Demands, and what decides in training whether a place orders."""
+        """Demands, and the draws that decide in training whether a place orders."""
         return len(self.network.sellers) + len(self.network.fixed)
 
     @property
@@ -170,7 +170,7 @@ class NetworkSimulator(Simulator):
         return Schedule(constants, steps | item)
 
     def levels(self, inputs: Any, periods: int) -> Levels:
-        """Those of the first `periods`; where there is no season, all are equal."""
+        """Those of the first `periods`; without a season, all are equal."""
         network = self.network
         reach = jnp.asarray(network.serves[:, network.sellers])
         longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))
@@ -350,7 +350,7 @@ class NetworkSimulator(Simulator):
         supplies = jnp.asarray(self.network.supplies, stock.dtype)
         total = supplies @ requested
         held = smooth.positive_part(stock, constants["corner"])
-        # In this order, as stock is differentiated upwards where it is just what was asked for.
+        # In this order, since the derivative with respect to stock is the one upwards at equality.
         values = smooth.minimum(held, total, constants["corner"])
         some = total > 0
         share = jnp.where(some, values, 1.0) / jnp.where(some, total, 1.0)

@@ -1,15 +1,17 @@
-"""Goods that stores send one another: before demand, to balance stocks, or after it, where short.
+"""Transfers between stores: before demand, to balance stocks, or after it, to meet shortages.
 
-In a pool every place sends what it has beyond one level and takes its shortage to another, which
-is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools follow
-one another, the cheapest first. With two places, or one cost for all, no other way to move as much
-is cheaper.
+In a pool every place offers its stock above one level and requests its shortage below another,
+which is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools act
+in turn, the cheapest first. With two places, or one cost for all, no cheaper way to move as much
+exists.
 
-- **After demand** a place sends what is left beyond the amount that it holds back, and takes what
-  it is short of. Holding nothing back is complete pooling (Krishnan and Rao, 1965; Tagaras, 1989).
-- **Before demand** the level is that of balance, at which all places of the pool are as many
-  standard deviations above their mean demand; a place sends what it has beyond it by more than a
-  band, and takes its shortage by more than a band. A shift of its own moves its balance.
+- **After demand** a place offers the remaining stock above the amount that it holds back, and
+  requests its unmet demand. Holding nothing back is complete pooling (Krishnan and Rao, 1965;
+  Tagaras, 1989).
+- **Before demand** the level is that of balance, at which all places of the pool are the same
+  number of standard deviations above their mean demand; a place offers its stock above balance plus
+  a band, and requests its shortage below balance minus the band. Each place has a shift of its
+  balance.
 """
 
 from collections.abc import Sequence

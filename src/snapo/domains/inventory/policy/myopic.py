@@ -70,7 +70,7 @@ def myopic(
 
 
 def _moved(probabilities: Array, by: Array) -> Array:
-    """Probabilities of a stock to which an amount is added; what is beyond stays at the end."""
+    """Probabilities of a stock after an amount is added, capped at the end of the grid."""
     n = probabilities.shape[0]
     positions = jnp.minimum(jnp.arange(n) + by.astype(jnp.int32), n - 1)
     return jnp.zeros_like(probabilities).at[positions].add(probabilities)

@@ -3,7 +3,7 @@
     order = deviation softplus(gap + first + gain · seen + network(seen))
 
 gap being the base-stock level less the inventory position; all in standard deviations of demand.
-It starts as the base-stock rule. Where an order has a cost of its own, a second number decides
+It starts as the base-stock rule. With a fixed cost per order, a second number decides
 whether there is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the
 state.
 """
@@ -65,7 +65,7 @@ class OrderUpTo(Policy):
 
 
 def within(action: Actions, size, smooth):
-    """[1] an amount of at least 0, no more than the most that can be ordered, rounded if whole."""
+    """[1] an amount of at least 0, at most the maximum order, rounded if whole."""
     maximum = float(action.bounds()[1][0])
     cut = smooth.minimum(size, maximum, scale=maximum) if maximum < float("inf") else size
     return action.settle(cut[None], smooth)

@@ -29,11 +29,11 @@ RULES = {
 class Classical(Policy):
     """Order up to a level, at most a cap, and only from a reorder point down.
 
-    Level and reorder point are given relative to the simulator's own level of the period, so that
+    Level and reorder point are given relative to the simulator's level of the period, so that
     they move with a season.
 
-    - `above`: the level S is that much above; `cap`: the most of one order; `reorder`: an order
-      is placed where the inventory position lies below s = level + reorder.
+    - `above`: the level S is higher by this; `cap`: the maximum order; `reorder`: an order is
+      placed if the inventory position is below s = level + reorder.
 
     With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock
     rule (Xin, 2021); with an infinite level and a cap a constant order; with a reorder point an
@@ -70,7 +70,7 @@ def item_rules(setup: Setup) -> Iterator[tuple[str, Classical, dict[str, float]]
 
 
 def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
-    """One of the rules with its numbers; those that it does not have never bind."""
+    """One of the rules with its parameters; those that it does not have never bind."""
     endless = ENDLESS * max(1.0, mean_demand(case_of(setup)))
     values = {key: numbers.get(key, endless) for key in ("above", "cap", "reorder")}
     arrays = {key: jnp.asarray(value, jnp.float32) for key, value in values.items()}

@@ -185,7 +185,7 @@ def _check(
         if row.demand is None and not supplying:
             raise section.error("demand", None, "this place has no customers and supplies no other")
         if row.demand is not None and supplying:
-            message = "a place that supplies another one has no customers of its own: add a place"
+            message = "a place that supplies another one has no customers: add a place"
             raise section.error("demand", row.demand, message)
         observed, here = {row.name}, row.supplier
         while here is not None:
@@ -208,9 +208,9 @@ def _pools(
             message = f"the places with customers are {', '.join(sell)}"
             raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
-            raise section.error("between", table.between, "each place is there once")
+            raise section.error("between", table.between, "a place is listed once")
         if table.one_way and len(table.between) != 2:
-            message = "one way leads from the first to the second of two places"
+            message = "with one_way there are two places, the first of which sends to the second"
             raise section.error("one_way", True, message)
         sites = tuple(names.index(name) for name in table.between)
         pool = Pool(sites if table.one_way else tuple(sorted(sites)), table.one_way,
@@ -247,7 +247,7 @@ def _inner(section: TableContext, name: str) -> TableContext:
 
 
 def _whole(demand: Demand, season: CaseInput | None) -> bool:
-    """Whether all that customers ask for is whole: a history times a season is not."""
+    """Whether all demand is whole: a history times a season is not."""
     return demand.integer or (demand.in_pieces() and season is None)
 
 

@@ -1,4 +1,4 @@
-"""The season of a demand: a factor for each period, over and over."""
+"""The season of a demand: a factor for each period, repeated cyclically."""
 
 from collections.abc import Mapping
 from typing import Any

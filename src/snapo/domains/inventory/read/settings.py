@@ -17,7 +17,7 @@ class FileWithSettings(Protocol):
 def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
     """Objective, training and evaluation, as a case holds them.
 
-    **Raises:** `CaseError` for every mistake, and for an objective that costs do not have.
+    **Raises:** `CaseError` for every mistake, and for an objective that does not apply to costs.
     """
     settings = {
         "objective": read_objective(top.objective, file),
@@ -27,6 +27,6 @@ def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
     kind = settings["objective"].kind
     check_window(settings["training"], [kind], file)
     if kind == "crra":
-        message = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
+        message = "costs are not wealth; use mean, cvar, mean-variance, entropic or target"
         raise CaseError(file, "objective.kind", "crra", message)
     return settings

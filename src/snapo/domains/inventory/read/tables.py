@@ -29,7 +29,7 @@ COMING = (
 def whole_number(
     low: int, high: int | None = None, default: Any = ..., noun: str = "a whole number"
 ) -> Any:
-    """A key for a whole number from `low` to `high`, which its text says."""
+    """A key for a whole number from `low` to `high`, with its description."""
     text = f"{noun}, {low:,} or more" if high is None else f"{noun}, {low:,} to {high:,}"
     return Field(default, ge=low, le=high, description=text)
 
@@ -40,7 +40,7 @@ def lead_time() -> Any:
 
 
 def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
-    """The orders on their way at the start; the keys before it tell how many there are."""
+    """The orders on their way at the start; their number follows from the keys before it."""
     if raw is None or "lead_time" not in key.values:
         return None
     if not isinstance(raw, list):

@@ -1,7 +1,7 @@
 """A reservoir: how much water to send through the turbines each week, prices and rain unknown.
 
-ONE path, in plain jax.numpy: no batch dimension, no random keys, no loop over time. What a name
-under [inputs] in case.toml holds comes in as inputs["name"]. Try:
+ONE path, in plain jax.numpy: no batch dimension, no random keys, no loop over time. An entry of
+[inputs] in case.toml is passed as inputs["name"]. Try:
 
     snapo check . --simulator simulator:Reservoir
     snapo solve . --simulator simulator:Reservoir
@@ -46,7 +46,7 @@ class Reservoir(snapo.Simulator):
         )
 
     # One week of one path. A limit is written with `smooth`, in the units of `scale`: training
-    # sees it rounded, the value that is reported sees it exact.
+    # uses the smooth limit, the reported value the exact one.
     def step(self, constants, now, state, action, noise, smooth):
         wet, swing = constants["rain_volatility"], constants["price_volatility"]
         inflow = now["inflow"] * jnp.exp(wet * noise[0] - wet**2 / 2)
@@ -61,7 +61,7 @@ class Reservoir(snapo.Simulator):
         outputs = {"cash": cash, "release": release, "spill": left - water}
         return {"water": water, "log_price": log_price}, outputs
 
-    # At the end, water left is worth something per hm3.
+    # At the end, the remaining water has a value per hm3.
     def terminal(self, constants, state, smooth):
         return {"cash": constants["end_value"] * state["water"]}
 

@@ -1,4 +1,4 @@
-"""The best mix at given prices: the most that a unit of money can be worth within the limits."""
+"""The best mix at given prices: the maximum value of a unit of money within the limits."""
 
 from typing import NamedTuple
 
@@ -10,8 +10,8 @@ from ..records.case import PensionModel
 
 
 class MixBounds(NamedTuple):
-    """Of the weights: bounds [n]; `group` [n] the group of each class, groups [k] with bounds
-    (a class without a group is one of its own); of the swaps: `minimum`, `maximum` [b] shares."""
+    """Bounds [n] of the weights; `group` [n] the group of each class, groups [k] with bounds (a
+    class without a group forms one); of the swaps: `minimum`, `maximum` [b] shares."""
 
     low: np.ndarray
     high: np.ndarray
@@ -50,10 +50,10 @@ def limits(case: PensionModel, leverage: float) -> MixBounds:
 def best_mix(
     limits: MixBounds, value: Float[Array, " n"], swaps: Float[Array, " b"]
 ) -> Float[Array, ""]:
-    """max over weights and shares of weights @ worth + shares @ swaps.
+    """max over weights and shares of weights @ value + shares @ swaps.
 
-    Classes belong to one group each, so filling the best first, within the room that the class,
-    its group and the whole leave, is exact: first what lower bounds demand, then the rest.
+    Each class belongs to one group, so a greedy fill is exact: first the lower bounds, then the
+    best classes within the room of the class, its group and the total.
     """
     best = jnp.sum(jnp.maximum(limits.minimum * swaps, limits.maximum * swaps))
     order = jnp.argsort(-value)

@@ -14,11 +14,11 @@ IN_MONEY = "assets"  # the output that is not a share of the liability
 
 
 def conjugate(objective: Objective, start: float = 1.0) -> Conjugate:
-    """The function of z > 0, for an objective that rises with the assets at the end.
+    """The conjugate as a function of z > 0, for an objective that increases in the final assets.
 
-    F >= 0 is the funding ratio then, or the assets themselves; `start` the funding ratio now.
+    F >= 0 is the final funding ratio, or the final assets; `start` the funding ratio now.
 
-    **Raises:** `ValueError` for another objective; it says which there are.
+    **Raises:** `ValueError` for any other objective, with a list of the allowed ones.
     """
     if isinstance(objective, ExpectedUtility) and objective.output in ("funding_ratio", IN_MONEY):
         return _of_power(objective.utility)

@@ -1,8 +1,8 @@
-"""The rights and payments of a path that no decision can undercut, or exceed.
+"""Bounds on the rights and payments of a path that hold for all decisions.
 
-Decisions move rights through indexation only, and contributions through assets and rights. The
-least rights follow from the least increase at every date, the most from the most; contributions
-are highest without assets, against the most rights.
+Decisions affect rights through indexation only, and contributions through assets and rights. The
+smallest rights follow from the smallest increase at every date, the largest from the largest;
+contributions are highest without assets and with the largest rights.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """On one path: `received` [T] the most that can come in net of what is paid out, money;
-    `liability` the least at the horizon."""
+    """Of one path: `received` [T] the maximum of contributions less payments, money; `liability`
+    the minimum at the horizon."""
 
     received: Float[Array, " T"]
     liability: Float[Array, ""]

@@ -19,7 +19,7 @@ class GaussianReturns(NamedTuple):
 
     - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
       + 1. Of classes made of bonds, to first order.
-    - `bonds`, `bond_load`: the same of the q bonds beneath classes and swaps, whatever the path.
+    - `bonds`, `bond_load`: those of the q bonds beneath classes and swaps, on all paths.
     - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
       swaps if there are any; None where nothing is made of bonds.
     """
@@ -85,7 +85,7 @@ def _exponent(mean: Array, load: Array, price: Array) -> Array:
 
 
 def fair(returns: GaussianReturns) -> np.ndarray:
-    """[Z] the least prices of risk at which no investment earns more than another, of the first
+    """[Z] the smallest prices of risk at which no investment earns more than another, of the first
     step on the first of many paths."""
     load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])
     mean = np.concatenate([returns.mean[0, 0, :-1], returns.bonds[0]])

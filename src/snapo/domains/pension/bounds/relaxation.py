@@ -1,13 +1,13 @@
 """The bound of a fund: its assets at a deflator's prices instead of the market's returns.
 
 With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
-is the most that a unit of deflated money can grow to on average within the limits of weights and
-swaps. Then D A earns nothing on average under any policy, so
+is the maximum expected growth of a unit of deflated money within the limits of weights and swaps.
+Then D A earns nothing on average under any policy, so
 
     E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
 
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
-least and the money received the most that any decision can bring about: exact where indexation and
+minimum and the money received the maximum over all decisions: exact where indexation and
 contributions do not depend on decisions, wide where they do. Costs of trading count as nothing.
 Assets are above zero: a debt, which leverage or payments can leave, earns more than nothing.
 """
@@ -40,7 +40,7 @@ SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
 class FundPaths(NamedTuple):
-    """The market of paths, whatever the prices: leaves [T, N, …], of bonds [T, …]."""
+    """The market of paths, for any prices: leaves [T, N, …], of bonds [T, …]."""
 
     returns: GaussianReturns
     noise: Float[Array, "T N Z"]
@@ -56,12 +56,12 @@ class Deflated(NamedTuple):
 
 
 class FundRelaxation:
-    """See `snapo.Relaxation`; prices of risk and y are fitted on paths of their own.
+    """See `snapo.Relaxation`; prices of risk and y are fitted on separate paths.
 
-    `policy` makes these paths; no decision matters there.
+    `policy` generates these paths; its decisions have no effect there.
     """
 
-    terms, description = 1, "the surprises of the assets at fitted prices of risk"
+    terms, description = 1, "the innovations of the assets at fitted prices of risk"
 
     def __init__(self, problem: Problem, policy: Policy, paths: int = PATHS):
         simulator = problem.simulator
@@ -77,7 +77,7 @@ class FundRelaxation:
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         if not scale.all():
-            raise ValueError('nothing limits a fund\'s assets in hindsight: take --penalty "value"')
+            raise ValueError('with foresight a fund has no limit: take --penalty "value"')
         with jax.enable_x64(True):
             available = self._paths(rollout, draws), self._extremes(rollout)
             value, money = self._split(self.price, *available)
@@ -123,7 +123,7 @@ class FundRelaxation:
         return FundPaths(returns, self._noise(draws))
 
     def _extremes(self, rollout: Rollout) -> Extremes:
-        """[N, …] the least and the most that decisions can bring about on these paths."""
+        """[N, …] the minimum and the maximum over all decisions on these paths."""
         before = rollout.record["state"].market
         after = jax.tree.map(
             lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rollout.state.market

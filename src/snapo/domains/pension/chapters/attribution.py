@@ -6,7 +6,7 @@ In a step F = A / L moves by dA (1 / L + 1 / L') / 2 - dL (A + A') / (2 L L'), w
 mean of moving assets first and of moving the liability first. dA and dL are sums of parts:
 
 - assets: contributions, benefits and expenses, costs; interest of all of them at the short rate;
-  and over it, bonds with swaps, credit, and the classes with a shock of their own.
+  and over it, bonds with swaps, credit, and the classes with a separate shock.
 - liability, in this order: benefits paid, rights accrued, both with interest at the short rate;
   the remainder, which is the curve's (and that of prices, where payments follow them);
   mortality away from the expected one; indexation granted beyond the part valued.
@@ -231,7 +231,7 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     caption = (
         f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the"
         " learned policy. In every month assets and liability are moved in both orders and the"
-        " mean of the two is taken; the liability's own parts come in the order benefits, accrual,"
+        " mean of the two is taken; the liability's parts come in the order benefits, accrual,"
         " interest, rates, mortality, indexation. Mortality: departures from the table; indexation:"
         " beyond the part valued already. The parts add up to the change of F on every path."
     )

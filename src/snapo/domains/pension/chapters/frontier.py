@@ -4,9 +4,9 @@ For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon
 present value of contributions over the liability of today. The sweep goes up and then down again;
 each time a policy is trained from the best one for its aim so far, wherever that one was trained,
 and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order only for that reason: of two policies that each serve their own aim best,
-the one for the larger s asks for less. They are chosen on the validation paths and measured on
-fresh ones, so that they are in order within their errors.
+points would be in order only for that reason: of two policies that are each best for their aim, the
+one for the larger s has lower contributions. They are chosen on the validation paths and measured
+on fresh ones, so that they are in order within their errors.
 """
 
 from collections.abc import Sequence
@@ -80,7 +80,7 @@ class FrontierSweep:
 
 
 def measure(run: StudyRun) -> FrontierSweep:
-    """The sweep of the weights that the case asks for."""
+    """The sweep of the weights requested in the case."""
     request, setup = case_of(run).frontier, run.setup
     if request is None:
         return FrontierSweep()
@@ -113,7 +113,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
 
 
 def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
-    """The candidate that is worth most; the first of equals."""
+    """The candidate with the highest value; the first of equals."""
     values = np.array([value_of(goal, item.totals) for item in candidates])
     return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 
@@ -142,7 +142,7 @@ def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -
         paths=max(values.paths, 2 * round(TAIL / (1 - frontier.level) / 2)),
         warmup=min(values.warmup, frontier.steps // 8),
         temperature_start=values.temperature_end,
-        exploration=0.0,  # the policy has explored already
+        exploration=0.0,  # the policy is trained already
         validation_every=max(1, frontier.steps // CHECKS),
     )
     problem = replace(setup.problem, objective=goal)

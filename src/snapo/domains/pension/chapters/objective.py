@@ -1,4 +1,4 @@
-"""The value of the objective: its terms, and the certain ratio that is worth as much."""
+"""The value of the objective: its terms, and the certainty-equivalent ratio."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Equivalent(NamedTuple):
 
 
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
-    """The certain final ratio that is worth as much; None for other objectives."""
+    """The certainty equivalent of the final ratio; None for other objectives."""
     ratios = FUNDING.output, PENSION.output
     if not (isinstance(objective, ExpectedUtility) and objective.output in ratios):
         return None

@@ -39,14 +39,14 @@ SHOWN = 12
 OBJECTIVE = "Objective"  # its name where it is a utility, which has no unit
 CAVEAT = (
     "First-order effects of the usual moves, decisions held, one adjoint pass for each output over"
-    " the same paths. Points are hundredths of the funding ratio or of probability; money is that"
-    " share of today's liability, and for contributions their present value itself. The probability"
-    " is the exact share of paths; its effects are those of a logistic step of width 2 points, the"
-    " mean of 1 / (1 + exp((F − 1) / 0.02)). A utility as objective is in units of its own. Every"
-    " number: outputs.csv."
+    " the same paths. Points are percentage points of the funding ratio or of probability; money "
+    "is that share of today's liability, and for contributions their present value itself. The "
+    "probability is the exact share of paths; its effects are those of a logistic step of width 2 "
+    "points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no unit. "
+    "Every number: outputs.csv."
 )
 OF_POTS = (
-    ("hundredths of the funding ratio", "hundredths of today's pension"),
+    ("points of the funding ratio", "points of today's pension"),
     ("money is that share of today's liability, and for contributions their present value itself",
      "for contributions money is their present value"),
     ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P being the pension over today's"),
@@ -67,7 +67,7 @@ class OutputValue:
 
 @dataclass(frozen=True)
 class OnOutputs:
-    """The effect of a usual move: {output: (effect, standard error)} in the output's own unit
+    """The effect of a usual move: {output: (effect, standard error)} in the output's unit
     (money, or 1)."""
 
     input: str
@@ -78,7 +78,7 @@ class OnOutputs:
 
 @dataclass(frozen=True)
 class InputOnOutputs(OnOutputs):
-    """Of all numbers of an input."""
+    """The effects of all numbers of an input."""
 
     count: int
     words: str

@@ -59,7 +59,7 @@ class PolicyMap:
     """Weights over funding ratio and time: means over the paths that are there.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: of the classes with a shock of their own; `hedge` [Y, R]: of the mean place
+    - `growth` [Y, R]: of the classes with a separate shock; `hedge` [Y, R]: of the mean place
       of the swap notionals in their ranges, empty without swaps; NaN where fewer than FEW paths
       are.
     """

@@ -1,4 +1,4 @@
-"""The model's own figures next to those of the actuary: is this the fund that the actuary knows?"""
+"""The model's figures next to those of the actuary: is this the fund that the actuary knows?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -37,8 +37,8 @@ RISKS = (
 )
 CAVEAT = (
     "The standard model with the present mix, on invested assets equal to the liability plus the"
-    " required own funds; bonds that are not of kind credit bear no spread risk. S6 and S10 are the"
-    " case's own shares."
+    " required own funds; bonds that are not of kind credit bear no spread risk. S6 and S10 are "
+    "shares specified in the case."
 )
 RECOVERY = (
     "Recovery: the trained policy's paths with contributions, indexation and cuts by the plan's"
@@ -47,7 +47,7 @@ RECOVERY = (
 FUNDING = (
     "Every basis discounts the same expected payments at annual rates of the curve plus its"
     " margin; mortality is that of the case on all of them. The payments of the recovery plan are"
-    " level, at the end of each year, and worth the deficit on technical provisions."
+    " level, at the end of each year, with the deficit on technical provisions as their value."
 )
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
 
@@ -133,13 +133,13 @@ def _key_rate_durations(case: PensionCase, figures: LiabilityFigures) -> KeyRate
 
 
 def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
-    """Own figures against those given, and the tests that scenarios must pass."""
+    """Figures of the model and of the actuary, and the tests that scenarios must pass."""
     local = result.reconciliation
     blocks: list[Block] = [Text(f"Note: {remark}.", caveat=True) for remark in local.remarks]
     if local.lines:
         head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
         rows = [_row(line) for line in local.lines]
-        blocks.append(Table(head, rows, "Own figures, and those of the actuary where given", 2))
+        blocks.append(Table(head, rows, "Figures of the model, and of the actuary if specified", 2))
     if local.in_words:
         blocks.append(Text(" ".join(f"{_capitalized(text)}." for text in local.in_words)))
     scale, unit = run.size(local.liability)

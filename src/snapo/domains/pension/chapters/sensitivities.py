@@ -32,10 +32,9 @@ HELD = (
     "Held: every path trades as it did, which at an optimum is also the effect on the re-optimised"
     " policy, to first order; through the policy: a bump of the exact fund, where it refutes that."
     " The 95 % interval adds the sampling error and the error of the policy."
-    " Reacting: the trained policy sees the moved fund and"
-    " answers by its rule, not trained anew; the distance between the two is left by training"
-    " and smoothing. Prices of risk, excess returns and today's market values are held while"
-    " the curve moves."
+    " Reacting: the trained policy observes the moved fund and decides by its rule, without new "
+    "training; the two differ only by the error of training and smoothing. Prices of risk, excess "
+    "returns and today's market values are held while the curve moves."
 )
 TOP = 14  # bars of the tornado
 ROWS = 400  # single numbers in the report; sensitivities.csv has all of them
@@ -43,7 +42,7 @@ TEXTS = frozenset({0, 1, 5})  # columns of text in the tables of single numbers
 
 
 class UsualMove(NamedTuple):
-    """How far each number of an input is moved [n], and the words."""
+    """The usual move of each number of an input [n], and its description."""
 
     size: np.ndarray
     words: str

@@ -34,7 +34,7 @@ ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in t
 
 
 def zero_rates(curve: MarketCurve) -> np.ndarray:
-    """[n] continuous zero rates at the nodes, whatever is quoted."""
+    """[n] continuous zero rates at the nodes, for any quotes."""
     if curve.quote == "zero":
         return curve.rate.used()
     if curve.quote == "swap":
@@ -194,8 +194,8 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
-        "Instantaneous and fully revalued, present holdings and swaps kept. Classes with a shock of"
-        " their own do not react to rates."
+        "Instantaneous and fully revalued, present holdings and swaps kept. Classes with a "
+        "separate shock do not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 

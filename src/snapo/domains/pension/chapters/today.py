@@ -28,7 +28,7 @@ BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 SIDES = ("assets", "swaps", "liability")
 RATES = (
     "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
-    " gain: the hedge ratio is the assets' and swaps' change over the liability's."
+    " gain: the hedge ratio is the change of assets and swaps over that of the liability."
 )
 PRICES = "IE01: the same for +1 bp of break-evens at each tenor, nominal rates held."
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
@@ -201,7 +201,7 @@ class Buckets:
 
 
 def _real(run: PensionRun, result: TodayTables) -> Table:
-    """+1 bp of all rates: what pays prices, what pays money, and both."""
+    """+1 bp of all rates: real assets, nominal assets, and both."""
     parts = []
     for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
         for side in ("assets", "liability"):

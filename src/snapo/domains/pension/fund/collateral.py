@@ -1,8 +1,9 @@
-"""Collateral behind swaps: what a rise of rates leaves of the assets that count, and what the swaps
-then owe, both revalued in full.
+"""Collateral behind swaps: the eligible assets and the debt of the swaps after a rise of rates,
+both by full revaluation.
 
-All zero rates rise equally, and with swaps of inflation break-evens fall by as much. Par swaps and
-coupon bonds are those of today's curve; what pays at one date is revalued equally on every path.
+All zero rates rise equally, and with inflation swaps break-evens fall by as much. Par swaps and
+coupon bonds are those of today's curve; assets with a single payment are revalued equally on every
+path.
 """
 
 from typing import Any, NamedTuple
@@ -28,8 +29,8 @@ class Stress(NamedTuple):
 
     def gap(self, weights: Array | np.ndarray, notional: Array | np.ndarray) -> Array:
         """The collateral that is missing, negative where more than enough is there; holdings
-        `weights` [n] and `notional` [b] in one unit. Borrowed cash can outweigh what counts: there
-        is no collateral then."""
+        `weights` [n] and `notional` [b] in one unit. Borrowed cash can exceed the eligible assets:
+        there is no collateral then."""
         there = self.cover @ weights
         return jnp.asarray(self.need @ notional - jnp.where(there >= 0, there, 0.0))
 

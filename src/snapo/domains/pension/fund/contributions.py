@@ -1,4 +1,4 @@
-"""Rules of contribution, an object each: the keys it takes, and the payment it asks for."""
+"""Contribution rules, one object each: its keys, and its payment."""
 
 from typing import ClassVar, NamedTuple
 
@@ -62,7 +62,7 @@ class FixedContribution(ContributionRule):
 
 
 class NormalCost(ContributionRule):
-    """The value of the step's accrual, whatever the funding ratio."""
+    """The value of the step's accrual, independently of the funding ratio."""
 
     kind = "normal-cost"
 

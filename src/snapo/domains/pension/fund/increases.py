@@ -13,7 +13,7 @@ RATIO, GROWTH = 0.1, 0.01  # scales of corners in funding ratios and in yearly p
 
 
 class IncreaseRule:
-    """One kind of `[plan.indexation]`; `takes`: the keys of its own."""
+    """One kind of `[plan.indexation]`; `takes`: its additional keys."""
 
     kind: ClassVar[str]
     takes: ClassVar[tuple[str, ...]] = ()

@@ -48,7 +48,7 @@ def _no(case: PensionModel) -> bool:
 class Feature:
     """A part of the observation: the numbers of one name.
 
-    - `see`: its numbers from a `View`. `size`: how many they are in a case.
+    - `see`: its numbers from a `View`. `size`: the length of the part in a case.
     - `usual`: whether a policy sees it where the case does not say.
     """
 

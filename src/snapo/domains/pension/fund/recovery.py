@@ -1,9 +1,8 @@
-"""Level payments that end a gap to the target: an annuity with the interest of the valuation.
+"""Level payments that close a gap to the target: an annuity at the interest of the valuation.
 
-Recovery periods of whole steps follow one another from time 0. At each step the gap that is there
-is divided by the worth of 1 a year until the end of its period, at the forward rates of the
-valuation today: where assets and liability earn them, payments are level and the gap is closed at
-the end.
+Recovery periods of whole steps follow one another from time 0. At each step the current gap is
+divided by the value of 1 a year until the end of its period, at the forward rates of the valuation
+today: where assets and liability earn them, payments are level and the gap is closed at the end.
 """
 
 from typing import Any

@@ -216,8 +216,8 @@ class PensionSimulator(Simulator):
         assets = assets if self._in_advance else assets + flows.net
         if held.notional is not None and constants.swaps is not None:
             minimum = MINIMUM * constants.assets
-            # Gains are settled: what a par swap was struck on stays, a sum that grows with its bond
-            # becomes that of a swap over as much.
+            # Gains are settled: the notional of a par swap stays, that of others grows with its
+            # bond.
             grown = jnp.exp(move.cash + move.swaps)
             rollout = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
             overlay = rollout / jnp.where(assets > minimum, assets, constants.assets)

@@ -14,7 +14,7 @@ from .simulator import PensionSimulator
 def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
     """[b] notionals where the policy puts them, from their `positions` in the ranges, 0 to 1.
 
-    `values`: [b] the money that limits are shares of (see `limit_unit`).
+    `values`: [b] the money to which limits refer (see `limit_unit`).
     """
     overlay = case.overlay
     if overlay is None:

@@ -48,7 +48,7 @@ def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> 
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
     size = weights
     if case.assets.short:
-        # A fee is paid on what is held, on either side of zero.
+        # A fee is paid on holdings of either sign.
         either = smooth.absolute(weights, SHARE)
         size = jnp.where(limits.low < 0, either, weights)
     cost = assets * (traded + jnp.sum(terms.fee * size))

@@ -1,7 +1,7 @@
 """The correlation matrix of all Brownian motions of a case, and the repair of a given one.
 
 Brownian motions in order: factors of the short rate, expected inflation, price index, wage,
-mortality, ratings, currencies, asset classes with a shock of their own.
+mortality, ratings, currencies, asset classes with a separate shock.
 """
 
 from collections.abc import Sequence

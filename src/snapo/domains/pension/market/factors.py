@@ -7,7 +7,7 @@ f_i(0) = 0. Over one step, with zeta and iota of `shocks`,
     int f_i = B_i(d) f_i + s_i (iota_i + lambda_i int_0^d B_i),
 
 both exact while s_i is constant in the step. A bond discounts by K = sum_i l_i int f_i + own noise
-+ a shift; l = (1 .. 1, 0) makes nominal bonds, l = (1 .. 1, -1) with the price index's own noise
++ a shift; l = (1 .. 1, 0) makes nominal bonds, l = (1 .. 1, -1) with the price index's noise
 -s_I dW_I makes real ones (R. Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates). With the
 covariances under the risk-neutral measure S of f_t, c of f_t and K_0t, and G = Var K_0t,
 

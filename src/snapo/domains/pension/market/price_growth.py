@@ -1,7 +1,7 @@
 """Growth of prices from date to date, as Gaussians under the measures of payments.
 
 Y_k = ln I(u_k) / I(u_{k-1}) seen from time t, u_k years later. With N(u) the part of ln I(t + u)
-that is not known at t, in the model of `factors` with volatilities that do not change,
+that is unknown at t, in the model of `factors` with volatilities that do not change,
 
     K(u, v) = Cov(N(u), N(v)) = int_0^min (s_p B(u-s) dW_p + s_I dW_I)(s_p B(v-s) dW_p + s_I dW_I)
     C(u, T) = Cov(N(u), int_0^T r) = int_0^u sum_i (s_p B(u-s) dW_p + s_I dW_I) s_i B_i(T-s) dW_i
@@ -31,8 +31,8 @@ class PriceGrowth(NamedTuple):
 
     - `phase` [T+1]: row of `variance`, `together`, `later` and `load`. `first` [T+1]: steps to the
       first date.
-    - `mean` [T+1, N]: of Y_k under the measure of a payment after date k, at an expected inflation
-      of zero surprise; `load` [phases, N]: its rise per unit of the factor of expected inflation.
+    - `mean` [T+1, N]: of Y_k under the measure of a payment after date k, with the factor of
+      expected inflation at zero; `load` [phases, N]: its rise per unit of that factor.
     - `variance` [phases, N]; `together` [phases, N, N]: covariances of pairs.
     - `later` [phases, N, N]: [n, k] fall of the mean of Y_k where the payment follows date n.
     """

@@ -21,7 +21,7 @@ class Slots(NamedTuple):
 
     `zeta`, `iota`: [g] of rates, then expected inflation. The others are slices; the vector is
     zeta and iota of rates, zeta and iota of inflation, price index, wage, mortality, ratings,
-    currencies, asset classes with a shock of their own.
+    currencies, asset classes with a separate shock.
     """
 
     zeta: np.ndarray

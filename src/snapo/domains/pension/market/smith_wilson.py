@@ -7,8 +7,8 @@ of the quotes' cash flows, a bond that pays 1 at t costs
                                                      - exp(-a |t - u|)) / 2
 
 Each quote is an instrument of price 1 whose cash flows, times exp(-w u), are a column of Q [m, n];
-b solves Q' H Q b = 1 - Q' 1. The speed a is given, or the least from 0.05 to 1 at which the forward
-rate at the convergence point T is within one basis point of w:
+b solves Q' H Q b = 1 - Q' 1. The speed a is specified, or the smallest from 0.05 to 1 at which the
+forward rate at the convergence point T is within one basis point of w:
 
     |f(T) - w| = a / |1 - k exp(a T)|,   k = (1 + a u' Q b) / (sinh(a u)' Q b)
 
@@ -90,7 +90,7 @@ def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "t
 
 
 def distance(dates: np.ndarray, local: Array, speed: Array, convergence: float) -> Array:
-    """ln of |f(T) - w| over the one that is asked for; 0 or less where it is met."""
+    """ln of |f(T) - w| over the required one; 0 or less where it is met."""
     weights = _weights(dates, local, speed)
     k = (1 + speed * dates @ weights) / (jnp.sinh(speed * dates) @ weights)
     gap = speed / jnp.abs(1 - k * jnp.exp(speed * convergence))

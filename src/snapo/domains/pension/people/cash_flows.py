@@ -6,7 +6,7 @@ spouse's pension each group of members has three: its own pension, the spouse's 
 were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
 a step belongs to those alive then.
 
-Where rights before payment grow by rates of their own, a spouse's pension depends on when the
+Where rights before payment grow by different rates, a spouse's pension depends on when the
 member died. The second stream is then of the rights that the dead so far left and that a death now
 would leave, and a fourth one takes those who died before an accrual out of it. The response to the
 mortality factor (`longevity`) leaves out that these rights depend on the member's life.

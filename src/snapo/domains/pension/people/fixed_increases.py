@@ -1,4 +1,4 @@
-"""Fixed increases: promised whatever happens, so that they are part of the payments themselves.
+"""Fixed increases are promised unconditionally, so they are part of the payments.
 
 At the end of every step that ends on the date of indexation, pensions in payment grow by the rate
 of `Indexation`. Rights before payment grow equally, or by the rates of a `Revaluation`: one for
@@ -46,7 +46,7 @@ def grown(
 
     **Arguments:**
 
-    - `drawn`: [C, N] above 0 where a member's own pension is in payment.
+    - `drawn`: [C, N] above 0 where a member's pension is in payment.
     """
     apart, count = case.plan.revaluation, drawn.shape[1]
     payment = in_payment(case, inputs, count)

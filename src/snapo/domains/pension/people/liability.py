@@ -1,9 +1,9 @@
-"""Payments by date become weights on a few nodes, at which each path values them with its curve.
+"""Payments by date become weights on a few nodes, where each path values them with its curve.
 
 Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
 cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
 the change of its curve since (1 where it followed the forwards), so the liability depends on the
-initial curve payment by payment, and only the curve's surprise is interpolated.
+initial curve payment by payment, and only the curve's innovation is interpolated.
 
 Liability at t: Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k), Theta being
 cumulative indexation, y realised and k present mortality, X the path's factor of the node, and a

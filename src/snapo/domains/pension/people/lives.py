@@ -88,8 +88,8 @@ def present(case: PensionModel, inputs: dict[str, Any], members: FundMembers, st
 def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: int) -> Lives:
     """Who replaces actives that retire or die: one group per sex and year of entry.
 
-    At the start of each year the entrants take over the pensionable salary that was given up
-    since the last one, so that it is at its level of time 0 at the start of every year.
+    At the start of each year entrants replace the pensionable salary that was lost since the last
+    one, so that it has its level of time 0 at the start of every year.
     """
     item = round(1 / case.step)
     entry = np.arange(item, case.steps, item)
@@ -129,7 +129,7 @@ def _renewal(selected: Float[Array, "E E"], missing: Float[Array, " E"]) -> Arra
 
 
 def joined(first: Lives, second: Lives) -> Lives:
-    """Both together; only the first have factors of their own."""
+    """Both together; only the first have separate factors."""
     factor = first.factor
     if factor is not None:
         factor = jnp.concatenate([factor, jnp.ones(len(second.age))])

@@ -11,13 +11,13 @@ from .mortality import Yearly, yearly
 
 AT_AGE = 65
 CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
-MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is looked for
+MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched for
 
 
 def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
     """Value of 1 a year in advance for life: sum of v^k kp_x, v = 1 / (1 + rate).
 
-    `probability`: q by age from 0 on; no one lives beyond its end.
+    `probability`: q by age from 0 on; the last age is not survived.
     """
     survival = np.concatenate([[1.0], np.cumprod(1 - np.asarray(probability)[age:])])
     return float(np.sum(survival * (1 + rate) ** -np.arange(len(survival))))
@@ -76,8 +76,9 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
     """All death probabilities scaled, by sex, until the expectation of life at 65 is a year longer.
 
     The change is that of the multipliers, else of the death probabilities, else of the formula,
-    whose hazards are scaled in their place, to first order in the scale. None where mortality is no
-    input or no scale does it. A number that both sexes share moves by the mean of the two moves.
+    whose hazards are scaled in their place, to first order in the scale. None if mortality is not
+    an input or no scale suffices. A number that both sexes share moves by the mean of the two
+    moves.
     """
     mortality = case.mortality
     if mortality is None:

@@ -13,8 +13,8 @@ Years are not independent, as expected inflation lasts: to first order in their 
     ln E prod X_k = sum ln E X_k + sum_{j<k} d_j d_k Cov(Y_j, Y_k)
 
 which is exact without limits. A later payment's measure shifts means, and ln E X_k by d_k of that.
-On a path the first year's part depends on the growth of prices so far, and is computed there; what
-the later ones add is a polynomial in the factor of expected inflation, fitted in `prepare`.
+On a path the first year's part depends on the growth of prices so far, and is computed there; the
+sum of the later ones is a polynomial in the factor of expected inflation, fitted in `prepare`.
 """
 
 from typing import Any, NamedTuple
@@ -81,7 +81,7 @@ def dates_before(case: PensionModel, first: np.ndarray, wait: np.ndarray) -> np.
 
 def log_growth(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the expected growth of rights until each payment at time s * step, seen today, under
-    the payment's own measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
+    the payment's measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
     result, none = price_growth(case, inputs, today=True), jnp.zeros(1)
     first, d_first, later, joint = _parts(case, inputs, result, none)
     complete = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]

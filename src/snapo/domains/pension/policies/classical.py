@@ -1,4 +1,4 @@
-"""Classical policies, with the numbers that tuning may move, and closed forms of known problems."""
+"""Classical policies with their tunable parameters, and closed forms of known problems."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .limits import AllocationLimits, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn
-NEEDED = ("time", "weights")  # of the observation, to see a year's end and what is held
+NEEDED = ("time", "weights")  # of the observation: year ends and holdings
 UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as large as logits
 
 
@@ -72,7 +72,7 @@ class GlidePath(Policy):
 
 
 class LiabilityDriven(Policy):
-    """A growth portfolio (classes with a shock of their own) and a hedge (bonds, credit, cash).
+    """A growth portfolio (classes with a separate shock) and a hedge (bonds, credit, cash).
 
     The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
     are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
@@ -126,7 +126,7 @@ class LiabilityDriven(Policy):
 
 
 def _whole(local: np.ndarray, grown: float) -> np.ndarray:
-    """[n] what the portfolio of each class weighs together, off zero."""
+    """[n] total weight of the portfolio of each class, kept away from zero."""
     complete = np.where(local, grown, 1 - grown)
     return np.where(np.abs(complete) < MINIMUM, MINIMUM, complete)
 
@@ -257,10 +257,10 @@ def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
 
 
 class OneOf(Policy):
-    """Decides as the rule at `place` does; only this one is tuned.
+    """Decides as the rule at `position` does; only this one is tuned.
 
-    All are computed, which costs a fund little compared with its own step; the place is a number
-    that the program reads, not a part of it.
+    All rules are evaluated, which is cheap compared with a step of the fund; the position is data
+    of the compiled program, not a constant of it.
     """
 
     rules: tuple[Policy, ...]

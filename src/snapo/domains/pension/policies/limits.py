@@ -107,7 +107,7 @@ class Cover(eqx.Module):
         values = (self.low, self.width, self.need, self.cover)
         low, width, need, cover = (jnp.asarray(x.array, positions.dtype) for x in values)
         share = low + positions * width
-        # Borrowed cash can outweigh what counts; there is no collateral then.
+        # Borrowed cash can exceed the eligible assets; there is no collateral then.
         there = jnp.maximum(jnp.sum(cover * weights), 0.0)
         needed = smooth.maximum(jnp.sum(need * share), there, SHARE)
         backed = share * there / jnp.where(needed > 0, needed, 1.0)

@@ -1,4 +1,4 @@
-"""Who gets the return of a fund of pots, and the solidarity reserve at the end of a year.
+"""How a fund of pots shares its return, and the solidarity reserve at the end of a year.
 
     protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
     of the reserve         = S Rc: a pot with x = 0
@@ -7,21 +7,21 @@
 
 R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
 that is fully protected buys the same pension whatever rates do; Rc is the return of cash over the
-step. Where all that the fund can hold earns Rc, so do every pot and the reserve, whatever their
-protections and exposures are: nothing is redistributed that is known beforehand.
+step. If all assets of the fund earn Rc, so do every pot and the reserve, for any protections and
+exposures: there is no ex-ante redistribution.
 
 Source: De Nederlandsche Bank, Open Boek Toezicht, Q&A "Hoe kan een pensioenuitvoerder de
 toedelingsregels zo vormgeven dat er op voorhand geen herverdelingseffecten tussen leeftijdsgroepen
 plaatsvinden in de solidaire premieregeling?" (29 June 2023, updated 7 November 2023), step 1: V RH
 is credited to a pot, on the whole of V; R is the return of the protection portfolio or of
 zero-coupon bonds, Rc that of cash, x the share of interest rates that is hedged. Its formula of RH
-is an image that could not be read: RH = x R + (1 - x) Rc follows from these words, and from
+is an image that could not be read: RH = x R + (1 - x) Rc follows from this text, and from
 Pensioenwet, art. 10a (5), which forbids redistribution beforehand between pots, and between them
 and the reserve (DNB, factsheet "Toedelingsregels in de solidaire premieregeling", 29 June 2023).
 
 The reserve has an exposure of one; a loss that it cannot bear falls on the pots, in proportion to
-their exposures. All functions hand on the whole sum of money: pots and reserve after them add up to
-those before and the return.
+their exposures. All functions conserve money: pots and reserve after them add up to those before
+plus the return.
 """
 
 from collections.abc import Callable
@@ -53,7 +53,7 @@ class Reserve(NamedTuple):
 
 class ClosedPots(NamedTuple):
     """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
-    was too large and was given back) and `released` from it."""
+    was too large and was returned) and `released` from it."""
 
     pots: Float[Array, " C"]
     reserve: Array
@@ -100,8 +100,8 @@ def closed(
     rules: Reserve,
     smooth: Constraints,
 ) -> ClosedPots:
-    """The end of a year: the reserve takes its share of the excess return `gained` in it, gives
-    back what it holds beyond its largest size, and restores pensions.
+    """The end of a year: the reserve takes its share of the excess return `gained` in it, returns
+    the excess over its maximum size, and restores pensions.
 
     **Arguments:**
 

@@ -152,7 +152,7 @@ class PotSimulator(PensionSimulator):
         annuity,
         smooth,
     ):
-        """The state after the end of a year, where there is one, and what happened then."""
+        """The state after the end of a year, if there is one, and its changes."""
         pots, reserve, _ = held
         due = now.fund.due
 

@@ -66,7 +66,7 @@ def read_assets(
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
-            raise rows[_cash(classes)].error(column_name, "cash takes what the others leave")
+            raise rows[_cash(classes)].error(column_name, "cash is the rest of the other classes")
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
@@ -121,7 +121,7 @@ def _cash(classes: Sequence[AssetClass]) -> int:
 
 
 def _class(row: Row, names: AssetNames) -> AssetClass:
-    """One row: the fields that all kinds have, and those of its own."""
+    """One row: the common fields of all kinds, and those of its kind."""
     kind = KINDS[word(row, "kind", tuple(KINDS))]
     for special in SPECIAL:
         if row.cells.get(special) and special not in kind.columns:
@@ -142,7 +142,7 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
 def _volatilities(
     section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
-    """Of the classes `local` with a shock of their own, side by side."""
+    """Of the classes `local` with a separate shock, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
     parts = [on_steps(_volatility(section, rows[i]), grid) for i in local]
@@ -154,13 +154,12 @@ def _volatility(section: TableContext, row: Row) -> CaseInput:
     text = row.cells.setdefault("volatility", "")
     if text.lower().endswith((".csv", ".parquet")):
         file = FileReference(section, "file", text)
-        moving = IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
-        return replace(moving, positions=())  # in a file that only another file names
+        return IN_FILE.from_dated_rows("", read_rows(file, (FROM_YEAR, IN_FILE.column)))
     return IN_CELL.from_rows("", [row], ("",))
 
 
 def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
-    """[n] low and [n] high, 0 and 1 where they are left out."""
+    """[n] low and [n] high, by default 0 and 1."""
     low = np.array([number(row, "low", 0.0, -FARTHEST, FARTHEST) for row in rows])
     high = np.array([number(row, "high", 1.0, -FARTHEST, FARTHEST) for row in rows])
     for row, minimum, maximum in zip(rows, low, high):
@@ -197,8 +196,8 @@ def _groups(
 ) -> tuple[AssetGroup, ...]:
     """Groups in the order in which they appear; limits may be in any of a group's rows.
 
-    Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
-    may weigh.
+    Without limits a group has a weight from 0 to 1, or the sum of its classes' limits where a class
+    may be short.
     """
     short, groups = bool((low < 0).any()), []
     minimum, maximum = (-FARTHEST, FARTHEST) if short else (0.0, 1.0)

@@ -118,7 +118,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
     **Raises:** `CaseError` where a key is wrong, or has no meaning in this case.
     """
     if top.rates is None and top.scenarios is None:
-        message = "this table is missing; only ready-made [scenarios] go without it"
+        message = "this table is missing; only ready-made [scenarios] do not need it"
         raise CaseError(str(file), "rates", None, message)
     table: dict[str, CaseTable] = {"": top}
     for name, kind in FORMATS.items():

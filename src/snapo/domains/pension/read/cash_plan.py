@@ -41,7 +41,7 @@ def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
     for row in rows:
         label, due = _due(row, column, timer)
         if due <= last:
-            raise row.error(column, "times must rise from row to row, by a month at least")
+            raise row.error(column, "times must increase from row to row, by at least a month")
         results.append((label, _step(row, column, due, timer), row))
         last = due
     inside = [item for item in results if item[1] < timer.grid.steps]

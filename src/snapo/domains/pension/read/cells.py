@@ -1,4 +1,4 @@
-"""Cells of the tables: optional ones, words, names and times."""
+"""Cells of the tables: optional ones, keywords, names and times."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class TableReader(TableContext):
     defaulted: set[str]
 
     def input(self, table: CaseTable, key: str, values: CaseInput) -> CaseInput:
-        """A number from `key`; where the case does not have the key, it is no input."""
+        """A number from `key`; it is not an input if the case does not have the key."""
         if key not in table.model_fields_set:
             self.defaulted.add(values.name)
         return values
@@ -45,7 +45,7 @@ def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
 
 
 def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
-    """The number in a cell; `default` where the column or the cell is left out."""
+    """The number in a cell; `default` if the column or the cell is missing."""
     return row.number(column, low, high) if row.cells.get(column) else default
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import Unquoted
+from snapo.case.given import Copies, FilePosition, NoPosition
 from snapo.case.table import TableContext
 
 from ..market.correlation import check_correlation, nearest
@@ -26,9 +27,7 @@ def read_correlations(
     folded = [name.lower() for name in available]
     for i, name in enumerate(folded):
         if name in folded[:i]:
-            message = (
-                "ratings, currencies and classes with a shock of their own need different names"
-            )
+            message = "ratings, currencies and classes with a separate shock need different names"
             raise section.error("file", available[i], message)
     if table is None:
         return Correlation((), empty("correlation"))
@@ -51,11 +50,16 @@ def read_correlations(
     below = np.tril_indices(len(names), -1)
     labels = [f"{names[i]}, {names[j]}" for i, j in zip(*below)]
     columns = [name.lower() for name in names]
-    positions = tuple(rows[i].position(columns[j]) for i, j in zip(*below))
-    if change or any(rows[j].cells[columns[i]] for i, j in zip(*below)):
-        positions = ()  # a number that was repaired, or has a mirror in the file
+    positions: list[FilePosition] = [rows[i].position(columns[j]) for i, j in zip(*below)]
+    for k, (i, j) in enumerate(zip(*below)):
+        if rows[j].cells[columns[i]]:
+            positions[k] = Copies((positions[k], rows[j].position(columns[i])))
+    if change:
+        reason = f"the matrix of {table.file} was repaired: the case has other numbers"
+        positions = [NoPosition(reason)] * len(positions)
+    located = tuple(positions)
     return Correlation(
-        names, CORRELATION.input("correlation", matrix[below], labels, positions=positions), change
+        names, CORRELATION.input("correlation", matrix[below], labels, positions=located), change
     )
 
 
@@ -66,7 +70,9 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
     for row in rows:
         name = row.cells["name"].lower()
         if name not in folded:
-            raise row.error("name", f"nothing of this name moves; known are {', '.join(available)}")
+            raise row.error(
+                "name", f"nothing random is called this; known are {', '.join(available)}"
+            )
         names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]
     if columns != [name.lower() for name in names]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, ConvertedNumber
 from snapo.case.quantity import Range
 from snapo.case.table import nearest, parse
 
@@ -128,7 +128,7 @@ def quotes(
     rates = quantity.from_rows(name, rows, [years(t) for t in tenor])
     if annual and column != "swap":
         rates = _continuous(rates)
-        text = "annual rates were made continuous; sensitivities are per continuous rate."
+        text = "annual rates were converted to continuous; sensitivities are per continuous rate."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
         message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
@@ -148,8 +148,9 @@ def quotes(
 
 
 def _continuous(annual: CaseInput) -> CaseInput:
-    """Annual rates as continuous ones, which no file of the case has."""
-    return replace(annual, values=np.log1p(annual.values), positions=())
+    """Annual rates as continuous ones."""
+    located = tuple(ConvertedNumber(position, np.log1p, np.expm1) for position in annual.positions)
+    return replace(annual, values=np.log1p(annual.values), positions=located)
 
 
 def _liquid(section: TableReader, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
@@ -190,7 +191,7 @@ def read_inflation(
     section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
     """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
-    rates of the case, where the table has none of its own."""
+    rates of the case, by default."""
     annual = (table.compounding or compounding) == "annual"
 
     def input(key: str) -> CaseInput:

@@ -23,7 +23,7 @@ FORMULA = replace(RATIO, meaning="a number of the formula of mortality rises by 
 LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
-OLD = 110  # a table that ends here or later is used as it is, and so is one that ends at `HALF`
+OLD = 110  # a table that ends here or later, or at a probability of `HALF`, is used unchanged
 HALF = 0.5  # a death probability at which nearly all are dead soon
 FEWEST = 10  # ages of a table that can be closed
 
@@ -87,7 +87,7 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         return count
     got = Unquoted(f"the ages {first} to {last}")
     if count < FEWEST:
-        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to go on from them"
+        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to be extrapolated"
         raise section.error("file", got, message)
     oldest = q[:, -SLOPE_AGES:]
     ages = f"{last + 1 - oldest.shape[1]} to {last}"

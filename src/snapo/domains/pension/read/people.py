@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from operator import mul
 
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, ConvertedNumber
 from snapo.case.quantity import ANY
 from snapo.case.table import TableContext
 
@@ -113,11 +115,12 @@ def read_cash_flows(
     labels = [f"at {years(row.number('year'))}" for row in rows]
     money = grid.currency
     cost = table.normal_cost
+    in_step, in_year = partial(mul, grid.step), partial(mul, 1 / grid.step)
     normal_cost = replace(
         cost,
         unit=f"{money}/step",
         values=cost.values * grid.step,
-        positions=cost.positions if grid.step == 1 else (),  # the case has that of a year
+        positions=tuple(ConvertedNumber(x, in_step, in_year) for x in cost.positions),
     )
     payroll = replace(table.salary, unit=f"{money}/year")
     return CashFlows(

@@ -1,6 +1,6 @@
 """Reads `[plan]`, `[liability]` and `[reconcile]`: promises, contributions and their valuation.
 
-A number that the rule of a case does not look at is no input: its `CaseInput` stays empty.
+A number that the rule of a case does not use is not an input: its `CaseInput` stays empty.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ def read_plan(
     contribution: Contribution,
     money: str,
 ) -> PensionPlan:
-    """Terms of the scheme; numbers left at a default of zero are no inputs."""
+    """Terms of the scheme; numbers left at a default of zero are not inputs."""
 
     def input(key: str) -> CaseInput:
         numbers = input_of(table, key, "plan", money)
@@ -145,7 +145,7 @@ def read_contribution(
             raise section.error("recovery_years", term, message)
 
     def input(name: str) -> CaseInput:
-        # A default loading of zero is no input.
+        # A default loading of zero is not an input.
         requested = name in used and (name != "loading" or name in table.model_fields_set)
         if name == "recovery_years" and level is not None:
             requested = False  # a date has no gradient
@@ -208,7 +208,7 @@ def check_limited(case: PensionCase) -> None:
 def read_frontier(
     section: TableContext, table: FrontierTable | None, plan: PensionPlan
 ) -> Frontier | None:
-    """The sweep of contributions against the shortfall, where one is asked for."""
+    """The sweep of contributions against the shortfall, if requested."""
     if table is None:
         return None
     kind = plan.contribution.kind
@@ -223,5 +223,5 @@ def read_frontier(
 
 
 def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:
-    """The actuary's own figures, where given."""
+    """The actuary's figures, where given."""
     return None if table is None else Reconcile(table.liability, table.duration, table.tolerance)

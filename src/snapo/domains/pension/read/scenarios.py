@@ -34,7 +34,7 @@ def read_scenarios(
     if table is None:
         return None
     if table.training == table.evaluation:
-        message = "a policy is not measured on the same paths that it was trained on"
+        message = "a policy must not be valued on the paths on which it was trained"
         raise section.error("evaluation", table.evaluation, message)
     sets, available = [], None
     for key in ("training", "evaluation"):

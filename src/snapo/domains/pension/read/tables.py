@@ -64,7 +64,7 @@ def _above(text: str) -> Range:
 COHORTS = Only(
     lambda tables: tables["members"].cash_flows is None or tables["members"].file is not None,
     "for cohorts of [members] file",
-    lambda _: "a case of the actuary's own cash flows",
+    lambda _: "a case with cash flows of the actuary",
 )
 PROMISED = Only(
     lambda tables: "pots" not in tables,
@@ -83,9 +83,7 @@ SMITH_WILSON = Only(
     lambda tables: tables["curve"].extrapolation == "smith-wilson",
     'with extrapolation "smith-wilson"',
 )
-SOUGHT = Only(
-    lambda tables: tables["curve"].speed is None, "where no speed is stated that settles it"
-)
+SOUGHT = Only(lambda tables: tables["curve"].speed is None, "if no speed is specified")
 
 
 def csv(columns: str, default: Any = ...) -> Any:
@@ -150,7 +148,7 @@ class InflationTable(CaseTable):
 
     break_evens: Name = csv("tenor,rate (or tenor,forward)")
     compounding: Literal["continuous", "annual"] | None = Field(
-        None, description='"continuous" or "annual", as in [curve] where left out'
+        None, description='"continuous" or "annual", by default as in [curve]'
     )
     extrapolation: Literal["flat-forward", "ultimate"] = one_of(
         "flat-forward", "ultimate", default="flat-forward"

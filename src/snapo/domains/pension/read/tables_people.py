@@ -101,8 +101,8 @@ CUTS = Only(
 )
 FIXED = Only(
     lambda tables: tables["plan.indexation"].kind in ("none", "fixed"),
-    'where pensions in payment have increases of kind "fixed" or "none": others are of all rights'
-    " alike",
+    'where pensions in payment have increases of kind "fixed" or "none": other kinds apply to'
+    " all rights",
     _kind("plan.indexation"),
 )
 BY_COST = Only(
@@ -134,7 +134,7 @@ ADDED = Only(
 )
 COMPARED = Only(
     lambda tables: any(tables["reconcile"].model_fields_set & {"liability", "duration"}),
-    "beside a liability or a duration",
+    "with a liability or a duration",
 )
 
 
@@ -317,7 +317,7 @@ class LiabilityTable(CaseTable):
 
 
 class ReconcileTable(CaseTable):
-    """`[reconcile]`: the actuary's own figures."""
+    """`[reconcile]`: the actuary's figures."""
 
     liability: float | None = plain(POSITIVE, None)
     duration: float | None = plain(POSITIVE, None)

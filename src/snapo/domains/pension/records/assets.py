@@ -28,7 +28,7 @@ class AssetRow:
     - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
       table has none, one of `records.regulation.RISKS`; "none" only where there is none.
     - `linked`: whether its payments follow prices.
-    - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
+    - `own_shock`: whether it has a separate mean and volatility, and counts as growth.
     """
 
     kind: ClassVar[str]
@@ -58,8 +58,8 @@ class AssetGroup(eqx.Module):
 class Assets(eqx.Module):
     """The asset classes; n is their number, m those with a shock of their own (`shocks`).
 
-    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": all of the return,
-      whatever cash earns. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
+    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": the whole return,
+      including that of cash. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
       that; "arithmetic": 1 + mean is the expected gross return of a year, in the fund's own
       currency after hedging. Counts under "P" only: under "Q" every class earns cash on average.
     - `volatility`: index [T, m] in local currency, 1/sqrt(year).
@@ -107,7 +107,7 @@ class Assets(eqx.Module):
 
     @property
     def shocks(self) -> tuple[int, ...]:
-        """[m] positions of the classes with a shock of their own."""
+        """[m] positions of the classes with a separate shock."""
         return tuple(i for i, class_ in enumerate(self.classes) if class_.own_shock)
 
 

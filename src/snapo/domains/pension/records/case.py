@@ -3,9 +3,9 @@
 Conventions for every record. Time runs in steps of `PensionCase.step` years (1/12 or 1), step t
 from time t * step to (t + 1) * step; T is the number of steps with a decision. Numbers are per
 year and continuous unless a field has another unit, shares are fractions (0.05 is 5 %), money is
-in `PensionCase.currency`. A `CaseInput` keeps the numbers as they were entered and becomes an
-input with a sensitivity under its own name, unless `PensionCase.held` names it; where it is
-used it is `x.values[x.index]`. Plain NumPy arrays, integers and names have no gradient.
+in `PensionCase.currency`. A `CaseInput` keeps the numbers as they were entered and becomes an input
+with a sensitivity, unless `PensionCase.held` names it; equations use `x.values[x.index]`. Plain
+NumPy arrays, integers and names have no gradient.
 """
 
 from dataclasses import dataclass

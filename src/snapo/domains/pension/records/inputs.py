@@ -1,4 +1,4 @@
-"""Every number of a pension case that has a gradient, as `Input`s under the case's own names."""
+"""Every number of a pension case that has a gradient, as `Input`s under the case's names."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace

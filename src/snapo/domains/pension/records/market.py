@@ -24,7 +24,7 @@ class MarketCurve(eqx.Module):
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
       "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
       "smith-wilson" is that method for all terms, with `speed`, or where it is None with the
-      least one at which forward rates have reached `ultimate` at `convergence` years.
+      smallest one at which forward rates have reached `ultimate` at `convergence` years.
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
@@ -99,7 +99,7 @@ class Correlation(eqx.Module):
     """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
 
     - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
-      ratings, currencies, and classes with a shock of their own. Others, and mortality, are
+      ratings, currencies, and classes with a separate shock. Others, and mortality, are
       independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
     - `repaired`: the largest change of an entry, 0 where nothing was repaired.

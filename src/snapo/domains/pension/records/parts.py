@@ -20,7 +20,7 @@ def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
     if case.frontier is None:
         result["frontier"] = "the case has no [frontier]"
     if case.scenarios is not None:
-        result |= dict.fromkeys(OF_MODELS, "ready-made [scenarios] take the place of the models")
+        result |= dict.fromkeys(OF_MODELS, "ready-made [scenarios] replace the models")
     if case.pots is None:
         result["pots"] = "the case has no [pots]"
     else:

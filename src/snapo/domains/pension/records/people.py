@@ -20,12 +20,12 @@ class Mortality(eqx.Module):
     """Death probabilities of a year by sex and age, with yearly improvement.
 
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
-    closed: the logit of the hazard goes on from the last age with the slope of the `SLOPE_AGES`
-    last ones (V. Kannisto). The last of all ages holds for later ones (a q of 1 ends all lives).
-    Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral of mu
-    over the year).
-    Either way, j years after time 0, q(x, j) = 1 - (1 - m q(x))^exp(-improvement(x) (since + j)),
-    m = `multiplier(x)` times the factor of the cohort, and m q at most 1.
+    closed: the logit of the hazard continues from the last age with the slope of the `SLOPE_AGES`
+    last ones (V. Kannisto). The rate of the last age applies to later ones (a q of 1 ends all
+    lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral
+    of mu over the year). Either way, j years after time 0, q(x, j) = 1 - (1 - m
+    q(x))^exp(-improvement(x) (since + j)), m = `multiplier(x)` times the factor of the cohort, and
+    m q at most 1.
 
     - `first_age`: of all index axes "age"; ages have length G.
     - `table`: index [2, ages of the table]; empty for the other kind. `gompertz`: index [2, 3],
@@ -60,11 +60,11 @@ class FundMembers(eqx.Module):
     """Cohorts of a table; every array has length C.
 
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
-    - `age`: exact ages in years at time 0 (fractions allowed where the case asks for them).
+    - `age`: exact ages in years at time 0 (fractions if the case requests them).
     - `number`: members, index [C]. `pension`: accrued per member and year, index [C]. `salary`:
       per member and year, index [C] (0 for those who are not active).
     - `service`: [C] years until now, for reports and for `Plan.max_service`.
-    - `mortality`: factor on the members' own q, index [C]; None where the table has none.
+    - `mortality`: factor on the members' q, index [C]; None where the table has none.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

@@ -61,9 +61,9 @@ class Contribution(eqx.Module):
       in periods of `level_steps`; where that is None, the gap over `recovery_years` a year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
-    - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
+    - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.
       Each applies only where its flag is set. All `CaseInput`s index [].
-    - `schedule`: paid on top, whatever the limits; None where the case has none.
+    - `schedule`: paid in addition, without limits; None where the case has none.
     """
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = eqx.field(static=True)
@@ -99,7 +99,7 @@ class PensionPlan(eqx.Module):
       birthdays "constant-force", "uniform" deaths.
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
       same salary, so that payroll in wages of today stays constant. Closed: no one enters, actives
-      go on accruing. `accruing` False: no new accrual at all (frozen plan).
+      go on accruing. `accruing` False: no new accrual (frozen plan).
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """
 
@@ -127,7 +127,7 @@ class Liability(eqx.Module):
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual
-      rates of today's curve, term by term, and what it is there in continuous rates is held.
+      rates of today's curve, term by term, and the resulting continuous spreads are held.
     - `loading`: for expenses, index []: reserves are 1 + `loading` times the value of the payments.
     - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
       curve; basis "fixed" then takes `rate` as real), "capped" payments that follow them within

@@ -49,7 +49,7 @@ RANGES = (
     _by_name(-0.02, 0.25, YEARLY, "credit_spread", "credit_mean_spread"),
     _by_name(0.01, 2.0, "it is of the logarithm of the spread, 0.35 is 35 %", "credit_volatility"),
     _by_name(0.0, 0.15, YEARLY, "credit_default_loss"),
-    _by_name(0.0, 20.0, "1 is as much as the assets", "overlay_leverage"),
+    _by_name(0.0, 20.0, "1 is the size of the assets", "overlay_leverage"),
     _by_name(0.002, 0.1, "a rise in rates as a fraction is meant, 0.035 is 350 bp",
              "overlay_collateral_stress"),
     _by_name(0.5, 1e7, "it is the number of members", "members"),

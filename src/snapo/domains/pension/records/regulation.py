@@ -33,7 +33,7 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class Regulation:
-    """The rules of a case, and the figures that they ask for in addition to its balance sheet.
+    """The rules of a case, and the figures that they need in addition to its balance sheet.
 
     - `ratios`: funding ratios at the ends of the last months, the newest last; without any, the
       policy ratio is today's. `insurance_risk` (S6) share of the liability, `active_risk` (S10)

@@ -36,8 +36,8 @@ class Basis:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Level payments of `payment` a year, money, at the end of each of `years` years, which are
-    worth the deficit on technical provisions; their `total`; all 0 without a deficit."""
+    """Level payments of `payment` a year, money, at the end of each of `years` years, with the
+    deficit on technical provisions as their value; their `total`; all 0 without a deficit."""
 
     deficit: float
     years: float

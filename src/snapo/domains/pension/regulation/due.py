@@ -22,8 +22,8 @@ class Due(NamedTuple):
 
 
 def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
-    """On the basis of the case, that of the curve where scenarios are ready-made; what limited
-    increases are expected to add belongs to the payments."""
+    """Payments due on the basis of the case, or of its curve where scenarios are supplied; with the
+    expected increases of a limited indexation."""
     case = replace(case, scenarios=None)
 
     def both(values):

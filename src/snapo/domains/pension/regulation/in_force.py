@@ -44,5 +44,5 @@ def in_force(
     try:
         return made(max(available, key=lambda pair: pair[0])[1])
     except (KeyError, TypeError, ValueError) as error:
-        message = f"its version for {day} lacks a number or has one that cannot be read: {error}"
+        message = f"its version for {day} has a missing or an invalid number: {error}"
         raise section.error("rules", name, message) from None

@@ -30,7 +30,7 @@ def read_regulation(
         return None
     rules = in_force(section, table.rules, OWN, day, _rules)
     if len(table.policy_ratios) > rules.averaging_months:
-        message = f"the policy ratio is that of {rules.averaging_months} months: give no more"
+        message = f"the policy ratio is that of {rules.averaging_months} months: specify no more"
         raise section.error("policy_ratios", len(table.policy_ratios), message)
     ratios = tuple(table.policy_ratios)
     return Regulation(rules, ratios, table.insurance_risk, table.active_risk)

@@ -44,15 +44,15 @@ def correlated(parts: Sequence[float], correlation: float) -> float:
 
 
 def equity_loss(rules: Rules, held: dict[str, float]) -> float:
-    """S2 of the market values {group: money} of shares and property; what falls in a group that is
-    sold short loses nothing, and makes up for no other."""
+    """S2 of the market values {group: money} of shares and property; a group that is sold short has
+    no loss, and its gain offsets no other loss."""
     names = ("developed", "emerging", "unlisted", "unlisted-property")
     parts = [rules.falls[name] * max(held.get(name, 0.0), 0.0) for name in names]
     return correlated(parts, rules.correlations["equity"])
 
 
 def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[bool]) -> float:
-    """S3 of the unhedged exposures, money, each in a currency of its own."""
+    """S3 of the unhedged exposures, money, each in a different currency."""
     sides = []
     for market, late in zip(MARKETS, (False, True)):
         local = [item for item, is_late in zip(exposed, emerging) if is_late == late]

@@ -117,7 +117,7 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
 
 
 def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> Shocked:
-    """Everything revalued at once, each payment at the factor of its own term."""
+    """Everything revalued at once, each payment at the factor of its term."""
     rules, after = regulation_of(case).rules, paid.discount
     if case.liability.basis != "fixed":
         after = shifted_discount(rules, name, paid.years, paid.discount)

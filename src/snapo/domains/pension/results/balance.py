@@ -117,7 +117,7 @@ def ladder(
 ) -> CurveLadder:
     """That of nominal rates, break-evens held.
 
-    Classes with a shock of their own count as insensitive to the curve.
+    Classes with a separate shock count as insensitive to the curve.
     """
     linked = np.array([class_.linked for class_ in case.assets.classes])
     prices = case.liability.future_indexation == "full"

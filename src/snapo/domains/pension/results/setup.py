@@ -24,7 +24,7 @@ from ..records.market import SuppliedScenarios
 
 
 class OutcomeMeasure(NamedTuple):
-    """The output that summarises a fund, a ratio of which 1 is the mark; words for it."""
+    """The output that summarises a fund, a ratio with 1 as its target; its description."""
 
     output: str
     mean: str

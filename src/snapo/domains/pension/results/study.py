@@ -66,7 +66,7 @@ def pension_study(case: PensionCase, options: Options) -> Study:
 
     every, selected = parts(case), requested(case)
     available = about(case) | {"notes": list(notes)} | training.summary(every, selected)
-    if TRAINING not in selected:  # which says them
+    if TRAINING not in selected:  # which records them
         available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
     return Study("pension", available, selected, result, setup, bounded, at_case, checks)
@@ -80,8 +80,8 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
 
 
 def requested(case: PensionCase) -> list[Part]:
-    """The parts that the case asks for and those that they need; with a policy also the words for
-    its value, which every report begins with."""
+    """The parts that the case asks for and those that they need; with a policy also the description
+    of its value, with which every report begins."""
     every = parts(case)
     selected = training.with_needs(every, case.parts)
     if case.parts and TRAINING in selected:
@@ -121,7 +121,7 @@ def _unbounded(case: PensionCase) -> str:
     if case.pots is not None:
         return "no bound from above is known for a fund of personal pots"
     if case.scenarios is not None:
-        return "ready-made scenarios have no prices of risk to bound a value with"
+        return "ready-made scenarios have no prices of risk, which a bound needs"
     try:
         conjugate(objective_of(case))
     except ValueError as reason:

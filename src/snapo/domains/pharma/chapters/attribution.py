@@ -38,7 +38,7 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
     unit = next(item for item in case.units if item.name == user)
     profile = getattr(unit, field)
     if not isinstance(profile, Profile) or profile.kind != "linear":
-        raise ValueError(f"with_nodes: {name} is no piecewise linear profile.")
+        raise ValueError(f"with_nodes: {name} is not a piecewise linear profile.")
     share = np.linspace(0.0, 1.0, count)
     values = np.interp(share, profile.share, profile.value.used())
     labels = tuple(f"{entry:.4g}" for entry in share)
@@ -100,7 +100,7 @@ def measure(run: StudyRun) -> Attributions:
 
 
 def show(run: RunFiles, result: Attributions) -> list[Block]:
-    """Which unit moves what, and every path."""
+    """The attributes that each unit affects, and every path."""
     if not result.paths:
         return [Missing("There is no attribution.")]
     rows = [(x.attribute, x.parameter, " → ".join(x.units), number(x.value)) for x in result.paths]
@@ -134,7 +134,7 @@ ATTRIBUTION = Chapter(
 
 @dataclass(frozen=True, eq=False)
 class ProfileSlopes:
-    """Derivatives of attributes by the temperature of a unit over time, per K held for ten minutes.
+    """Derivatives with respect to the temperature of a unit over time, per K for ten minutes.
 
     `time` in s; `slope`: {attribute that it moves: values}.
     """
@@ -199,8 +199,8 @@ def _profile(run: RunFiles, result: ProfileSlopes) -> Chart:
                "attribute by the temperature at each time.", paint, 120 + 105 * count,
                [1.3, *[1.0] * count])  # fmt: skip
     caption = (
-        "What raising the temperature by one kelvin for ten minutes around a time does to each "
-        "attribute: one adjoint pass per attribute gives the whole curve."
+        "The effect on each attribute of raising the temperature by one kelvin for ten minutes "
+        "around a time: one adjoint pass per attribute gives the whole curve."
     )
     return Chart(svg, caption)
 
@@ -213,7 +213,7 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """Of every attribute by the pairs of parameters that the case names, in the case's units."""
+    """Of every attribute, for the pairs of parameters named in the case, in the case's units."""
     complete, case = process(run), process(run).case
     pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
     rows = second(complete, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))

@@ -22,7 +22,7 @@ from .model import UnitStatement, location, stated
 
 SHOWN = 240  # points of a trajectory that a report shows
 LARGE = 1e7
-# States of reactors, crystallisers and dryers, which have sections of their own.
+# States of reactors, crystallisers and dryers, which have separate sections.
 ELSEWHERE = ("supersaturation", "solvent")
 Course = dict[str, np.ndarray]  # of a unit: "time", and its states by name
 PROFILE, SETPOINTS = "profile.csv", "setpoints.csv"
@@ -59,7 +59,7 @@ class BatchResult:
 
 
 def measure(run: StudyRun) -> BatchResult:
-    """The batch, with its setpoints and its trajectory as tables of their own."""
+    """The batch, with its setpoints and its trajectory as separate tables."""
     loop = open_loop(run)
     batch = loop.process.run()
     result = one_batch(loop.process.case, batch)
@@ -235,7 +235,7 @@ def _crystals(unit: str, trajectory: Course, curve: Course | None) -> list[Chart
 
 
 def _drying(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
-    """Moisture of the cake over time, and its temperature where that has a balance of its own."""
+    """Moisture of the cake over time, and its temperature if it has a heat balance."""
     if "solvent" not in trajectory:
         return []
     minutes = trajectory["time"] / 60

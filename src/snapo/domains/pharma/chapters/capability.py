@@ -76,11 +76,11 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
              "±", "1–99 %")  # fmt: skip
     caption = (
         f"Over {number(result.batches, 0)} simulated batches at the set point; together "
-        f"{percent(result.joint)} ± {percent(result.joint_error)} break a limit. Cpk from "
-        "batch to batch varies only what differs between batches, with the model's numbers at "
-        "their nominal values; beside it, 5 to 95 % of it as these numbers are uncertain; all "
-        "together counts both as variation. Cpk takes an attribute for normal; the share out of "
-        "limits is counted. Where the deviation to first order is another than the counted one, "
+        f"{percent(result.joint)} ± {percent(result.joint_error)} break a limit. “Batch to batch” "
+        "varies only the numbers that differ between batches, with the model's numbers at their "
+        "nominal values; the next column is its 5 to 95 % range over the uncertain numbers; “all "
+        "together” counts both as variation. Cpk assumes a normal attribute; the share out of "
+        "limits is counted. Where the deviation to first order differs from the simulated one, "
         "the process is not linear over its variation."
     )
     blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
@@ -92,7 +92,7 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
 
 
 def _cpk(*endpoints: float | None) -> str:
-    """Two decimals, which tell a capable process; none where it, or its interval, is far beyond."""
+    """Two decimals; none where the index, or an end of its interval, is 100 or more."""
     digits = 2 if all(abs(finite(x) or 0.0) < 100 for x in endpoints) else 0
     return " – ".join(number(x, digits) for x in endpoints)
 

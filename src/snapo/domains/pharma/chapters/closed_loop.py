@@ -30,7 +30,7 @@ from .recipes import RULES, TunedRule, recipe
 LOW, HIGH = 0.1, 0.9  # quantiles over batches, of a band
 FILE = "setpoints_closed_loop.csv"
 SHOWN = 256  # batches from which the policy's trajectory is drawn
-SIGNIFICANT = 2.0  # standard errors from which one rival counts as better
+SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
     - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
-      `given`: of the recipe as given. `better`: "policy", "recipe", or "" where none is surely so.
+      `given`: of the recipe as given. `better`: "policy", "recipe", or "" where the difference is
+      not significant.
     """
 
     value: Number
@@ -53,7 +54,7 @@ class KeptShares:
 
     @property
     def verdict(self) -> str:
-        """The one to take, in a sentence."""
+        """A sentence on which of the two to use."""
         both = f"{100 * self.value:.1f} % under the policy, {100 * self.baseline:.1f} % under "
         both += "the best fixed recipe, on the same batches"
         match self.better:
@@ -64,7 +65,7 @@ class KeptShares:
                     f"The best fixed recipe does better than the policy: {both}. Take the recipe."
                 )
             case _:
-                return f"The policy is not told from the best fixed recipe: {both}."
+                return f"The policy and the best fixed recipe do not differ significantly: {both}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,13 +255,13 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     caption = f"On the same {batches} fresh batches, exact limits"
     clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
-        Text(str(run.result.get("verdict", ""))),
+        Text(run.result.verdict),
         Table(head, rows, caption),
         Table([], [("Gain above three standard errors", clear)], "", 2),
     ]
     if result.rules:
         blocks += _rules(result.rules)
-    if (run.result.get("references") or {}).get("goal") is not None:
+    if run.result.references.get("goal") is not None:
         blocks.append(_goal(result))
     blocks += [_course(x) for x in result.recipe if len(x.time) > 1]
     once = [x for x in result.recipe if len(x.time) == 1]
@@ -270,7 +271,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
 
 
 def _goal(result: ClosedLoopResult) -> Table:
-    """What was made large, where that is not the probability itself."""
+    """The objective, where it is not the probability itself."""
     rows = [
         ("Trained policy", number(result.objective), number(result.objective_error)),
         ("Best fixed recipe", number(result.baseline_objective), ""),
@@ -295,8 +296,8 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     return [
         Table([(name, "") for name in head], shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
-        Text("First settings are those of the case or of its formula; a rule of that name without "
-             "these words was trained from there, with its recipe, as long as the policy."),
+        Text("“First settings” are those of the case or of its formula; the rule without this "
+             "label was trained from there, with its recipe, for as many steps as the policy."),
     ]  # fmt: skip
 
 

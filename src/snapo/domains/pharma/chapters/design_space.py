@@ -64,7 +64,7 @@ class SpaceMap:
 
 
 def measure(run: StudyRun) -> SpaceMap:
-    """The map and its ends, which are tables of their own too."""
+    """The map and its ends, which are also separate tables."""
     result, loop = space_map(sampled(run), open_loop(run).seed), open_loop(run)
     names = [attribute.name for attribute in loop.case.attributes]
     run.write_csv(MAP, *map_rows(result, names))
@@ -154,8 +154,8 @@ def _in_words(result: SpaceMap) -> Text:
     if few:
         needed = " and ".join(f"{number(draws_for(level), 0)} for {level:g}" for level in few)
         text += (
-            f" So few draws cannot make every contour sure: it takes {needed} at a point, all of "
-            "them good."
+            f" With so few draws not every contour can be certain: that needs {needed} at a point, "
+            "all of them within the limits."
         )
     if result.box is None:
         return Text(text + " No box around the set point keeps the required probability.")
@@ -181,7 +181,7 @@ def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
     caption = (
         f"Above: probability that a batch keeps all limits{where}, deeper is better, with its "
         "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
-        "it is sure within the inner one, and possible up to the outer one. Below: the "
+        "it is certain within the inner one, and possible up to the outer one. Below: the "
         "attribute that most often breaks its limits."
     )
     return Chart(svg, caption)
@@ -207,10 +207,9 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")
     text = (
         f"Where the probability falls below {required} along the lines of the map next to the set "
-        "point, with the interval in which that place lies at 95 % for the "
-        f"{number(result.samples, 0)} batches per point (Wilson's interval of the share, "
-        "inverted); “beyond” where so many batches do not tell, or the line ends. "
-        f"{ENDS} has all lines."
+        f"point, with the 95 % interval of that position for the {number(result.samples, 0)} "
+        "batches per point (Wilson's interval of the share, inverted); “beyond” where the batches "
+        f"do not determine an end, or the line ends. {ENDS} has all lines."
     )
     table = Table([(name, "") for name in head], rows, "Where the design space ends", 4)
     return [table, Text(text, True)]
@@ -240,7 +239,7 @@ def _contours(
     band: tuple[np.ndarray, np.ndarray],
 ) -> None:
     """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
-    lower and the upper ends `band` of its interval reach what is required."""
+    lower and the upper ends `band` of its interval equal the required probability."""
     x, y = result.grid[:2]
     levels = sorted({0.5, *result.levels, result.required})
     shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]

@@ -45,11 +45,11 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """[n] measurements held out, in the domain's units.
+    """[n] held-out measurements, in the domain's units.
 
-    - `measured`, `predicted`; `deviation` of the prediction by what the fit does not know; `half`:
-      of the interval about the prediction that holds a measurement.
-    - `coverage`: share inside, with its 95 % interval `low` to `high` as of independent points.
+    - `measured`, `predicted`; `deviation` of the prediction due to the uncertainty of the fit;
+      `half`: half width of the prediction interval for a measurement.
+    - `coverage`: share inside, with its 95 % interval `low` to `high` for independent points.
     """
 
     measured: Floats
@@ -105,7 +105,7 @@ class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
     - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
-      an `experiment`. `start`: the case's own numbers; `units`, `scales`: of the fitted numbers.
+      an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
     - `level`: of the intervals; `errors`: how those of the measurements are known.
     """
 
@@ -124,7 +124,7 @@ class Estimates(ParameterFit):
 
 
 def measure(run: StudyRun) -> Estimates:
-    """The fit, and the file that a case may name to go on with it."""
+    """The fit, and a file with which a case can use it."""
     loop = open_loop(run)
     result = estimates(loop.process)
     rows = fitted_rows(loop.case, result)
@@ -134,7 +134,7 @@ def measure(run: StudyRun) -> Estimates:
 
 
 def estimates(process: Process) -> Estimates:
-    """The fit that a case asks for."""
+    """The fit requested in a case."""
     request = process.case.estimation
     assert request is not None
     result, experiments = fit(process, request), request.experiments
@@ -161,14 +161,14 @@ def not_handed_on(result: ParameterFit) -> list[str]:
         if bound:
             end = "lower" if bound == "low" else "upper"
             reasons.append(
-                f"{name} is at its {end} bound, and chi² would fall beyond it; its interval is "
-                "one-sided, and those of the others hold it there."
+                f"{name} is at its {end} bound, and chi² would decrease outside; its interval is "
+                "one-sided, and those of the others assume this bound."
             )
     for numbers, size in zip(result.minima, result.minima_chi2):
         listed = ", ".join(f"{name} {x:.6g}" for name, x in zip(result.names, numbers))
         reasons.append(
             f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {listed}, in "
-            "the units of the domain; bounds that leave one of them out, or data that differ, tell."
+            "the units of the domain; narrower bounds, or further data, would exclude one of them."
         )
     return reasons
 
@@ -248,7 +248,7 @@ def _weighed(result: ParameterFit) -> str:
             "Errors are known only up to a factor, so the covariance is chi² per degree of "
             f"freedom, {scale}, times that of the stated errors."
         )
-    text = f"Chi² is exceeded by chance in {percent(result.tail)} of all cases"
+    text = f"A correct model exceeds this chi² with probability {percent(result.tail)}"
     if result.scale == 1:
         return f"{text}; the covariance is that of the stated errors."
     return (
@@ -260,12 +260,11 @@ def _weighed(result: ParameterFit) -> str:
 def _use(reasons: Sequence[str]) -> str:
     """How the fit is used from here on."""
     if reasons:
-        return "As not all numbers are identified, there is no fitted.csv to go on with."
+        return "Since not all numbers are identified, no fitted.csv is written."
     return (
-        "The other parts of this run take the numbers of the case. fitted.csv of "
-        "this run has the fitted ones with their covariance: copied beside the case and named "
-        'there, fitted = "fitted.csv", they take the place of these numbers and of their '
-        "[[uncertainty]]."
+        "The other parts of this run use the numbers of the case. fitted.csv of this run has the "
+        "fitted ones with their covariance: copied to the folder of the case and named there, "
+        'fitted = "fitted.csv", it replaces these numbers and their [[uncertainty]].'
     )
 
 
@@ -294,9 +293,9 @@ def validation(run: RunFiles) -> Section:
         Text(
             f"Of {len(tests.measured)} measurements of batches held out of the fit "
             f"{percent(tests.coverage)} lie within their {level} prediction intervals ({low} to "
-            f"{high} as of independent points). An interval adds the measurement's error to what "
-            "the fit does not know; points of one batch err together, which chi² of the batch "
-            "takes into account."
+            f"{high} as of independent points). An interval combines the measurement error and the "
+            "uncertainty of the fit; the errors of points of one batch are correlated, which the "
+            "chi² of the batch takes into account."
         ),
         _batches(tests.batches),
         _points(tests),
@@ -304,7 +303,7 @@ def validation(run: RunFiles) -> Section:
     if finite(result.tail) is not None:
         valid = result.tail >= DOUBT
         text = (
-            f"Of the fit itself chi² is exceeded by chance in {percent(result.tail)} of all cases"
+            f"A correct model exceeds the chi² of the fit with probability {percent(result.tail)}"
         )
         end = "." if valid else ": the errors of the measurements, or the model, fall short."
         blocks.append(Text(text + end))
@@ -319,8 +318,8 @@ def _batches(batches: Sequence[Agreement]) -> Table:
         )
         for x in batches
     ]  # fmt: skip
-    head = [("Batch held out", ""), ("Inside", ""), ("Chi²", ""), ("By chance above", ""), ("", "")]
-    return Table(head, rows, "Every batch as a whole", 1)
+    head = [("Batch held out", ""), ("Inside", ""), ("Chi²", ""), ("p-value", ""), ("", "")]
+    return Table(head, rows, "All points of each batch together", 1)
 
 
 def _points(tests: Validation) -> Chart:

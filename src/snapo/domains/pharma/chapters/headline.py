@@ -37,7 +37,7 @@ LOST = 1e-3  # share of batches without a finite result from which a run is not 
 
 
 def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
-    """(name of the check, whether it held, where it is off most in brackets)."""
+    """(name of the check, whether it passed, position of the largest error in brackets)."""
     rows = []
     if balances := BALANCES.of(run):
         off = [x for x in balances if not closed(x)]
@@ -90,24 +90,24 @@ def status(run: StudyRun | RunFiles) -> str:
 
 
 def reservations(fit: ParameterFit) -> str:
-    """Why a fit is in doubt, or ""."""
+    """Why a fit is not reliable, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
     if not fit.tail < DOUBT:
         return ""
     return (
         f"the fit does not describe its data: chi² {fit.chi2:.4g} at {fit.freedom} degrees of "
-        f"freedom, which chance exceeds in {fit.tail:.1g} of all cases"
+        f"freedom, which a correct model exceeds with probability {fit.tail:.1g}"
     )
 
 
 def headline(run: RunFiles) -> Section:
     """Probability of all limits, and the table of attributes at the set point."""
     title = "Quality at the set point"
-    value, error = finite(run.result.get("value")), finite(run.result.get("standard_error"))
+    value, error = run.result.value, run.result.standard_error
     blocks: list[Block] = []
     if value is None:
-        state = run.result.get("status") or "unknown"
+        state = run.result.status or "unknown"
         blocks.append(Missing(f"There is no probability in this run (status: {state})."))
     else:
         blocks.append(
@@ -128,8 +128,8 @@ def headline(run: RunFiles) -> Section:
 
 
 def _note(run: RunFiles) -> str:
-    if run.result.get("verdict"):
-        return f"{run.result['verdict']} ± one standard error of the sample, in percentage points."
+    if run.result.verdict:
+        return f"{run.result.verdict} ± one standard error of the sample, in percentage points."
     who = "of the trained policy" if CLOSED_LOOP.of(run) else "of the recipe as given"
     return (
         f"{who}, over the batch-to-batch variation that the case states; ± one standard error of "
@@ -139,7 +139,7 @@ def _note(run: RunFiles) -> str:
 
 def marks(run: RunFiles) -> list[Mark]:
     """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
-    rows, state = checks(run), str(run.result.get("status") or "ok")
+    rows, state = checks(run), run.result.status or "ok"
     failed = [name for name, valid, _ in rows if not valid]
     verdicts = []
     if failed:
@@ -231,7 +231,7 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """All that is known before the run; a training says its own versions and seed."""
+        """All that is known before the run; a training records its versions and seed itself."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(
@@ -268,7 +268,7 @@ def show(run: RunFiles, result: Making) -> list[Block]:
 
 def _remarks(run: RunFiles, case: Statement) -> list[str]:
     """Remarks that the run itself makes: parts that failed, and a coarser mesh."""
-    texts = [f"{name} failed: {x['note']}" for name, x in run.parts.items() if x.get("note")]
+    texts = [f"{name} failed: {x.note}" for name, x in run.parts.items() if x.note]
     mesh, steps = STATISTICS_MESH.of(run), _steps(run, case)
     if mesh is not None and mesh.steps != steps:
         texts.append(

@@ -27,12 +27,12 @@ from ..shared import open_loop
 POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ASSUMPTIONS = (
     "Concentrations refer to the volume of the stream, which mixing, reaction and crystallisation "
-    "leave as it is.",
-    "Units are ideally mixed and hold their temperature profile, unless a heat balance is theirs.",
+    "do not change.",
+    "Units are ideally mixed and hold their temperature profile, unless they have a heat balance.",
 )
 SCOPE = (
     "This report supports decisions. The software is not validated in the sense of GMP, and the "
-    "model has not been compared with data of this process unless an estimation below says so."
+    "model has not been compared with data of this process unless an estimation is reported below."
 )
 
 
@@ -55,7 +55,7 @@ class AttributeStatement:
 
     @property
     def shown_unit(self) -> str:
-        """Its unit as it is written by hand."""
+        """Its unit in typeset form."""
         return unit_words(self.unit)
 
     @property
@@ -85,7 +85,7 @@ class ParameterStatement:
 
     @property
     def shown_unit(self) -> str:
-        """Its unit as it is written by hand."""
+        """Its unit in typeset form."""
         return unit_words(self.unit)
 
 
@@ -116,7 +116,7 @@ class UnitStatement:
 
 @dataclass(frozen=True)
 class UncertaintyStatement:
-    """A number that is not known exactly; `when`: it is drawn again."""
+    """An uncertain number; `when`: it is drawn again."""
 
     of: str
     nominal: float
@@ -127,7 +127,7 @@ class UncertaintyStatement:
 
 @dataclass(frozen=True)
 class NumberStatement:
-    """A number as it enters the computation; `parameter`: the one that it is, or ""."""
+    """A number as used in the computation; `parameter`: the parameter that it is, or ""."""
 
     input: str
     label: str
@@ -278,7 +278,7 @@ def show(run: RunFiles, result: Statement) -> list[Block]:
     if result.scope:
         blocks.append(Text(result.scope, caveat=True))
     if not result.units:
-        return [*blocks, Missing("This run does not say what the flowsheet is.")]
+        return [*blocks, Missing("This run has no record of its flowsheet.")]
     flow = [" → ".join(pair.values()) for pair in result.connections]
     if flow:
         blocks.append(Text("Flowsheet: " + "; ".join(flow) + "."))
@@ -308,7 +308,7 @@ def number_text(value: float, unit: str = "") -> str:
 
 
 def location(value: float | None, unit: str = "") -> str:
-    """A place on a parameter's axis: five digits, with which 313.15 K stays what it is."""
+    """A position on a parameter's axis, with five digits: enough for 313.15 K."""
     available = finite(value)
     return "–" if available is None else number_text(float(f"{available:.5g}"), unit)
 
@@ -355,7 +355,7 @@ def _tables(result: Statement) -> list[Block]:
     blocks: list[Block] = [Table(head, parameters, "Process parameters", texts)]
     if uncertain:
         head = [("Number", ""), ("Distribution", ""), ("New in every", ""), ("Nominal", "")]
-        caption = "Numbers of the model that are not known exactly"
+        caption = "Uncertain numbers of the model"
         blocks.append(Table(head, uncertain, caption, 3))
     else:
         blocks.append(Text("Every number of the model counts as known exactly."))

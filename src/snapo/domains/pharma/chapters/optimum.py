@@ -64,7 +64,7 @@ class DecisionResult:
 
 @dataclass(frozen=True)
 class LimitResult:
-    """A limit of an attribute; `value`: what the goal gains by one unit more room."""
+    """A limit of an attribute; `worth`: the gain of the goal per unit of additional room."""
 
     attribute: str
     unit: str
@@ -97,7 +97,7 @@ class KeptChance:
 
 @dataclass(frozen=True)
 class BestRecipe:
-    """The answer to `[optimise]`; `chance`: before and after; `ends`: of every start."""
+    """The answer to `[optimise]`; `chance` before and after; `ends` of every start."""
 
     sense: Literal["maximise", "minimise"]
     terms: tuple[GoalTerm, ...]
@@ -126,7 +126,7 @@ class BestRecipe:
 
 
 def measure(run: StudyRun) -> BestRecipe:
-    """The best recipe, and its setpoints as a table of their own where it converged."""
+    """The best recipe, and its setpoints as a separate table if it converged."""
     loop = open_loop(run)
     request = loop.case.optimise
     assert request is not None
@@ -281,7 +281,7 @@ def _facts(result: BestRecipe) -> Facts:
     ]
     for name, probability in zip(("as given", "best recipe"), result.chance):
         error = plus_minus(100 * probability.error, 1)
-        facts.append((f"Chance of all limits, {name}", percent(probability.probability), error))
+        facts.append((f"All limits kept, {name}", percent(probability.probability), error))
     return Facts(facts)
 
 
@@ -321,7 +321,7 @@ def _limits(result: BestRecipe) -> Table | Missing:
         for x in result.limits
     ]  # fmt: skip
     if not rows:
-        return Missing("No attribute has a limit, so that only the bounds hold the recipe.")
+        return Missing("No attribute has a limit, so that only the bounds restrict the recipe.")
     head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
             ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
     caption = "Limits; a multiplier is the gain of the goal if the limit yields by one unit"
@@ -334,7 +334,7 @@ def _ramps(result: BestRecipe) -> Table:
         for x in result.ramps
     ]
     head = [("Piece of a profile", ""), ("Ramp", ""), ("Used", ""), ("Multiplier", result.unit)]
-    return Table(head, rows, "Ramps; a multiplier is per whole ramp more", 2)
+    return Table(head, rows, "Ramps; a multiplier is per additional ramp", 2)
 
 
 def _conditions(result: BestRecipe) -> Table:

@@ -60,14 +60,15 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
     ]  # fmt: skip
     required = percent(result[0].required, 0)
     names = ("Parameter", "Edge, nominal model", f"Edge, at {required}", "Normal range",
-             "Normal range", "Nominal model", f"Probability {required}", f"sure at 95{SPACE}%",
+             "Normal range", "Nominal model", f"Probability {required}", f"certain at 95{SPACE}%",
              f"possible at 95{SPACE}%")  # fmt: skip
     caption = (
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails beyond it; “studied range” where none does. Sure and possible: as far as the "
-        "95 % interval of the probability lies above, or reaches, what is required."
+        "that fails beyond it; “studied range” where none does. Certain and possible: as far as "
+        "the lower, or the upper, end of the 95 % interval of the probability is above the "
+        "required one."
     )
     return [Table([(name, "") for name in names], rows, caption, 4)]
 
@@ -111,7 +112,7 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         for pair in order[:SHOWN]
     ]  # fmt: skip
     head = ("Parameters", "Share of both, nominal model", "First corner",
-            "With the required probability", "sure – possible at 95 %",
+            "With the required probability", "certain – possible at 95 %",
             "Corners of normal ranges", "Interaction")  # fmt: skip
     caption = (
         "A proven range holds with all other parameters at their set point. Here both move, "

@@ -1,4 +1,4 @@
-"""What moves what: the matrix as heat map in three forms, the ranking, tornados."""
+"""The sensitivity matrix as heat map in three forms, the ranking, tornados."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from . import pictures
 from .model import Statement, stated
 
 DRAWS, LEVELS = 64, (0.05, 0.95)
-SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
+SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a separate table
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,15 +201,15 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "its variation takes all the room" if x.spent else "",
+            else "its variation uses all the room" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip
     names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's room that half the normal range uses; room "
-        "is the distance to the limit less two standard deviations of the batches. Last, how much "
-        "of that attribute's variance the parameter causes"
+        "is the distance to the limit less two standard deviations of the batches. Last, the "
+        "share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 

@@ -37,9 +37,9 @@ class Balance:
     balance of a unit that takes more than there is stays open.
 
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
-    where they use it (of mass: what molar masses of few digits leave over); "solvent": kg with
-    anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
-    heat, `inflow` with what reactions release.
+    where they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
+    and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent heat, `inflow`
+    with the heat of reaction.
     """
 
     unit: str
@@ -66,14 +66,14 @@ def balances(process: Process, inputs=None) -> list[Balance]:
     streams, ledgers, _ = process.either(
         "balances", make, process.nominal_inputs(inputs), of=lambda result: result[2]
     )
-    fed, results = sources(case), []
+    fed, results = sources(case.flowsheet), []
     for unit in case.units:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
         if out:
             into = [streams[name] for name in fed[unit.name]]
             results += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
     into = [streams[feed.name] for feed in case.feeds]
-    out = [streams[name] for name in leaving(case)]
+    out = [streams[name] for name in leaving(case.flowsheet)]
     return results + unit_balances(process, "process", into, out, list(ledgers.values()))
 
 
@@ -139,12 +139,12 @@ class CheckedPoint:
 
 
 def closed(balance: Balance) -> bool:
-    """Whether a balance closes; one that is not a number does not."""
+    """Whether a balance closes; NaN does not."""
     return balance.quantity == "energy" or abs(balance.relative) <= CLOSED
 
 
 def largest_gap(row: ConvergenceRow) -> float:
-    """The larger gap of a row; one that is not a number is largest."""
+    """The larger gap of a row; NaN counts as the largest."""
     gaps = (row.halving_gap, row.adaptive_gap)
     return max(math.inf if math.isnan(gap) else abs(gap) for gap in gaps)
 
@@ -186,7 +186,7 @@ def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
     names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
     caption = (
         "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
-        "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
+        "reactions, below 0 where they use a species; of mass, the error of rounded molar masses"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 
@@ -251,7 +251,7 @@ def _certificate(run: RunFiles, result: tuple[CheckedPoint, ...]) -> list[Block]
     ]  # fmt: skip
     names = ("Point", "", "Worst entry", "Kinks", "Gap")
     caption = (
-        "Adjoint against fourth-order central differences, every attribute by every parameter; "
+        "Adjoint against fourth-order central differences, for every attribute and parameter; "
         "gap over the largest of the row; at a kink both one-sided derivatives differ"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
@@ -288,7 +288,7 @@ def verification(run: RunFiles) -> Section:
     if attribution is not None and finite(attribution.closure) is not None:
         blocks.append(
             Text(
-                "Sensitivities put together from the units' own derivatives along every path agree "
+                "Sensitivities assembled from the derivatives of the units along every path agree "
                 f"with those of the whole to {power(attribution.closure)} of the largest in their "
                 "row."
             )

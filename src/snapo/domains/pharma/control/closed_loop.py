@@ -11,7 +11,7 @@ from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import initial_progress
 from snapo.solver.train import train as climb
-from snapo.study.ready import at_values, engines_for
+from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from ..flowsheet.case import PharmaCase
@@ -114,14 +114,17 @@ class ClosedLoop:
         if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()
             self._setups[available] = Setup(
-                self.problem, policy, self.training, self.evaluation, self.engines
+                self.problem, policy, self.training, self.evaluation, self.engines, case=self.case
             )
         return self._setups[available]
 
     def setup_at(self, before: Setup, other: PharmaCase) -> Setup:
-        """The setup of a case that differs only in the numbers of its inputs."""
+        """The setup of a case that differs only in the numbers of its inputs.
+
+        Nothing is compiled where the case has the same form.
+        """
         loop = closed_loop(other, seed=self.training.seed)
-        values = {name: item.value for name, item in loop.inputs.items()}
-        return at_values(
-            before, loop.simulator, values, lambda: ClosedLoop(other, self.engine).setup()
-        )
+        problem = replace(before.problem, simulator=loop.simulator, inputs=loop.inputs)
+        if problem.form != before.problem.form:
+            return ClosedLoop(other, self.engine).setup()
+        return before._replace(problem=problem, case=other)

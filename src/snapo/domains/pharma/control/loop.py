@@ -1,5 +1,6 @@
 """The process in closed loop: a policy decides temperatures and ratios on measurements."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,8 +16,11 @@ from snapo.problem.simulator import Simulator, probe
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.stiffness import with_stiff_steps
+from ..given import Form
 from .policy import Feedback
-from .stages import Stage, decided, staged
+from .sensors import history_length
+from .stages import Stage
+from .staging import LoopRecord, decided, staged
 
 
 class ControlLoop(NamedTuple):
@@ -43,8 +47,8 @@ def closed_loop(
     if case.control is None:
         raise ValueError("closed_loop: the case has no [control].")
     case = with_stiff_steps(case)
-    stages = _stages(case)
-    moves = [_move(a, b) for a, b in pairwise(stages)]
+    stages = stages_of(case)
+    moves = [NextStage(before, after) for before, after in pairwise(stages)]
     simulator = Chain(stages, moves) if moves else stages[0]
     result = pharma_inputs(case)
     for name, value in (inputs or {}).items():
@@ -56,36 +60,36 @@ def closed_loop(
     return ControlLoop(simulator, result, baseline.closed(), baseline, tuple(stages), names)
 
 
-def _stages(case: PharmaCase) -> list[Stage]:
+def stages_of(case: PharmaCase) -> list[Stage]:
     """A stage for each unit with decisions or sensors, and one for decisions on all the others."""
-    assert case.control is not None
-    steps, units = dict(case.control.steps), staged(case)
-    last = [None] if decided(case, None) or not units else []
-    counts = [steps.get(item.name, 1) for item in units] + [1] * len(last)
-    starts = np.cumsum([0, *counts])
-    return [
-        Stage(  # pyright: ignore[reportCallIssue]
-            case=case,
-            unit=unit,
-            horizon=counts[i],
-            before=int(starts[i]),
-            total=int(starts[-1]),
-        )
-        for i, unit in enumerate((*units, *last))
-    ]
+    control, form = case.control, Form.of(LoopRecord.of(case), case.held)
+    assert control is not None
+    steps, units = dict(control.steps), staged(case.units, control)
+    rest = decided(case.units, control, "") or not units
+    counts = [steps.get(item.name, 1) for item in units] + [1] * bool(rest)
+    starts, stages = np.cumsum([0, *counts]).tolist(), []
+    for i, count in enumerate(counts):
+        name, history = "", 0
+        if i < len(units):
+            interval = float(units[i].duration.used()) / count
+            name, history = units[i].name, history_length(control.measurements, interval)
+        stages.append(Stage(form, name, count, starts[i], starts[-1], history))  # pyright: ignore[reportCallIssue]
+    return stages
 
 
-def _move(before: Stage, after: Stage):
+@dataclass(frozen=True)
+class NextStage:
     """From the end of one stage to the beginning of the next."""
 
-    def move(constants, state, later):
-        return after.enter(later, before.leave(constants, state))
+    before: Stage
+    after: Stage
 
-    return move
+    def __call__(self, constants, state, later):
+        return self.after.enter(later, self.before.leave(constants, state))
 
 
 def nominal_recipe(case: PharmaCase, stages: list[Stage], inputs: dict[str, Input]) -> np.ndarray:
-    """[T, size] actions that follow the case's own profiles and numbers."""
+    """[T, size] actions that follow the case's profiles and numbers."""
     assert case.control is not None
     size = max(stage.action.size for stage in stages)
     table = np.full((stages[-1].total, size), 0.5)

@@ -1,4 +1,4 @@
-"""The closed loop as resolved data: who decides, on what readings, to which end."""
+"""The closed loop as resolved data: decisions, measurements, and the objective."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,9 +6,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Manipulated:
-    """One thing that the policy decides: the profile or the number `input` of a unit.
+    """One decision of the policy: the profile or the number `input` of a unit.
 
-    - `low`, `high`: the set, in the domain's unit. `ramp`: most change per second of a profile,
+    - `low`, `high`: the set, in the domain's unit. `ramp`: maximum change per second of a profile,
       None without limit.
     """
 
@@ -20,7 +20,7 @@ class Manipulated:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the policy sees: "unit.state", with the standard deviation of the sensor's error.
+    """A reading for the policy: "unit.state", with the standard deviation of the sensor's error.
 
     `centre` and `width` bring it to order one: (measured - centre) / width. `delay`: s by which
     the reading lags behind the state, such as an analyser's dead time.
@@ -38,9 +38,9 @@ class PI:
     """A controller that follows a setpoint of a sensor: K (e + 1/Ti times the integral of e).
 
     - `sensor`: number of the `Measurement`. `setpoint`: evenly spaced over the unit's time, in the
-      domain's unit; None: what the sensor shows in the nominal batch under the recipe.
-    - `gain`: K, of what it moves per measured, both in the domain's units, and `integral`: Ti, s;
-      None: by the rule's formula.
+      domain's unit; None: the readings of the nominal batch under the recipe.
+    - `gain`: K, control per reading, both in the domain's units, and `integral`: Ti, s; None: by
+      the rule's formula.
     """
 
     sensor: int
@@ -53,7 +53,7 @@ class PI:
 class Cascade:
     """One loop: `outer` moves the `Manipulated` number `of`, or through `inner` its setpoint.
 
-    `low`, `high`: of the setpoint that `outer` may ask of `inner`.
+    `low`, `high`: bounds of the setpoint of `inner` set by `outer`.
     """
 
     of: int
@@ -67,7 +67,7 @@ class Cascade:
 class ControlRule:
     """A baseline for the policy: PI controllers about the recipe.
 
-    `tuning`: of what is not given: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
+    `tuning`: for missing settings: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
     """
 
     name: str
@@ -77,12 +77,12 @@ class ControlRule:
 
 @dataclass(frozen=True)
 class Control:
-    """Closed loop: who decides what, how often and on what.
+    """Closed loop: the decisions, their times and the measurements.
 
-    - `steps`: decisions per unit, by name; a unit that is not named runs open loop on its own
-      numbers. `substeps`: fixed integration steps within one decision, at most 64.
-    - `solubility_margin`: most relative supersaturation allowed, as a path constraint; or None.
-    - `rules`: controllers to compare with the policy, by the same batches.
+    - `steps`: decisions per unit, by name; other units run in open loop on their numbers.
+      `substeps`: fixed integration steps within one decision, at most 64.
+    - `solubility_margin`: maximum relative supersaturation, as a path constraint; or None.
+    - `rules`: controllers to compare with the policy, on the same batches.
     """
 
     manipulated: tuple[Manipulated, ...]
@@ -95,7 +95,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Goal:
-    """What is maximised: by expectation, in the worst batches, or the probability to keep all
+    """The objective: an expectation, the mean of the worst batches, or the probability of all
     limits.
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with

@@ -1,4 +1,4 @@
-"""The rules of a case as policies: connected, their setpoints known, and first settings found."""
+"""The rules of a case as policies, with connections, setpoints and initial settings."""
 
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from ..flowsheet.case import PharmaCase
+from ..units.operation import timed
 from .records import PI, Control, ControlRule
 from .rules import LoopConnection, Loops
 from .stages import Stage
@@ -28,7 +29,7 @@ class FirstOrder(NamedTuple):
 
 
 def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOrder:
-    """The process that fits a response [n] at `times` s [n] after a step of this size best.
+    """The process that best fits a response [n] at `times` s [n] after a step of this size.
 
     By least squares over time constants and dead times, each with its best gain.
 
@@ -36,7 +37,7 @@ def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOr
     """
     times, response = np.asarray(times, float), np.asarray(response, float)
     if not np.isfinite(response).all() or np.abs(response).max() < 1e-9 * abs(step):
-        raise ValueError("the reading does not answer to what is moved")
+        raise ValueError("the reading does not respond to the control")
     end = times[-1]
     lags = np.geomspace(end / len(times) / 4, LONGEST * end, LAGS)
     dead = np.linspace(0.0, 0.75 * end, DEADS)
@@ -73,8 +74,8 @@ STEP = 0.05  # of a control's range, or of an inner setpoint's: the step from wh
 
 
 class Tuned(NamedTuple):
-    """A rule with its first settings; `processes` [L]: as the formulas saw them, None where both
-    numbers are given; `loops`: their controllers, in the order of its wires."""
+    """A rule with its initial settings; `processes` [L]: those used by the formulas, None where
+    both numbers are specified; `loops`: the controllers, in the order of its connections."""
 
     policy: Loops
     processes: tuple[FirstOrder | None, ...]
@@ -84,15 +85,16 @@ class Tuned(NamedTuple):
 def connected(
     case: PharmaCase, stages: tuple[Stage, ...], rule: ControlRule
 ) -> tuple[list, list[PI]]:
-    """Its wires and controllers, the outer one of a cascade before the inner one."""
+    """Its connections and controllers, the outer one of a cascade before the inner one."""
     control = case.control
     assert control is not None
     connections, loops = [], []
     for item in rule.loops:
         stage = next(s for s in stages if item.of in s.decided)
-        if stage.unit is None:
+        unit = next((unit for unit in timed(case.units) if unit.name == stage.name), None)
+        if unit is None:
             raise ValueError(f"rule {rule.name!r}: what is decided once has no loop")
-        seconds = float(stage.unit.duration.used()) / stage.horizon
+        seconds = float(unit.duration.used()) / stage.horizon
         position = stage.decided.index(item.of)
         applied = 2 + len(control.measurements) + item.of
         both = [item.outer] if item.inner is None else [item.outer, item.inner]
@@ -121,7 +123,7 @@ def first_settings(
     rule: ControlRule,
     recipe: np.ndarray,
 ) -> Tuned:
-    """A rule about a recipe, [T, size] actions: what is not given is found from steps."""
+    """A rule about a recipe, [T, size] actions; missing settings are tuned from step responses."""
     connections, loops = connected(case, stages, rule)
     control = case.control
     assert control is not None
@@ -163,7 +165,7 @@ def first_settings(
 def _scale(
     control: Control, connection: LoopConnection, connections: list[LoopConnection]
 ) -> float:
-    """What a gain in the domain's units is multiplied by, for shares of the range per reading."""
+    """The factor from a gain in the domain's units to shares of the range per scaled reading."""
     sensor = control.measurements[connection.sensor - 2]
     if connection.inner < 0:
         moved = control.manipulated[connection.control - 2 - len(control.measurements)]
@@ -172,13 +174,13 @@ def _scale(
 
 
 def in_units(control: Control, policy: Loops) -> np.ndarray:
-    """[L] gains in the domain's units: of what is moved per what is measured."""
+    """[L] gains in the domain's units: control per reading."""
     connections = list(policy.connections)
     return policy.gains() / [_scale(control, connection, connections) for connection in connections]
 
 
 def respond(problem: Problem, policy: Loops, recipe: np.ndarray, number: int) -> FirstOrder:
-    """What loop `number` sees of a step in what it moves, from the start of its unit."""
+    """The response of loop `number` to a step of its control, from the start of its unit."""
     connection = policy.connections[number]
     rows = slice(connection.first, connection.first + connection.count)
     if connection.inner < 0:
@@ -203,7 +205,7 @@ def respond(problem: Problem, policy: Loops, recipe: np.ndarray, number: int) ->
 
 
 def readings(problem: Problem, policy: Loops) -> np.ndarray:
-    """[T, features] what a policy sees in the nominal batch, without errors of sensors."""
+    """[T, features] observations of a policy in the nominal batch, without sensor errors."""
     schedule = problem.schedule
     with jax.enable_x64(True):
         return np.asarray(_followed(problem.simulator, policy, schedule.constants, schedule.steps))

@@ -1,8 +1,8 @@
 """PI controllers and cascades of them as a policy: a baseline for the trained one.
 
 A loop moves its control about the recipe: v = recipe + K e + I, e = setpoint - reading, at every
-decision. Its integral moves by dt / Ti (K e + applied - v): what limits and ramps took away runs
-back with the time Ti, so that it does not wind up (Astrom and Hagglund 2006, section 3.5). In a
+decision. Its integral moves by dt / Ti (K e + applied - v): the part removed by limits and ramps is
+reset with the time Ti, so that it does not wind up (Astrom and Hagglund 2006, section 3.5). In a
 cascade the outer loop's v is the setpoint of the inner one.
 
 Gains and times are trained numbers, as the recipe is: they are tuned by the same adjoint.
@@ -26,8 +26,8 @@ from .policy import EDGE
 class LoopConnection(NamedTuple):
     """How one PI controller is connected. An outer one comes before its inner one.
 
-    - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: numbers of the
-      features with its reading and with what was applied of `position`, the number in the action.
+    - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: indices of the
+      features with its reading and with the applied value of `position`, the number in the action.
     - `inner`: number of the loop whose setpoint it moves within `low` to `high`, in that one's
       reading; -1: it moves the control itself, within 0 to 1.
     """
@@ -47,9 +47,9 @@ class Loops(Memory):
     """A recipe, [T, size] logits, and PI controllers about it.
 
     - `log_gain` [L]: of the size of each gain, in shares of the control's range (or readings of
-      the inner sensor) per reading; minus infinity is a loop that is open.
+      the inner sensor) per reading; minus infinity for an open loop.
     - `log_time` [L]: of each integral time in s. `signs` [L]: of the gains, not trained.
-    - `setpoints` [L, T]: readings to be followed.
+    - `setpoints` [L, T] for the readings.
     """
 
     table: Float[Array, "T size"]

@@ -18,15 +18,15 @@ from .records import Measurement
 def history_length(sensors: Sequence[Measurement], interval: float) -> int:
     """How many true readings must be known, `interval` s apart; 0 without any dead time.
 
-    One more than the dead time needs, as a unit's duration may vary from batch to batch.
+    One more than needed for the dead time, since a unit's duration may vary from batch to batch.
     """
     longest = max((sensor.delay for sensor in sensors), default=0.0)
     return math.ceil(longest / interval * (1 + 1e-9)) + 2 if longest else 0
 
 
-def initial_history(values, sensors: Sequence[Measurement], interval: float) -> Float[Array, "M L"]:
+def initial_history(values, length: int) -> Float[Array, "M L"]:
     """The past at a unit's start: its first readings [M]."""
-    return jnp.tile(jnp.asarray(values)[:, None], (1, history_length(sensors, interval)))
+    return jnp.tile(jnp.asarray(values)[:, None], (1, length))
 
 
 def shifted(values, past) -> Float[Array, "M L"]:

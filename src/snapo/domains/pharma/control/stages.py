@@ -18,58 +18,59 @@ from jaxtyping import Array, Float
 from snapo.problem.actions import Box
 from snapo.problem.simulator import Schedule, Simulator
 
-from ..flowsheet.case import PharmaCase
+from ..flowsheet.case import Flowsheet
 from ..flowsheet.feed import feed
-from ..flowsheet.flow import crystal_sizes, requested_measures, sources, through, yields
+from ..flowsheet.flow import crystal_sizes, sources, through, yields
 from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import smallest
 from ..flowsheet.stream import Stream, blank, flat, unflat
-from ..given import fixed
+from ..given import Form, fixed
 from ..time.dynamics import Dynamics
 from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
-from .records import Manipulated
+from .records import Control
 from .sensors import initial_history, reading, shifted
-from .varied import Varied, drawn, varied
+from .staging import LoopRecord, Varied, decided, drawn, staged
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
 
 StageState = dict[str, Any]
 
 
-def staged(case: PharmaCase) -> tuple[Timed, ...]:
-    """The units over whose time something is decided or measured, in order."""
-    control = case.control
-    assert control is not None
-    by_name = {name for name, _ in control.steps}
-    by_name |= {measurement.state.partition(".")[0] for measurement in control.measurements}
-    by_name |= {item.input.partition(".")[0] for item in control.manipulated}
-    return tuple(entry for entry in timed(case.units) if entry.name in by_name)
-
-
-def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
-    """Numbers of the `Manipulated` that belong to a stage's unit, or (None) to all the others."""
-    names = {entry.name for entry in staged(case)}
-
-    def unit_of(item: Manipulated) -> str | None:
-        name = item.input.partition(".")[0]
-        return name if name in names else None
-
-    assert case.control is not None
-    requested = None if unit is None else unit.name
-    return tuple(i for i, m in enumerate(case.control.manipulated) if unit_of(m) == requested)
-
-
 class Stage(Simulator):
-    """One stage. `unit` is None in one that decides once, before all that is left runs."""
+    """One stage. It holds no case, but the form of a `LoopRecord`.
 
-    case: PharmaCase = eqx.field(static=True)
-    unit: Timed | None = eqx.field(static=True)
+    - `name`: of its unit; "" of a stage that decides once, before all that is left runs.
+    - `before`, `total`: decisions of the stages before it, and of all. `history`: how many true
+      readings its sensors look back to.
+    """
+
+    form: Form[LoopRecord] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
     horizon: int = eqx.field(static=True)
     before: int = eqx.field(static=True)
     total: int = eqx.field(static=True)
+    history: int = eqx.field(static=True)
+
+    @property
+    def flowsheet(self) -> Flowsheet:
+        return self.form.record.flowsheet
+
+    @property
+    def control(self) -> Control:
+        return self.form.record.control
+
+    @property
+    def varied(self) -> Varied:
+        return self.form.record.varied
+
+    @property
+    def unit(self) -> Timed | None:
+        """The unit of the stage, formed."""
+        units = timed(self.flowsheet.units)
+        return next((unit for unit in units if unit.name == self.name), None)
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -78,12 +79,12 @@ class Stage(Simulator):
     @property
     def decided(self) -> tuple[int, ...]:
         """Numbers of the `Manipulated` that this stage decides."""
-        return decided(self.case, self.unit)
+        return decided(self.flowsheet.units, self.control, self.name)
 
     @property
     def readings(self) -> dict[str, str]:
         """The states of this stage's unit, with their units."""
-        return self.unit.states(self.case.network.species) if self.unit else {}
+        return self.unit.states(self.flowsheet.network.species) if self.unit else {}
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -92,15 +93,6 @@ class Stage(Simulator):
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.noise_size
-
-    @property
-    def control(self):
-        assert self.case.control is not None
-        return self.case.control
-
-    @property
-    def varied(self) -> Varied:
-        return varied(self.case)
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         correlated = jnp.asarray(self.varied.correlated)
@@ -125,7 +117,7 @@ class Stage(Simulator):
         """The inputs of this batch."""
         inputs, uncertain = dict(constants["inputs"]), self.varied
         for i, (name, entry) in enumerate(zip(uncertain.inputs, uncertain.entries)):
-            inputs[name] = inputs[name].at[entry].set(draws[i])
+            inputs[name] = jnp.asarray(inputs[name]).at[entry].set(draws[i])
         return inputs
 
     def initial(self, constants, noise) -> StageState:
@@ -158,7 +150,7 @@ class Stage(Simulator):
             for profile, value in problem.controls
         ]
         values = self.sensed(problem, y, controls)
-        past = initial_history(values, self.control.measurements, self._interval())
+        past = initial_history(values, self.history)
         observed = self.read(problem, values, past, state)
         return state | {"y": y, "seen": observed, "past": past}
 
@@ -175,7 +167,7 @@ class Stage(Simulator):
 
     def delivered(self, unit: Unit, finish: LedgerFinish, state: StageState) -> StageState:
         """The state with the delivery of a timed unit."""
-        requested = requested_measures(self.case)
+        requested = self.flowsheet.measures
         streams = {
             f"{unit.name}.{port}": flat(stream)
             for port, stream in zip(unit.outlets, finish.outlets)
@@ -189,9 +181,10 @@ class Stage(Simulator):
 
     def settle(self, inputs, state: StageState) -> StageState:
         """The state with every timed unit run that has no stage and whose inlets flow by now."""
-        case, fed, local = self.case, sources(self.case), staged(self.case)
-        numerics = replace(case.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
-        for unit in timed(case.units):
+        flowsheet, fed = self.flowsheet, sources(self.flowsheet)
+        local = staged(flowsheet.units, self.control)
+        numerics = replace(flowsheet.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
+        for unit in timed(flowsheet.units):
             done = any(f"{unit.name}.{port}" in state["streams"] for port in unit.outlets)
             if unit in local or done:
                 continue
@@ -199,23 +192,23 @@ class Stage(Simulator):
             if not all(name in result for name in fed[unit.name]):
                 continue
             values = tuple(result[name] for name in fed[unit.name])
-            finish = unit.operate(case.network, numerics, values, inputs).finish
+            finish = unit.operate(flowsheet.network, numerics, values, inputs).finish
             state = self.delivered(unit, finish, state)
         return state
 
     def streams(self, inputs, made: dict[str, Array]) -> tuple[dict[str, Stream], dict]:
         """All streams and measures that follow from the feeds and the vectors `made` so far."""
-        case, fed = self.case, sources(self.case)
-        feeds = {item.name: feed(item, inputs) for item in case.feeds}
-        species, sizes = len(case.network.species), crystal_sizes(case)
+        flowsheet, fed = self.flowsheet, sources(self.flowsheet)
+        feeds = {item.name: feed(item, inputs) for item in flowsheet.feeds}
+        species, sizes = len(flowsheet.network.species), crystal_sizes(flowsheet)
         feeds |= {name: unflat(entry, blank(species, sizes[name])) for name, entry in made.items()}
         measures = {}
-        over_time = timed(case.units)
-        for group in groups(case.units, case.connections):
+        over_time = timed(flowsheet.units)
+        for group in groups(flowsheet.units, flowsheet.connections):
             inside = {f"{unit.name}.{port}" for unit in group.units for port in unit.outlets}
             needed = {name for unit in group.units for name in fed[unit.name]} - inside
             if group.units[0] not in over_time and needed <= set(feeds):
-                flowed = through(case, group, feeds, inputs)
+                flowed = through(flowsheet, group, feeds, inputs)
                 feeds, measures = flowed.streams, measures | flowed.measures
         return feeds, measures
 
@@ -223,8 +216,8 @@ class Stage(Simulator):
         """This stage's unit as an initial value problem."""
         assert self.unit is not None
         streams, _ = self.streams(inputs, made)
-        inlets = tuple(streams[name] for name in sources(self.case)[self.unit.name])
-        return self.unit.dynamics(self.case.network, inlets, inputs)
+        inlets = tuple(streams[name] for name in sources(self.flowsheet)[self.unit.name])
+        return self.unit.dynamics(self.flowsheet.network, inlets, inputs)
 
     def sensed(self, problem: Dynamics, y, controls) -> Float[Array, " M"]:
         """The states that this unit's sensors measure, now; 0 for the sensors of other units."""
@@ -246,11 +239,6 @@ class Stage(Simulator):
             value = reading(values[i], past[i], sensor, steps) + sensor.error * state["error"][i]
             observed.append((value - sensor.centre) / sensor.width)
         return jnp.stack(observed) if observed else jnp.zeros(0)
-
-    def _interval(self) -> float:
-        """s from one decision to the next over the nominal duration."""
-        assert self.unit is not None
-        return float(self.unit.duration.used()) / self.horizon
 
     def observe(self, constants, now, state: StageState) -> Float[Array, " features"]:
         low = np.array([item.low for item in self.control.manipulated])
@@ -321,7 +309,7 @@ class Stage(Simulator):
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _dosed(self, problem: Dynamics, state: StageState, flow, seconds) -> Float[Array, ""]:
-        """The share of a `flow` over this decision that what waits to be dosed is enough for."""
+        """The share of a `flow` over this decision that is covered by the remaining feed."""
         assert problem.to_dose is not None
         requested = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
         waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
@@ -355,19 +343,20 @@ class Stage(Simulator):
         inputs = self.inputs_of(constants, state["draws"])
         if self.unit is not None:
             state = self.leave(constants, state)
-        for i in decided(self.case, None):
+        for i in decided(self.flowsheet.units, self.control, ""):
             name = self.control.manipulated[i].input
             off = inputs[name] - constants["inputs"][name]
             inputs[name] = state["control"][i] + off
         state = self.settle(inputs, state)
         streams, measures = self.streams(inputs, state["streams"])
-        measures |= state["measures"] | yields(self.case, streams)
+        measures |= state["measures"] | yields(self.flowsheet, streams)
         outputs, success, violation = {}, jnp.ones(()), jnp.zeros(())
         gaps = []
-        for attribute in self.case.attributes:
+        for attribute in self.form.record.attributes:
             value = attribute.scale * measures[attribute.measure]
             outputs[f"attribute.{attribute.name}"] = value
-            # What cannot be is no success; it has no slope, as no good batch comes near it.
+            # An impossible result is a failure; it has no slope, since no good batch is close to
+            # it.
             success = success * jnp.where(
                 value >= attribute.scale * smallest(attribute.measure), 1.0, 0.0
             )
@@ -384,6 +373,6 @@ class Stage(Simulator):
         return outputs | {"success": success, "violation": violation}
 
     def _manipulated(self, name: str) -> int:
-        """The number of the `Manipulated` with this input, -1 if nobody decides it."""
+        """The number of the `Manipulated` with this input, -1 if it is not decided."""
         names = [item.input for item in self.control.manipulated]
         return names.index(name) if name in names else -1

@@ -90,7 +90,7 @@ def _onward(
 
 def by_unit(case: PharmaCase, result: Split) -> dict[tuple[str, str], float]:
     """{(unit where parameters act, attribute): root of the summed squares over half the normal
-    range}: which unit matters for which attribute, before anyone asks by what."""
+    range}: the importance of units for attributes, over all their parameters."""
     half = {item.name: (item.normal_high - item.normal_low) / 2 / item.scale
             for item in case.parameters}  # fmt: skip
     squares: dict[tuple[str, str], float] = {}

@@ -73,7 +73,7 @@ def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.n
     far_low, low, high, far_high = (values[k * size : (k + 1) * size].T for k in range(4))
     difference = (8 * (high - low) - (far_high - far_low)) / (12 * step)
     row = np.abs(adjoint).max(1, keepdims=True)
-    # An attribute that is next to nothing has no slope worth comparing: a margin in half a range.
+    # An attribute close to zero has no slope to compare: the unit is a margin in half a range.
     margins = np.array([attribute.margin for attribute in process.case.attributes])[:, None]
     half = np.array([(p.normal_high - p.normal_low) / 2 for p in process.case.parameters])
     row = np.maximum(row, margins / half)

@@ -1,4 +1,4 @@
-"""Does the answer depend on cells along a length and over sizes? Values on twice as many."""
+"""Dependence of results on cells along a length and over sizes: values on twice as many."""
 
 from dataclasses import dataclass, replace
 
@@ -52,6 +52,6 @@ def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
 
 
 def allowed(attribute: Attribute, value: float) -> float:
-    """By how much an attribute may move with the cells."""
+    """The allowed change of an attribute with the cells."""
     limited = attribute.low is not None or attribute.high is not None
     return attribute.margin if limited or value == 0 else SMALL * abs(value)

@@ -8,8 +8,8 @@ from ..flowsheet.process import Process
 from ..given import Entry
 from .mode import DERIVATIVES, Mode
 
-# One adjoint pass in forward tangents, both beside the run that they share: measured on the process
-# of `snapo new pharma`. Of a unit with so many states that derivatives go step by step it is more.
+# Cost of an adjoint pass in forward tangents, both without the run that they share: measured on the
+# process of `snapo new pharma`. It is higher for a unit with many states.
 ADJOINT_COST = 1.1
 
 
@@ -77,7 +77,8 @@ def choose(
 
 
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
-    """One attribute by every entry of every input, from ONE adjoint pass; per domain unit."""
+    """Derivatives of one attribute, for every entry of every input, from ONE adjoint pass; per
+    domain unit."""
     row = process.names.index(attribute)
 
     def make(local: bool):
@@ -89,7 +90,7 @@ def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndar
 
 
 def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None) -> np.ndarray:
-    """[pairs, Q] second derivatives of every attribute by the pair, forward over reverse."""
+    """[pairs, Q] mixed second derivatives of every attribute, forward over reverse."""
     if process.case.numerics.method == "adaptive":
         raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")
     entries = tuple(dict.fromkeys(item for pair in pairs for item in pair))

@@ -21,7 +21,7 @@ LocalRun = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ..
 
 
 class DerivativeBlock(NamedTuple):
-    """Derivatives of one unit by itself: of its outlets and measures by its inlets and own numbers.
+    """Derivatives of a single unit: of outlets and measures with respect to inlets and numbers.
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
@@ -54,10 +54,10 @@ class Local(NamedTuple):
 
 
 def local(process: Process, inputs=None) -> Local:
-    """The derivatives of every unit by itself at the streams that flow at `inputs`."""
+    """The derivatives of every single unit at the streams for `inputs`."""
     case, values = process.case, process.nominal_inputs(inputs)
     streams = process.run(inputs).streams
-    fed, blocks = sources(case), {}
+    fed, blocks = sources(case.flowsheet), {}
 
     def block(
         name: str, into: tuple[str, ...], out: tuple[str, ...], entries, run: LocalRun
@@ -75,7 +75,7 @@ def local(process: Process, inputs=None) -> Local:
         entries = _entries(process, group.units, reacts)
         name = group.loop or group.units[0].name
         block(name, into, out, entries, _of_group(process, group, into, out))
-    names = (*leaving(case), *(entry.name for entry in case.feeds))
+    names = (*leaving(case.flowsheet), *(entry.name for entry in case.feeds))
     block("process", names, (), (), _of_process(process, names))
     return Local(blocks)
 
@@ -88,7 +88,7 @@ def _of_group(
     process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]
 ) -> LocalRun:
     def run(streams, inputs):
-        result = through(process.case, group, dict(zip(into, streams)), inputs)
+        result = through(process.case.flowsheet, group, dict(zip(into, streams)), inputs)
         return tuple(result.streams[name] for name in out), result.measures
 
     return run
@@ -96,7 +96,7 @@ def _of_group(
 
 def _of_process(process: Process, names: tuple[str, ...]) -> LocalRun:
     def run(streams, inputs):
-        return (), yields(process.case, dict(zip(names, streams)))
+        return (), yields(process.case.flowsheet, dict(zip(names, streams)))
 
     return run
 

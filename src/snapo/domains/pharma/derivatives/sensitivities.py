@@ -1,6 +1,6 @@
-"""The sensitivity matrix in the forms that are read: raw, over the normal range, as share of room.
+"""The sensitivity matrix in its reported forms: raw, over the normal range, as share of room.
 
-And what follows from it: how critical a parameter is, and how much of the spread is linear.
+Also the criticality of parameters, and the linear share of the variance.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """A pharmaceutical process as resolved data: its flowsheet, and the questions to it.
 
-Conventions for every record. Numbers are in the domain's own units, to which reading converts:
+Conventions for every record. Numbers are in the domain's units, to which reading converts:
 K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
 number; shares are fractions, but attributes are in the unit that their measure states. A
 `CaseInput` named "unit.field" becomes an input with a sensitivity under that name; where it is used
@@ -33,8 +33,23 @@ class Connection:
 
     @property
     def stream(self) -> str:
-        """The name of what flows: "unit.outlet", or that of a feed."""
+        """The name of the stream: "unit.outlet", or that of a feed."""
         return f"{self.source}.{self.outlet}" if self.outlet else self.source
+
+
+@dataclass(frozen=True, eq=False)
+class Flowsheet:
+    """All that material flows through, and how time is integrated.
+
+    - `units`: in the order in which material flows. `measures`: names of those that are asked for.
+    """
+
+    network: FlowNetwork
+    feeds: tuple[Feed, ...]
+    units: tuple[Unit, ...]
+    connections: tuple[Connection, ...]
+    numerics: Numerics
+    measures: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,3 +89,12 @@ class PharmaCase:
     parts: tuple[str, ...] = ()
 
     kind = "pharma"
+
+    @property
+    def flowsheet(self) -> Flowsheet:
+        """With the measures that attributes, and an optimisation, name."""
+        terms = () if self.optimise is None else self.optimise.terms + self.optimise.per
+        names = [attribute.measure for attribute in self.attributes]
+        names += [term.of for term in terms if term.entry is None]
+        parts = self.network, self.feeds, self.units, self.connections, self.numerics
+        return Flowsheet(*parts, tuple(dict.fromkeys(names)))

@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from ..time.dynamics import Dynamics
 from ..units.operation import Outcome, Timed, Unit
-from .case import PharmaCase
+from .case import Flowsheet
 from .feed import feed
 from .grid import NO_CRYSTALS, Sizes
 from .order import Group, groups, settled
@@ -26,120 +26,126 @@ class Flow(NamedTuple):
     loops: dict[str, Closed]
 
 
-def sources(case: PharmaCase) -> dict[str, tuple[str, ...]]:
+def sources(sheet: Flowsheet) -> dict[str, tuple[str, ...]]:
     """{unit: names of the streams at its inlets, in order of its inlets}."""
     fed = {
-        (connection.target, connection.inlet): connection.stream for connection in case.connections
+        (connection.target, connection.inlet): connection.stream for connection in sheet.connections
     }
     return {
-        unit.name: tuple(fed[unit.name, port.name] for port in unit.inlets) for unit in case.units
+        unit.name: tuple(fed[unit.name, port.name] for port in unit.inlets) for unit in sheet.units
     }
 
 
-def leaving(case: PharmaCase) -> tuple[str, ...]:
+def leaving(sheet: Flowsheet) -> tuple[str, ...]:
     """Names of the streams that leave the flowsheet: into no unit, or into one without outlets."""
-    into = {item.name: item for item in case.units if item.outlets}
-    used = {c.stream for c in case.connections if c.target in into}
-    names = [f"{unit.name}.{port}" for unit in case.units for port in unit.outlets]
-    names += [entry.name for entry in case.feeds]
+    into = {item.name: item for item in sheet.units if item.outlets}
+    used = {c.stream for c in sheet.connections if c.target in into}
+    names = [f"{unit.name}.{port}" for unit in sheet.units for port in unit.outlets]
+    names += [entry.name for entry in sheet.feeds]
     return tuple(name for name in names if name not in used)
 
 
-def crystal_sizes(case: PharmaCase) -> dict[str, Sizes]:
+def crystal_sizes(sheet: Flowsheet) -> dict[str, Sizes]:
     """{name of a stream: the grid on which its crystals are counted}."""
-    fed: dict[tuple[str, str], Sizes] = {(item.name, ""): NO_CRYSTALS for item in case.feeds}
+    fed: dict[tuple[str, str], Sizes] = {(item.name, ""): NO_CRYSTALS for item in sheet.feeds}
     made, _ = settled(
-        case.units, case.connections, fed, NO_CRYSTALS, lambda unit, into: unit.sizes(into)
+        sheet.units,
+        sheet.connections,
+        fed,
+        NO_CRYSTALS,
+        lambda unit, into: unit.sizes(into),
     )
     return {f"{name}.{port}".rstrip("."): size for (name, port), size in made.items()}
 
 
 def flow(
-    case: PharmaCase,
+    sheet: Flowsheet,
     inputs: dict[str, Any],
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
     """Runs every unit; with `record` tracks are kept. `endpoints`: {unit: its final y} of units
     that were integrated elsewhere."""
-    result = _through(case, case.units, inputs, record, endpoints or {})
-    return result._replace(measures=result.measures | yields(case, result.streams))
+    result = _through(sheet, sheet.units, inputs, record, endpoints or {})
+    return result._replace(measures=result.measures | yields(sheet, result.streams))
 
 
 def problem_of(
-    case: PharmaCase, unit: Timed, inputs: dict[str, Any], endpoints: Mapping[str, Array]
+    sheet: Flowsheet, unit: Timed, inputs: dict[str, Any], endpoints: Mapping[str, Array]
 ) -> Dynamics:
     """A unit's initial value problem, once the timed units before it have come to their ends."""
-    before = case.units[: [item.name for item in case.units].index(unit.name)]
-    streams = _through(case, before, inputs, False, endpoints).streams
-    values = tuple(streams[name] for name in sources(case)[unit.name])
-    return unit.dynamics(case.network, values, inputs)
+    before = sheet.units[: [item.name for item in sheet.units].index(unit.name)]
+    streams = _through(sheet, before, inputs, False, endpoints).streams
+    values = tuple(streams[name] for name in sources(sheet)[unit.name])
+    return unit.dynamics(sheet.network, values, inputs)
 
 
-def _through(case: PharmaCase, units: tuple[Unit, ...], inputs, record: bool, endpoints) -> Flow:
-    streams = {item.name: feed(item, inputs) for item in case.feeds}
+def _through(sheet: Flowsheet, units: tuple[Unit, ...], inputs, record: bool, endpoints) -> Flow:
+    streams = {item.name: feed(item, inputs) for item in sheet.feeds}
     measures, outcomes, loops = {}, {}, {}
-    for group in groups(units, case.connections):
-        result = through(case, group, streams, inputs, record, endpoints)
+    for group in groups(units, sheet.connections):
+        result = through(sheet, group, streams, inputs, record, endpoints)
         streams, outcomes, loops = result.streams, outcomes | result.outcomes, loops | result.loops
         measures |= result.measures
     return Flow(streams, measures, outcomes, loops)
 
 
 def through(
-    case: PharmaCase,
+    sheet: Flowsheet,
     group: Group,
     streams: Mapping[str, Stream],
     inputs: dict[str, Any],
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """The `streams` with those that a group makes; a loop's come to their steady state first."""
+    """The `streams` with those of the outlets of a group; a loop is solved for its steady state."""
     loops = {}
     if group.torn:
-        torn, loops[group.loop] = _torn(case, group, streams, inputs)
+        torn, loops[group.loop] = _torn(sheet, group, streams, inputs)
         streams = {**streams, **torn}
-    return _along(case, group.units, streams, inputs, record, endpoints or {})._replace(loops=loops)
+    return _along(sheet, group.units, streams, inputs, record, endpoints or {})._replace(
+        loops=loops
+    )
 
 
-def _torn(case: PharmaCase, group: Group, streams, inputs) -> tuple[dict[str, Stream], Closed]:
+def _torn(sheet: Flowsheet, group: Group, streams, inputs) -> tuple[dict[str, Stream], Closed]:
     """The torn streams of a loop, which its units make again."""
-    fed, inside = sources(case), {f"{u.name}.{p}" for u in group.units for p in u.outlets}
+    fed, inside = sources(sheet), {f"{u.name}.{p}" for u in group.units for p in u.outlets}
     needed = {name for unit in group.units for name in fed[unit.name]} - inside
     around = {name: streams[name] for name in sorted(needed)}, inputs
     lasting = jnp.max(jnp.stack([item.duration for item in around[0].values()]))
-    guess = tuple(entry.replace(duration=lasting) for entry in _blanks(case, group))
+    guess = tuple(entry.replace(duration=lasting) for entry in _blanks(sheet, group))
 
     def turn(torn, around):
         streams, inputs = around
         available = {**streams, **dict(zip(group.torn, torn))}
-        made = _along(case, group.units, available, inputs, False, {}).streams
+        made = _along(sheet, group.units, available, inputs, False, {}).streams
         return tuple(made[name] for name in group.torn)
 
-    result, closed = close(turn, guess, around, case.numerics)
+    result, closed = close(turn, guess, around, sheet.numerics)
     return dict(zip(group.torn, result)), closed
 
 
-def _blanks(case: PharmaCase, group: Group) -> tuple[Stream, ...]:
-    sizes = crystal_sizes(case)
-    return tuple(blank(len(case.network.species), sizes[name]) for name in group.torn)
+def _blanks(sheet: Flowsheet, group: Group) -> tuple[Stream, ...]:
+    sizes = crystal_sizes(sheet)
+    return tuple(blank(len(sheet.network.species), sizes[name]) for name in group.torn)
 
 
-def entry_words(case: PharmaCase, loop: str) -> list[str]:
+def entry_words(sheet: Flowsheet, loop: str) -> list[str]:
     """Words for every entry of the guess of a loop, which is called by its units."""
-    group = next(g for g in groups(case.units, case.connections) if g.loop == loop)
-    return labels(_blanks(case, group), group.torn, case.network.species)
+    group = next(g for g in groups(sheet.units, sheet.connections) if g.loop == loop)
+    return labels(_blanks(sheet, group), group.torn, sheet.network.species)
 
 
 def _along(
-    case: PharmaCase, units: Sequence[Unit], streams, inputs, record: bool, endpoints
+    sheet: Flowsheet, units: Sequence[Unit], streams, inputs, record: bool, endpoints
 ) -> Flow:
     """Runs these units, one after the other."""
-    streams, measures, outcomes, fed = dict(streams), {}, {}, sources(case)
+    streams, measures, outcomes, fed = dict(streams), {}, {}, sources(sheet)
     for unit in units:
         values = tuple(streams[name] for name in fed[unit.name])
         end = endpoints.get(unit.name)
-        outcome = unit.operate(case.network, case.numerics, values, inputs, record, end)
+        outcome = unit.operate(sheet.network, sheet.numerics, values, inputs, record, end)
         outcomes[unit.name] = outcome
         for port, stream in zip(unit.outlets, outcome.finish.outlets):
             streams[f"{unit.name}.{port}"] = stream
@@ -148,12 +154,12 @@ def _along(
     return Flow(streams, measures, outcomes, {})
 
 
-def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:
+def yields(sheet: Flowsheet, streams: dict[str, Stream]) -> dict[str, Array]:
     """{"process.yield.PRODUCT.KEY": new crystals of PRODUCT per KEY fed, both in kmol;
     "process.product.PRODUCT": kg of them}, those asked for."""
-    table, out = {}, leaving(case)
-    species = case.network.species
-    for name in requested_measures(case):
+    table, out = {}, leaving(sheet)
+    species = sheet.network.species
+    for name in sheet.measures:
         kind, _, names = name.removeprefix("process.").partition(".")
         if not name.startswith("process.") or kind not in ("yield", "product"):
             continue
@@ -163,15 +169,8 @@ def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:
         for item in out:
             crystals = crystals + streams[item].solid[made] - streams[item].seed[made]
         if kind == "product":
-            table[name] = crystals * case.network.molar_mass[made]
+            table[name] = crystals * sheet.network.molar_mass[made]
         else:
             used = species.index(key)
-            table[name] = crystals / sum(streams[entry.name].species[used] for entry in case.feeds)
+            table[name] = crystals / sum(streams[entry.name].species[used] for entry in sheet.feeds)
     return table
-
-
-def requested_measures(case: PharmaCase) -> tuple[str, ...]:
-    """The measures that attributes, and an optimisation, name."""
-    terms = () if case.optimise is None else case.optimise.terms + case.optimise.per
-    by_name = [attribute.measure for attribute in case.attributes]
-    return tuple(dict.fromkeys([*by_name, *(term.of for term in terms if term.entry is None)]))

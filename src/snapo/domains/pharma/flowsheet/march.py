@@ -1,11 +1,12 @@
-"""The time loops of many batches by the native engine: its lanes are batches, its steps the mesh's.
+"""The time loops of many batches on the native engine: lanes are batches, steps those of the mesh.
 
-Between the units all is algebra, which XLA does for many batches side by side. What takes time,
-a unit's steps, is one kernel. Derivatives go forward with the values, and a unit carries only
-those by numbers that act on it.
+All between the units is algebra, which XLA does for many batches in parallel. The expensive part, a
+unit's steps, is one kernel. Derivatives are propagated forward with the values, and a unit carries
+only those with respect to numbers that affect it.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
 import equinox as eqx
@@ -17,21 +18,33 @@ from jaxtyping import Float
 
 from snapo.engine import Native
 from snapo.problem.actions import Box
+from snapo.problem.code.version import ProgramText, text
 from snapo.problem.policies.rules import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..given import Entry
+from ..given import Entry, Form
 from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
-from .case import PharmaCase
+from .case import Flowsheet, PharmaCase
 from .flow import flow, problem_of
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
 # The same for all batches, or not, or with derivatives.
 BatchKind = Literal["shared", "drawn", "moving"]
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """A step as it was traced, whose numbers are arguments: two of one text compute the same."""
+
+    text: ProgramText
+    function: Callable = field(compare=False, repr=False)
+
+    def __call__(self, y, now, *numbers):
+        return self.function(y, now, *numbers)
 
 
 class March(Simulator):
@@ -42,16 +55,16 @@ class March(Simulator):
     """
 
     horizon: int = eqx.field(static=True)
-    advance: Callable = eqx.field(static=True)
+    advance: StepProgram = eqx.field(static=True)
     kinds: tuple[BatchKind, ...] = eqx.field(static=True)
     action = Box(-np.inf, np.inf)
     noise_size = 0
 
     def prepare(self, inputs) -> Schedule:
-        raise NotImplementedError("The schedule of a march comes with it.")
+        raise NotImplementedError("A march has its schedule already.")
 
     def initial(self, constants, noise):
-        raise NotImplementedError("A march begins where it is told to.")
+        raise NotImplementedError("A march begins from a supplied state.")
 
     def observe(self, constants, now, state):
         return jnp.zeros(1)
@@ -69,8 +82,8 @@ class March(Simulator):
 
 
 class _Leg(NamedTuple):
-    """One unit: its `march`, the march's `steps`, which of the sensitivities reach it (`columns`),
-    the size of its y, and `enter(draws, ends, d_ends, inputs)`, what is shared and the state
+    """One unit: its `march`, the march's `steps`, the sensitivities that reach it (`columns`), the
+    size of its y, and `enter(draws, ends, d_ends, inputs)`, the shared constants and the state
     before the first step."""
 
     march: March
@@ -81,10 +94,13 @@ class _Leg(NamedTuple):
 
 
 class Batches(Protocol):
-    """What marching asks of a process: `flowsheet.process.Process`."""
+    """The interface of a process for marching: `flowsheet.process.Process`."""
 
     @property
     def case(self) -> PharmaCase: ...
+
+    @property
+    def form(self) -> Form[Flowsheet]: ...
 
     def nominal_inputs(self) -> dict[str, Any]: ...
 
@@ -104,7 +120,7 @@ class Marches:
         self.process, self.entries, self.by = process, tuple(entries), tuple(by)
         self.legs: dict[str, _Leg] = {}
         with jax.enable_x64(True):
-            for unit in timed(process.case.units):
+            for unit in timed(process.form.record.units):
                 self.legs[unit.name] = self._leg(unit)
         self.leave = jax.jit(jax.vmap(self._leave, in_axes=(0, 0, 0, None)))
 
@@ -128,18 +144,19 @@ class Marches:
             return np.asarray(values), np.asarray(jacobian)
 
     def _given(self, numbers, draw, inputs):
-        """The inputs of one batch, with `numbers` at the places of `by`."""
+        """The inputs of one batch, with `numbers` at the positions of `by`."""
         shifted = self.process.shifted
         return shifted(numbers, self.by, shifted(draw, self.entries, inputs))
 
     def _numbers(self, draw, inputs) -> list:
-        """What stands at the places of `by` in one batch."""
+        """The values at the positions of `by` in one batch."""
         drawn = self.process.shifted(draw, self.entries, inputs)
         return [drawn[name][position] for name, position in self.by]
 
     def _leave(self, draw, endpoints, d_ends, inputs):
         def attributes(numbers, bounds):
-            result = flow(self.process.case, self._given(numbers, draw, inputs), endpoints=bounds)
+            moved = self._given(numbers, draw, inputs)
+            result = flow(self.process.form.record, moved, endpoints=bounds)
             return self.process.of_measures(result.measures)
 
         every = np.arange(len(self.by))
@@ -153,12 +170,15 @@ class Marches:
         def start(numbers, draw, endpoints, inputs):
             """y, and all numbers that a step reads."""
             problem = problem_of(
-                self.process.case, unit, self._given(numbers, draw, inputs), endpoints
+                self.process.form.record, unit, self._given(numbers, draw, inputs), endpoints
             )
             numerics = self.process.case.numerics
             advance, made["steps"] = mesh_march(problem, numerics, numerics.held.get(unit.name))
             now = {name: jnp.asarray(step[0]) for name, step in made["steps"].items()}
-            made["advance"], held = jax.closure_convert(advance, problem.start, now)
+            advance, held = jax.closure_convert(advance, problem.start, now)
+            if "advance" not in made:  # this runs again in every program of the leg
+                version = text(advance, problem.start, now, *held)
+                made["advance"] = StepProgram(version, advance)
             return [problem.start, *held]
 
         shapes, reached = self._reached(start)

@@ -14,8 +14,8 @@ from snapo.case.given import CaseInput
 from ..given import use
 
 GAS_CONSTANT = 8.314  # J/mol/K, as the published kinetics use it
-# kmol/m3 of what a reaction uses by order 0: it goes at its full rate above twenty of them (to the
-# last digit), and has stopped at 0.
+# kmol/m3 of a reactant of order 0: the reaction has its full rate above twenty of them (to the last
+# digit), and stops at 0.
 SPENT = 1e-6
 
 
@@ -24,14 +24,13 @@ class FlowNetwork:
     """Mass-action reactions: r_i = k_i exp(-E_i / (R T)) prod_s c_s^order_is, in kmol/m3/s.
 
     With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that
-    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it. What a
-    reaction uses by order 0 runs out: its rate then has the factor tanh(c / SPENT), the least one
-    where there are several.
+    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it. A reactant of
+    order 0 runs out: the rate has the factor tanh(c / SPENT), the smallest one if there are
+    several.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
     - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
-    - `order`: [R, S] exponents, not negative; those of the reactants unless the case says
-      otherwise.
+    - `order`: [R, S] exponents, not negative; by default those of the reactants.
     - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
       with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.
     - `heat`: "kinetics.heat", [R], J/mol of reaction extent, negative where heat is released.
@@ -68,8 +67,8 @@ def rate_constants(
 def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]) -> list[Array]:
     """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
 
-    Written out reaction by reaction: species of order 0 appear only in what stops the reaction that
-    uses them, so 0^0 never does.
+    Written out reaction by reaction: species of order 0 appear only in the factor that stops the
+    reaction, so 0^0 never occurs.
     """
     results = []
     for i in range(len(network.reactions)):

@@ -10,7 +10,7 @@ Carried = TypeVar("Carried")
 
 
 class Group(NamedTuple):
-    """Units that are solved together: one alone, or those of a loop, in order.
+    """Units that are solved together: a single one, or those of a loop, in order.
 
     `torn`: names of the streams that feed a unit at or before the one they come from; () without
     a loop.
@@ -100,10 +100,10 @@ def settled(
     start: Carried,
     of_unit: Callable[[Unit, tuple[Carried, ...]], tuple[Carried, ...]],
 ) -> tuple[dict[tuple[str, str], Carried], dict[str, tuple[Carried, ...]]]:
-    """What every outlet carries, and what comes to the inlets of every unit.
+    """Results for every outlet, and for the inlets of every unit.
 
-    `of_unit` gives it for the outlets from the inlets; `fed`: of the feeds; `start`: of a stream
-    of a loop at first. The units are gone through until nothing changes.
+    `of_unit` computes those of the outlets from the inlets; `fed`: those of the feeds; `start`:
+    initial value in a loop. Units are evaluated until nothing changes.
     """
     source = {(c.target, c.inlet): (c.source, c.outlet) for c in connections}
     made, into = dict(fed), {}

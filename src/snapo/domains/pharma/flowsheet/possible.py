@@ -1,11 +1,11 @@
-"""Values that a measure cannot have: what the equations give where their assumptions end."""
+"""Impossible values of a measure, which equations give where their assumptions fail."""
 
 import math
 
 from .case import PharmaCase
 
 AT_LARGEST = 0.01  # of the crystals' volume in the largest cell, out of which none can grow
-ROUND_OFF = 1e-9  # in the domain's unit: what round-off may take from a number that is zero
+ROUND_OFF = 1e-9  # in the domain's unit: round-off that makes a zero negative
 
 
 def smallest(measure: str) -> float:
@@ -38,13 +38,13 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
                 f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
-                f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; "
-                "take a greater `largest`"
+                f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; increase "
+                "`largest`"
             )
     return ""
 
 
 HINTS = {
-    "time": ": the voids of the cake hold more liquid than the slurry brings",
+    "time": ": the voids of the cake have more room than the liquid of the slurry",
     "supersaturation": ": the solubility there is below 0",
 }

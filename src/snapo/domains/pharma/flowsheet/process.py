@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from snapo.engine import Unsupported
 
 from ..derivatives.mode import of_method
-from ..given import Entry
+from ..given import Entry, Form
 from ..progress import say
-from .case import PharmaCase
+from .case import Flowsheet, PharmaCase
 from .flow import Flow, entry_words, flow
 from .inputs import pharma_inputs
 from .march import Marches
@@ -62,13 +62,15 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs.
+    - `case`: as it was given, with the steps that it needs. `form`: of its flowsheet, which is all
+      that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
     """
 
     def __init__(self, case: PharmaCase):
         self.case = case = with_steps(case)
+        self.form: Form[Flowsheet] = Form.of(case.flowsheet, case.held)
         self.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
         self.names = tuple(attribute.name for attribute in case.attributes)
         self.parameters = tuple(parameter.name for parameter in case.parameters)
@@ -102,7 +104,7 @@ class Process:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
         numerics = replace(self.case.numerics, along=along, own_steps=nominal_steps)
-        return flow(replace(self.case, numerics=numerics), inputs, record)
+        return flow(replace(self.form.record, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
@@ -129,9 +131,9 @@ class Process:
     def either(
         self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda result: result
     ):
-        """The function `make(own)` at `arguments`: on held steps first, and where those are refused
-        on steps of the run's own, compiled for the first run that needs it. Refused is a result of
-        which some number in `of(result)` is not finite."""
+        """The function `make(own)` at `arguments`: first on held steps, and where those are refused
+        on steps chosen for this run, compiled for the first run that needs it. A result is refused
+        if a number in `of(result)` is non-finite."""
         result = self.compiled(key, lambda: make(False))(*arguments)
         if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(result)))):
             result = self.compiled(("own", key), lambda: make(True))(*arguments)
@@ -173,12 +175,13 @@ class Process:
         """The first loop without a steady state, as text; "" where all have one."""
         for name, loop in loops.items():
             if not loop.converged:
-                text = entry_words(self.case, name)[int(loop.worst)]
+                text = entry_words(self.form.record, name)[int(loop.worst)]
                 size = f"by {loop.change:.2g} of itself"
                 size = size if np.isfinite(loop.change) else "without end"
                 return (
-                    f"the loop {name} has not come to a steady state after {loop.rounds} rounds: "
-                    f"{text} changes most, {size} in a turn; is there an outlet for it?"
+                    f"the loop {name} has not reached a steady state after {loop.rounds} "
+                    f"iterations: {text} changes most, {size} per iteration; is there an outlet "
+                    "for it?"
                 )
         return ""
 
@@ -219,7 +222,7 @@ class Process:
         """Attributes, and derivatives with respect to `sensitivities`, at `draws` [N, E] of
         `entries`.
 
-        The rest is as in `inputs`. Chunks are of one shape: the last is filled up with its own
+        The rest is as in `inputs`. All chunks have the same shape: the last one is padded with its
         first row. They run on all cores. "auto" takes the native engine where it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)
@@ -241,7 +244,7 @@ class Process:
                 raise
             call = self._natives[key] = self._xla(key)
             parts = [run(0)]
-        # One chunk keeps one core busy: the others run beside it, now that it is compiled.
+        # One chunk keeps one core busy: the others run in parallel, now that it is compiled.
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             for part in threads.map(run, range(chunk, len(draws), chunk)):
                 parts.append(part)
@@ -253,7 +256,7 @@ class Process:
         return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
 
     def _on_own_steps(self, key: _Key, draws, nominal, values, jacobian) -> None:
-        """Does batches again, one by one, for which the steps of stiff units were refused."""
+        """Repeats, one by one, the batches for which the steps of stiff units were refused."""
         one = self.compiled(("alone", *key), lambda: self._one(*key, alone=True))
         for i in np.flatnonzero(~np.isfinite(values).all(1)):
             values[i], jacobian[i] = one(draws[i], nominal)
@@ -272,8 +275,8 @@ class Process:
     def _one(
         self, entries: tuple[Entry, ...], by: tuple[Entry, ...], alone: bool = False
     ) -> Callable:
-        """One batch's attributes and their derivatives; plain JAX. One `alone` has steps of its
-        own where held ones are refused."""
+        """One batch's attributes and their derivatives in JAX; with steps chosen for this batch
+        where it runs separately (`alone`) because held ones were refused."""
 
         def one(draw, inputs):
             drawn = self.shifted(draw, entries, inputs)

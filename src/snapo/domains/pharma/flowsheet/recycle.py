@@ -1,11 +1,11 @@
-"""A loop of the flowsheet at its steady state: by tearing, with the implicit function theorem.
+"""The steady state of a loop of the flowsheet, by tearing and the implicit function theorem.
 
-Some streams of the loop are guessed, the units make them again, and the guess x has to be what
-comes back: g(x) = x. Newton's method solves that, with the whole matrix of g; where a step of it
-does not come nearer, shorter ones are tried, and the substitution of x by g(x), which is always
-possible. The search carries no derivatives. Two more steps with the matrix held do: with M the
-matrix of x - g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the implicit
-function theorem, and after the second step second derivatives are exact too.
+Some streams of the loop are torn: from a guess x the units compute them as g(x), and g(x) = x is
+required. Newton's method solves that with the full Jacobian of g; where a step does not reduce the
+residual, shorter ones are tried, and the substitution of x by g(x), which is always possible. The
+search carries no derivatives. Two further steps with the matrix held do: with M the Jacobian of x -
+g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the implicit function theorem,
+and after the second step second derivatives are exact too.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from ..time.numerics import Numerics
 from .stream import Stream
 
-# What is guessed; the rest of a stream goes around the loop unchanged.
+# The guessed fields; the rest of a stream goes around the loop unchanged.
 GUESSED = (
     "species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "temperature",
     "moments", "numbers",
@@ -27,8 +27,8 @@ GUESSED = (
 TOGETHER = ("species", "solid", "seed")  # scaled by the largest amount among them
 CARRIED = ("duration", "density", "shape", "inner_size", "inner_density")
 SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.02])  # of a Newton step that are tried
-BELOW = -1e-9  # what round-off may take from an amount that is zero
-ROUND_OFF = 1e3  # times the precision: what a change cannot be told from
+BELOW = -1e-9  # round-off that makes a zero amount negative
+ROUND_OFF = 1e3  # times the precision: smaller changes are round-off
 
 Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
 
@@ -113,7 +113,7 @@ def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
         )
         left, worst = jax.vmap(change)(bumped, jax.vmap(gap)(bumped))
         best = jnp.argmin(left)
-        # Without any that is possible substitution goes on, and will not be believed.
+        # If none is possible, substitution continues, and the result will be refused.
         best = jnp.where(jnp.isfinite(left[best]), best, len(SHARES))
         u = bumped[best]
         slope, off = jax.jacfwd(lambda at: (gap(at),) * 2, has_aux=True)(u)
@@ -134,7 +134,7 @@ def _vector(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
 
 
 def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stream, ...]:
-    """The streams that `_vector` made one of, with what is carried as in `like`."""
+    """The streams of a vector from `_vector`, with the fields `CARRIED` as in `like`."""
     results, start = [], 0
     for item in like:
         fields = {}

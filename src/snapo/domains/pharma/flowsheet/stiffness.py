@@ -6,9 +6,9 @@ of the nominal batch, which Rosenbrock steps with error control find; where it i
 those steps are held, and every batch takes them. Units that need error control (a jacket, a dryer's
 tray, a gas that dissolves, reactions that may use something up at once) hold them in any case.
 
-A unit without such steps takes as many explicit ones as the attributes of the nominal batch need,
-where the case leaves their number open: the steps of every piece are doubled until no attribute
-moves. Where all steps are short without any doubt nothing is computed.
+For a unit without such steps, and if the case does not set their number, the explicit steps of
+every piece are doubled until no attribute of the nominal batch changes. Where a bound shows that
+all steps are short enough nothing is computed.
 """
 
 from dataclasses import replace
@@ -80,7 +80,7 @@ def _controlled(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
-    """False where a bound from the numbers says that explicit steps are stable."""
+    """False where a bound from the numbers shows that explicit steps are stable."""
     return unit.reacts and longest_step(case, unit) * fastest(case, unit) > STABLE
 
 
@@ -92,8 +92,8 @@ def longest_step(case: PharmaCase, unit: Timed) -> float:
 
 
 def fastest(case: PharmaCase, unit: Timed) -> float:
-    """1/s: a bound on the rates at which the unit's states answer, from the numbers of the case
-    alone; infinite where another unit feeds it."""
+    """1/s: a bound on the rates of the unit's states, from the numbers of the case only; infinite
+    where another unit feeds it."""
     into = {connection.source for connection in case.connections if connection.target == unit.name}
     feeds = tuple(feed for feed in case.feeds if feed.name in into)
     return inf if len(feeds) < len(into) else unit.fastest(case.network, feeds)
@@ -104,7 +104,7 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
     made: dict[str, Any] = {}
 
     def nominal(inputs):
-        problem = problem_of(case, unit, inputs, {})
+        problem = problem_of(case.flowsheet, unit, inputs, {})
         made["event"] = problem.event is not None
         if made["event"]:
             return None
@@ -139,7 +139,7 @@ def _doubtful(case: PharmaCase, unit: Timed) -> bool:
 
 def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
     """The attributes of the nominal batch on so many steps."""
-    finer = replace(case, numerics=replace(case.numerics, steps=steps))
+    finer = replace(case.flowsheet, numerics=replace(case.numerics, steps=steps))
 
     def nominal(inputs):
         measures = flow(finer, inputs).measures

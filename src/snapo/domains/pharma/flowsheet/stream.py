@@ -19,13 +19,13 @@ class Stream(eqx.Module):
     - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was
       added as seed.
     - `solvent`, `antisolvent`: kg. `volume`: m3 of liquid, to which concentrations refer; it does
-      not change by mixing or reaction. `solids`: m3 that crystals take beside it, by which
-      crystallisation makes it less; 0 where a crystalliser neglects them.
+      not change by mixing or reaction. `solids`: m3 of the crystals, which is not part of it and by
+      which crystallisation reduces it; 0 where a crystalliser neglects that.
     - `temperature`: K. `duration`: s, 0 for a batch.
     - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
-      which are then what moments, density and shape speak of; 0 where crystals are not granulated.
+      to which moments, density and shape then refer; 0 where crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
     - `grid`: `NO_CRYSTALS` of a clear liquid; None where only the moments are known.
     - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None where they are
@@ -60,7 +60,7 @@ class Stream(eqx.Module):
         return self.volume + self.solids
 
     def crystals(self) -> Float[Array, ""]:
-        """kg of crystals, or of granules without what wets them."""
+        """kg of crystals, or of granules without their liquid."""
         return self.density * self.shape * self.moments[3]
 
     def replace(self, **fields: Any) -> "Stream":

@@ -1,10 +1,10 @@
 """Where the design space ends, with an interval, along the lines of its map.
 
 Every point of the map has the same draws. Between two points the distance of each draw from each
-limit is taken to be straight, so that the share of the draws that keep all limits is known at any
-place on a line, to second order in the map's spacing. The boundary is where that share falls
-below what is required. A place belongs to its 95 % interval where the interval of the share there
-(Wilson's) holds what is required: the test of a share, inverted (Casella and Berger, Statistical
+limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
+position on a line, to second order in the map's spacing. The boundary is where that share falls
+below the required one. A position belongs to its 95 % interval where Wilson's interval of the share
+there contains the required one: the test of a share, inverted (Casella and Berger, Statistical
 Inference, section 9.2).
 """
 
@@ -31,7 +31,7 @@ class Boundary:
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
       axis, -1 on that one; `side`: -1 where the space ends towards low values, +1 towards high.
     - `position`: of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside the space; in
-      the unit of the grid. NaN where the end lies beyond the line.
+      the unit of the grid. NaN where the end is outside of the line.
     - `binding`: number of the attribute that most often breaks its limits just beyond it.
     """
 

@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from ..flowsheet.process import Process
 
 
-WORLDS, INNER = 64, 32  # draws of what is not known, and batches in each
+WORLDS, INNER = 64, 32  # draws of the uncertain numbers, and batches for each
 NOMINAL = 512  # batches with the nominal numbers
-ROUND_OFF = 1e-12  # of the mean: a deviation that is nothing
+ROUND_OFF = 1e-12  # of the mean: a smaller deviation counts as zero
 
 
 @dataclass(frozen=True, eq=False)
 class Capability:
     """[Q] each, over n fresh batches at the set point.
 
-    - `cpk`: min(high - mean, mean - low) / (3 deviation), which takes the attribute for normal;
+    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute;
       NaN without a limit. `sigmas`: the distance to the edge of failure in deviations, 3 Cpk.
     - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.
     - `joint`: share of batches beyond any limit, and `joint_error`.
 
-    All of these vary what is not known together with what differs between batches. Apart:
+    All of these vary uncertain numbers together with differences between batches. Separately:
 
     - `cpk_batches`: Cpk of differences between batches only, the model's numbers at their nominal
       values; NaN where nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
@@ -97,8 +97,8 @@ def _cpk(limits: AttributeLimits, values: np.ndarray) -> np.ndarray:
 
 
 def _apart(process: "Process", seed: int) -> dict[str, np.ndarray]:
-    """Cpk between batches, and its interval over what is not known: `WORLDS` draws of that, and the
-    same `INNER` batches in each."""
+    """Cpk between batches, and its interval over the uncertain numbers: `WORLDS` draws of them,
+    with the same `INNER` batches for each."""
     limits, uncertain = AttributeLimits.of(process.case), draws.unknown(process.case)
 
     def in_worlds(worlds: np.ndarray, inner: np.ndarray) -> np.ndarray:

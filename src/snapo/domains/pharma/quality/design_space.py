@@ -53,7 +53,7 @@ class ProbabilityMap(NamedTuple):
 
 
 def probability_map(process: "Process", seed: int) -> ProbabilityMap:
-    """The map that the case's `[design_space]` asks for; the same draws at every point."""
+    """The map requested by `[design_space]` of the case; the same draws at every point."""
     case: PharmaCase = process.case
     space = case.design_space
     if space is None:
@@ -136,7 +136,7 @@ def largest_box(
     """The largest box between grid points that holds the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
-    points counted by a summed-area table. None where the set point's own cell is not good.
+    points counted by a summed-area table. None where the set point's cell is not good.
     """
     invalid = np.pad(
         (result.at.probability < required).astype(np.int64), [(1, 0)] * len(result.axes)

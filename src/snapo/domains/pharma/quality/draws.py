@@ -18,7 +18,7 @@ from .records import Distribution
 
 
 def entries(case: PharmaCase) -> tuple[Entry, ...]:
-    """[U] (input, entry) of the model parameters that are not known exactly."""
+    """[U] (input, entry) of the uncertain model parameters."""
     return tuple(zip(case.uncertainty.inputs, case.uncertainty.entries))
 
 
@@ -85,7 +85,7 @@ def _givens(case: PharmaCase):
 
 
 def normals(case: PharmaCase, n: int, seed: int) -> np.ndarray:
-    """[n, V] standard normals behind `all_draws`, correlated as the uncertainty says."""
+    """[n, V] standard normals behind `all_draws`, with the correlation of the uncertainty."""
     size = len(all_entries(case))
     uniform = np.random.Generator(np.random.Philox(key=seed)).random((n, size))
     # Half of the generator's last digit keeps the inverse normal away from minus infinity.

@@ -1,13 +1,13 @@
-"""Fits kinetic numbers to measured batches by weighted least squares, and judges the fit.
+"""Fits kinetic numbers to measured batches by weighted least squares, and tests the fit.
 
 Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
 standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
-intervals take Student's t with n - p degrees of freedom, which is a little wide. Where chi^2 is
-larger than chance explains, or the errors are known only up to a factor, the covariance is
-multiplied by chi^2 / (n - p), as large as the residuals say.
+intervals use Student's t with n - p degrees of freedom, which is slightly conservative. Where chi^2
+is significantly too large, or the errors are known only up to a factor, the covariance is
+multiplied by chi^2 / (n - p), to agree with the residuals.
 
-The search begins at the case's own numbers and at points of a Halton sequence within the bounds. Of
-all minima whose chi^2 is as good as the best one's, those that are not joined to it are named.
+The search begins at the numbers of the case and at points of a Halton sequence within the bounds.
+Minima with a chi^2 as good as the best one that are not connected to it are reported.
 """
 
 from collections.abc import Sequence
@@ -42,14 +42,14 @@ class ParameterFit:
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
     - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
-      one-sided, and the others' are those with it held there.
+      one-sided, and the others assume it held there.
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
-      0 for numbers at a bound. `scale`: what (J^T J)^-1 was multiplied by.
+      0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
-      of `freedom` = n - P degrees of freedom; `tail`: the probability of more, NaN where only the
-      ratios of errors are known. `measured`, `fitted_values`: [n].
+      of `freedom` = n - P degrees of freedom; `tail`: its p-value, NaN where only the ratios of
+      errors are known. `measured`, `fitted_values`: [n].
     - `condition`: largest over smallest singular value, variables scaled by their bounds.
-    - `unidentified`: directions that the data do not narrow, as text; `converged` says why.
+    - `unidentified`: directions that the data do not determine, as text.
     - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from
       how many points the search began.
     """
@@ -78,7 +78,7 @@ class ParameterFit:
 
 
 def fit(process: "Process", estimation: Estimation) -> ParameterFit:
-    """Least squares within the bounds, from the case's own numbers and from others."""
+    """Least squares within the bounds, from the case's numbers and from others."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
@@ -101,10 +101,10 @@ def fit(process: "Process", estimation: Estimation) -> ParameterFit:
             elif not searched:
                 at = int(np.argmin(np.isfinite(first)))
                 raise ArithmeticError(
-                    f"the model has no value for measurement {at + 1} at the case's own numbers"
+                    f"the model has no value for measurement {at + 1} at the numbers of the case"
                 )
     lowest = min(value.cost for value in searched)
-    # Of equal ones the first: that of the case's own numbers, where it is among them.
+    # Of equal ones the first: that of the case's numbers, where it is among them.
     result = next(each for each in searched if each.cost <= lowest + SAME * max(lowest, 1.0))
     names = tuple(
         entry_name(process.case, *each) for each in zip(estimation.inputs, estimation.entries)
@@ -145,7 +145,7 @@ def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
 
 
 def _scale(chi2: float, freedom: int, errors: str) -> float:
-    """By what the covariance of known errors is multiplied."""
+    """The factor on the covariance of known errors."""
     freedom = max(freedom, 1)
     if errors == "relative" or chi_squared.sf(chi2, freedom) < DOUBT:
         return chi2 / freedom
@@ -198,13 +198,13 @@ def _observed(process: "Process", inputs, experiment):
 
 
 def _judged(result, others, measured, resolved, low, high, names, estimation) -> ParameterFit:
-    """The covariance where the data identify all numbers, and words where they do not."""
+    """The covariance where the data identify all numbers, else the directions as text."""
     log, width = np.array(estimation.logarithm), high - low
     count, size = result.jac.shape
     chi2, freedom = 2 * float(result.cost), count - size
     scale = _scale(chi2, freedom, estimation.errors)
     _, singular, right = np.linalg.svd(result.jac * width, full_matrices=False)
-    # One standard deviation along a direction as a share of the bounds: beyond 1 it says nothing.
+    # One standard deviation along a direction as a share of the bounds: above 1 it is unidentified.
     loose = singular < 1
     unidentified = tuple(_direction(right[i], names) for i in np.flatnonzero(loose))
     free = (np.abs(right[loose]) > NOTABLE).any(0) if loose.any() else np.zeros(size, bool)

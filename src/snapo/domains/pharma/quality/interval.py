@@ -7,7 +7,7 @@ LEVEL = 0.95
 
 
 def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest probability that `share` of so many draws supports (Wilson 1927).
+    """Lowest and highest probability supported by the `share` of a number of draws (Wilson 1927).
 
     It is of use near 0 and 1 too: of 128 draws that all hold, the lowest is 0.971.
     """
@@ -20,6 +20,6 @@ def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarr
 
 
 def draws_for(probability: float, level: float = LEVEL) -> int:
-    """Draws of which all must hold before their interval lies above a probability."""
+    """The number of draws, all successful, for which the interval is above a probability."""
     z = ndtri((1 + level) / 2)
     return int(np.ceil(z**2 * probability / (1 - probability)))

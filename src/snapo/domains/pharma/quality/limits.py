@@ -10,7 +10,7 @@ from ..flowsheet.possible import smallest
 
 class AttributeLimits(NamedTuple):
     """[Q] `low` and `high` in the attributes' units; infinite where there is none. `least`: the
-    least value that is possible at all: a filtration time below 0 keeps no limit."""
+    smallest possible value: a filtration time below 0 keeps no limit."""
 
     low: np.ndarray
     high: np.ndarray

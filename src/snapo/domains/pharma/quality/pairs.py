@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..flowsheet.process import Process
 
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
-NOMINAL = (16, 7, 2)  # shares looked at, then within the bracket of an end, so many times
+NOMINAL = (16, 7, 2)  # shares evaluated, then within the bracket of an end; repetitions
 PROBABLE = (8, 3, 1)  # every point of these is many batches
 MAXIMUM = (
     10  # pairs of which the probable ranges are searched, those with the least room at a corner
@@ -152,7 +152,7 @@ def _together(
 
 
 def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:
-    """(share, attribute that fails, sure, possible) of every way; all are looked at together."""
+    """(share, attribute that fails, certain, possible) of every way; searched together."""
     count, within, times = search
     observed = [{0.0: (True, -1, True, True)} for _ in ways]
 

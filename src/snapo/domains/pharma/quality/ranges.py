@@ -16,7 +16,7 @@ from .records import Parameter
 if TYPE_CHECKING:
     from ..flowsheet.process import Process
 
-NOMINAL = (17, 7, 3)  # points over the range, then within the bracket of an edge, so many times
+NOMINAL = (17, 7, 3)  # points over the range, then within the bracket of an edge; repetitions
 PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 
@@ -24,11 +24,11 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 class AcceptableRange:
     """A range in the case's unit; an edge names the attribute that fails beyond it.
 
-    `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
-    the studied range ends before any limit. `certain`: ends between which every point looked at
-    does even at the lower end of its 95 % interval; `possible`: up to the first point that does not
-    even at the upper; None where the set point is no such point. `holds_normal`, `sure_normal`:
-    whether the normal range lies inside, and inside what is sure.
+    `low`, `high`: None where the set point itself fails. `low_edge`, `high_edge`: "" where the
+    studied range ends before any limit. `certain`: ends between which every tested point passes
+    even at the lower end of its 95 % interval; `possible`: up to the first point that fails even at
+    the upper end; None where the set point does. `holds_normal`, `sure_normal`: whether the normal
+    range lies inside, and inside `certain`.
     """
 
     low: float | None
@@ -125,7 +125,7 @@ def _ranges(process: "Process", valid: Good, search: tuple[int, int, int]) -> li
 
 
 class _Seen:
-    """Every point that was looked at: {parameter: [(value, sure, possible)]}."""
+    """The evaluated points: {parameter: [(value, certain, possible)]}."""
 
     def __init__(self):
         self.points: dict[str, list[tuple[float, bool, bool]]] = {}
@@ -144,8 +144,8 @@ RangeEnds = tuple[float, float] | None
 
 
 def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[RangeEnds, RangeEnds]:
-    """What is sure about the set point `here`, to the last point that is; and what is possible, to
-    the first that is not."""
+    """The certain range about the set point `here`, up to the last certain point; and the possible
+    one, up to the first point that is not possible."""
     values = [x for x, *_ in points]
     at = values.index(here)
 

@@ -54,8 +54,9 @@ class Attribute:
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
       attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None where there is none. `citation`: the source of the limit
-      (guideline, version, table), or that it is the user's own; never empty where one is set.
-    - `margin`: what counts as a small difference in `unit`, above 0: smooth indicators' width.
+      (guideline, version, table), or a note that the user set it; never empty where there is a
+      limit.
+    - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.
     """
 
     name: str
@@ -70,15 +71,15 @@ class Attribute:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Model parameters that are not known exactly, jointly lognormal or normal, and disturbances.
+    """Uncertain model parameters, jointly lognormal or normal, and disturbances.
 
-    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not see
+    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not observe
     them.
 
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
-    - `between`: [U] whether it differs between batches (a feed), or is one number that is not known
-      (a rate constant); () where only what changes within a batch differs between them.
+    - `between`: [U] True for a number that differs between batches (a feed), False for one unknown
+      number (a rate constant); () where batches differ only by changes within them.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """
@@ -138,7 +139,7 @@ class Estimation:
     - `level`: of the confidence intervals. `units`, `scales`: [P] the case's, as of a `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.
-    - `starts`: points from which the search begins, the case's own first.
+    - `starts`: points from which the search begins, the case's first.
     """
 
     inputs: tuple[str, ...]

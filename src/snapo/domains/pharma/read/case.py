@@ -190,9 +190,9 @@ def _read_held(file, raw: list[str], numbers: EntryNumbers, parameters) -> froze
 
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
-    """ "auto" is a mesh where it may hold the event or steps that are chosen once, and else error
-    control of every batch; on it, units that are measured to be stiff take steps of their own, and
-    all others as many as the nominal batch needs, unless the case says how many."""
+    """ "auto" is a mesh if that can hold the event or the steps that are chosen once, otherwise
+    error control of every batch; on a mesh, units that are measured to be stiff have their own
+    steps, and by default all others as many as the nominal batch needs."""
     table = parse(NumericsTable, raw, str(file), "numerics")
     controlled = any(unit.error_controlled and not unit.steps_transfer for unit in timed(units))
     adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)

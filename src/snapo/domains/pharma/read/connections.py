@@ -21,7 +21,7 @@ def read_connections(
     by_name = {unit.name: unit for unit in units}
     for feed in feeds:
         if feed.name in by_name:
-            message = "a unit has this name too"
+            message = "a unit has the same name"
             raise CaseError(str(file), f"feeds.{feed.name}", None, message)
     sources = [feed.name for feed in feeds]
     sources += [f"{unit.name}.{port}" for unit in units for port in unit.outlets]
@@ -97,6 +97,6 @@ def _check_inlet(file, unit: Unit, inlet: Inlet, result: Sizes) -> None:
     elif result is None and (inlet.crystals == "counted" or inlet.grid):
         message = "crystals reach this unit whose sizes are not counted on a grid"
     elif inlet.grid and result != inlet.grid:
-        message = "crystals reach this unit on another grid of sizes than its own"
+        message = "crystals reach this unit on a different grid of sizes"
     if message:
         raise CaseError(str(file), f"units.{unit.name}", None, message)

@@ -44,8 +44,8 @@ from .reader import Reader
 class UnitQuantity(Quantity):
     """A number with its unit, "30 min": called with a meaning it makes a field of a record.
 
-    - `example`: a value as text. `alias`: the key, where it is not the name of the field.
-    - `form`: what the field holds: an input, a profile over time, or a number that stays unchanged.
+    - `example`: a value as text. `alias`: the key, if it differs from the name of the field.
+    - `form` of the field: an input, a profile over time, or a constant number.
     """
 
     range: Range = ANY
@@ -67,7 +67,7 @@ class UnitQuantity(Quantity):
         return self(meaning, default, form="profile", **changes)
 
     def number(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field for a number that is no input."""
+        """A field for a number that is not an input."""
         return self(meaning, default, form="number", **changes)
 
     @property

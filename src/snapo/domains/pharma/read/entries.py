@@ -52,7 +52,7 @@ class EntryNumbers(NamedTuple):
         """The one entry that a text means."""
         result = self.all(section, key, text)
         if len(result) > 1:
-            message = f"{text} has {len(result)} entries; say which, such as {text}[0]"
+            message = f"{text} has {len(result)} entries; specify one, such as {text}[0]"
             raise section.error(key, text, message)
         return result[0]
 

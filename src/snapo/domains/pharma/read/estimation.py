@@ -51,7 +51,7 @@ def read_estimation(
             raise section.error("low", fit.low, "a logarithm needs bounds above 0")
         start = numbers.value(entry)
         if not low < start < high:
-            message = f"the case's own value, {start:g} {unit}, must lie between low and high"
+            message = f"the value in the case, {start:g} {unit}, must lie between low and high"
             raise section.error("low", fit.low, message)
         which.append(entry)
         lows.append(low)
@@ -115,7 +115,7 @@ def _experiment(
         if time > end * (1 + ROUND_OFF):
             message = (
                 f"{unit} ends at {end:.10g} s in this experiment, and after that there is nothing "
-                f"to compare with; a longer batch says so by {endpoints[unit][0]} in its `settings`"
+                f"to compare with; for a longer batch set {endpoints[unit][0]} in its `settings`"
             )
             raise row.error("time", message)
     values = np.array([_cell(row, "value", available[row.cells["state"]], ANY) for row in rows])
@@ -126,8 +126,8 @@ def _experiment(
         lowest = smallest(row.cells["state"])
         if value < lowest - NOISE * error:
             message = (
-                f"{(lowest - value) / error:.3g} of its standard deviations below the least value "
-                f"that is possible; allowed are {NOISE:g}"
+                f"{(lowest - value) / error:.3g} of its standard deviations below the smallest "
+                f"possible value; allowed are {NOISE:g}"
             )
             raise row.error("value", message)
     metadata = [

@@ -49,7 +49,7 @@ def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str])
         log = row.cells["logarithm"] == "true"
         text, local = row.cells["deviation"], "1" if log else unit
         spread = quantity(line, "deviation", text, local, NOT_NEGATIVE, difference=True)
-        # Nothing has read the number yet: all that is said of it from here on is of the fitted one.
+        # Nothing has read the number yet: all later uses are of the fitted one.
         numbers.givens[entry[0]].values[entry[1]] = value
         distribution = Distribution("lognormal" if log else "normal", spread)
         if spread > 0:

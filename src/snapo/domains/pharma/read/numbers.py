@@ -1,7 +1,7 @@
 """From the raw value of a key to numbers in the domain's units: quantities, lists, profiles."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, Protocol
 
@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, FilePosition, QuantityKey
+from snapo.case.given import CaseInput, FilePosition, KeyedUnit, QuantityKey
 from snapo.case.quantity import Range, choice
 from snapo.case.table import LARGEST, TOO_LARGE, CaseTable, TableContext, keys_of, nearest, parse
 
@@ -24,7 +24,7 @@ class Location(Protocol):
     """The position of a quantity: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
-        """The mistake at this place."""
+        """The mistake at this position."""
         ...
 
 
@@ -117,7 +117,7 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with all that is known of them; used in order unless `index` says else.
+    """Numbers of a case with their metadata; used in order unless there is an `index`.
 
     `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
     """
@@ -148,12 +148,21 @@ def position(section: TableContext, key: str, unit: str) -> FilePosition:
 
 
 def positions(section: TableContext, key: str, raw: Any, unit: str) -> tuple[FilePosition, ...]:
-    """Those of a list; () where it has one unit for all, and that is not the domain's."""
+    """Those of a list, which may have one unit for all."""
     if not isinstance(raw, dict):
         return tuple(position(section, f"{key}[{i}]", unit) for i in range(len(raw)))
-    if conversion(raw["unit"], unit) != Conversion(1.0, 0.0):
-        return ()
-    return tuple(position(section, f"{key}.value[{i}]", "1") for i in range(len(raw["value"])))
+    same = conversion(raw["unit"], unit) == Conversion(1.0, 0.0)
+    units = {} if same else {f"{key}.unit": unit or "1"}
+    return with_units(section, f"{key}.value", len(raw["value"]), units)
+
+
+def with_units(
+    section: TableContext, key: str, count: int, units: Mapping[str, str]
+) -> tuple[FilePosition, ...]:
+    """Those of a list of numbers that are written together with the keys of their units."""
+    path = *section.keys, *keys_of(key)
+    written = tuple(((*section.keys, *keys_of(name)), unit) for name, unit in units.items())
+    return tuple(KeyedUnit((*path, i), written) if written else (*path, i) for i in range(count))
 
 
 def single(
@@ -240,7 +249,7 @@ def _shares(section: TableContext, raw: Any, count: int) -> np.ndarray:
 
 
 def suggest(name: str, available, noun: str) -> str:
-    """The known name nearest to one that is not known, or all that are."""
+    """The known name nearest to an unknown one, or all known names."""
     plural = noun if noun.endswith("s") else f"{noun}s"
     return (
         nearest(name, available)

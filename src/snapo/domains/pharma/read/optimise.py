@@ -51,7 +51,7 @@ class OptimiseTable(CaseTable):
 def read_optimise(
     file, raw: dict | None, numbers: EntryNumbers, measures: Mapping[str, str], notes
 ) -> Optimise | None:
-    """`measures`: {name: its unit in the domain} of all that can be measured."""
+    """`measures`: {name: its unit in the domain} of all measures."""
     if raw is None:
         return None
     table = parse(OptimiseTable, raw, str(file), "optimise")
@@ -117,7 +117,7 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
         if not low <= start <= high:
             value = f"{(start - change.offset) / change.scale:.10g}"
             value += "" if local == "1" else f" {local}"
-            message = f"the case's own number, {value}, must lie within the bounds: it is the start"
+            message = f"the number in the case, {value}, must be within the bounds: it is the start"
             raise section.error("low", [table.low, table.high], message)
         several = len(numbers.givens[name].labels) > 1
         label = f"{name}[{entry}]" if several else name

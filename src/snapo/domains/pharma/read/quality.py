@@ -133,8 +133,8 @@ def every_measure(network: FlowNetwork, units: Sequence[Unit]) -> dict[str, str]
 
 
 def share_of(measure: str, unit: str, network: FlowNetwork, units: Sequence[Unit]) -> float:
-    """By what a measure is multiplied to be a share on the basis that `unit` names: that of a yield
-    or of an impurity follows from molar masses.
+    """The factor from a measure to a share on the basis that `unit` names: for a yield or an
+    impurity it follows from molar masses.
 
     **Raises:** `UnitError` where it is not known.
     """
@@ -181,7 +181,7 @@ def _attribute(
         message = f"the lower limit, {low:g} {table.unit}, must lie below it"
         raise section.error("high", table.high, message)
     if (low is not None or high is not None) and not table.citation.strip():
-        raise section.error("citation", None, "a limit needs its source, or that it is your own")
+        raise section.error("citation", None, "a limit needs its source, or a note that you set it")
     if table.margin is None:
         margin = _margin(low, high)
     else:
@@ -202,7 +202,7 @@ def _margin(low: float | None, high: float | None) -> float:
 def read_uncertainty(
     file, raw: list[dict], correlations: list[dict], numbers: EntryNumbers, notes, fit: FittedRows
 ) -> Uncertainty:
-    """`[[uncertainty]]` and `[[correlations]]`, and after them what was fitted to data."""
+    """`[[uncertainty]]` and `[[correlations]]`, followed by the numbers fitted to data."""
     which: list[Entry] = []
     spreads, when, between = [], [], []
     for i, correlation in enumerate(raw):
@@ -244,7 +244,7 @@ def read_uncertainty(
         row, column = which.index(one), which.index(other)
         matrix[row, column] = matrix[column, row] = table.value
     if which and np.linalg.eigvalsh(matrix).min() <= 1e-12:
-        message = "the correlations together are not those of any numbers (not positive definite)"
+        message = "the correlations together are not positive definite"
         raise CaseError(str(file), "correlations", None, message)
     return Uncertainty(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(spreads),

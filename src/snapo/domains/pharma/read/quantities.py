@@ -1,7 +1,7 @@
 """Quantities with units: a user's text, "40 degC", becomes a number in the domain's unit.
 
-A text is taken apart here and only the name of its unit goes to pint, so nothing that is in a
-case is ever evaluated. The domain's own units are written as in `records`: "kmol/m3", "1/s", "1".
+A text is taken apart here and only the name of its unit goes to pint, so nothing in a case is ever
+evaluated. The domain's units are written as in `records`: "kmol/m3", "1/s", "1".
 """
 
 import re

@@ -57,7 +57,7 @@ class ParameterTable(CaseTable):
     normal: list[Any] = pair('quantities such as ["312 K", "314 K"]')
     distribution: dict | None = Field(None, description='{ kind = "normal", spread = "0.5 K" }')
     control: bool = Field(True, description="true or false")
-    source: TextKey = Field(description="a sentence on where the range comes from")
+    source: TextKey = Field(description="a sentence on the origin of the range")
 
 
 class AttributeTable(CaseTable):

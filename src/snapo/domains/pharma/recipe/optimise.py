@@ -133,7 +133,7 @@ def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
 
 
 def varies(process: Process) -> np.ndarray:
-    """[Q] standard deviation of the batches about the case's own recipe, to first order, in the
+    """[Q] standard deviation of the batches about the case's recipe, to first order, in the
     attributes' units; zeros where nothing asks for it."""
     case = process.case
     assert case.optimise is not None

@@ -1,8 +1,8 @@
 """Optimisation of a traceable function, with its first-order conditions shown.
 
 Sequential quadratic programming (SciPy's SLSQP) on exact derivatives of one compiled function
-that has the goal and all constraints; without constraints L-BFGS-B. Its result is judged apart
-from it: multipliers are fitted to the gradients at the solution.
+that has the goal and all constraints; without constraints L-BFGS-B. Its result is tested
+separately: multipliers are fitted to the gradients at the solution.
 """
 
 import time
@@ -28,12 +28,13 @@ ROUNDS = 3  # a solver that stops short starts again from where it stopped
 class Conditions(NamedTuple):
     """The Karush-Kuhn-Tucker conditions at a point, in variables scaled to 0..1.
 
-    With f the goal to be made small (minus the goal where it is maximised), grad f is the sum of
-    multipliers, none negative, times the gradients of what is active (x - low, high - x and what
-    shall not be below 0): relaxing one of these by one unit improves the goal by its multiplier.
+    With f the goal to be minimised (minus the goal where it is maximised), grad f is the sum of
+    non-negative multipliers times the gradients of the active constraints (x - low, high - x and
+    the inequalities): relaxing one of these by one unit improves the goal by its multiplier.
 
-    - `stationarity`: the largest entry of what multipliers of the right sign do not explain;
-      `violation`: the largest violation of a constraint. Both are relative: goal over `scale`.
+    - `stationarity`: the largest entry of the residual of grad f with multipliers of the right
+      sign; `violation`: the largest violation of a constraint. Both are relative: goal over
+      `scale`.
     - `low`, `high`: [n] multipliers of the bounds; `equal` [k] (of any sign), `above` [m].
     """
 
@@ -50,9 +51,8 @@ class Conditions(NamedTuple):
 
 
 class Recipe(NamedTuple):
-    """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` says
-    whether it `converged`; `constraints` [k + m] at x; how much work it was; `message`: why it
-    stopped, as text."""
+    """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` decides
+    whether it `converged`; `constraints` [k + m] at x; the work done; `message`: why it stopped."""
 
     x: np.ndarray
     value: float
@@ -79,14 +79,15 @@ class SearchLimits(NamedTuple):
 
 
 class Stopped(Exception):
-    """An optimisation that ends before its solver does; says why."""
+    """An optimisation that ends before its solver does; its message is the reason."""
 
 
 class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
-    A call gives the numbers and their derivative [K, n] by x; the last one is remembered, since
-    optimisers ask for values and derivatives one after the other. `compiling`: seconds.
+    A call returns the numbers and their derivative [K, n] with respect to x; the last one is
+    remembered, since optimisers ask for values and derivatives one after the other. `compiling`:
+    seconds.
     """
 
     def __init__(self, function: Callable, mode: Mode = "adjoint"):
@@ -185,9 +186,8 @@ def best(
 ) -> Recipe:
     """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
     `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
-    first-order conditions. Where it ends short of that, at one of the `limits` or because the
-    function is not a number, it is the best point evaluated, not `converged`, and `message` says
-    why."""
+    first-order conditions. If it ends before that, at one of the `limits` or because the function
+    is NaN, it is the best point evaluated, not `converged`, and `message` is the reason."""
     parts, count = [item for item in (function, equality, inequality) if item is not None], 0
     if equality is not None:
         with jax.enable_x64(True):

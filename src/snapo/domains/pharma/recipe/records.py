@@ -10,7 +10,7 @@ class Decision:
 
     - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `CaseInput` and the position.
     - `unit`: the case's; domain value = `scale` * case's + `offset`.
-    - `low`, `high`, `start`: in the domain's unit; the start is the case's own number.
+    - `low`, `high`, `start`: in the domain's unit; the start is the case's number.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Term:
-    """`weight` times a measure, or times a number of the case, in the owner's `unit`.
+    """`weight` times a measure, or times a number of the case, in the user's `unit`.
 
     - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `CaseInput`'s values, None
       for a measure. `scale`: case's unit = `scale` times the domain's (0 is 0 in both).
@@ -49,8 +49,8 @@ class Optimise:
 
     - `sense`: 1 to make it large, -1 to make it small.
     - `reserve`: the attributes stay this many margins within their limits, and `deviations`: this
-      many standard deviations of the batches about the case's own recipe.
-    - `starts`: the case's own recipe, and random ones within the bounds.
+      many standard deviations of the batches about the case's recipe.
+    - `starts`: the case's recipe, and random ones within the bounds.
     """
 
     sense: Literal[-1, 1]

@@ -1,9 +1,9 @@
 """Whether fixed steps were short enough: the residual of the differential equation between them.
 
-Of every step the cubic through both ends and slopes is put into the equation at its middle
-(Enright, SIAM J. Numer. Anal. 1989). Where a step is too long for the fastest motion the residual
-is as large as the state itself, also where the ends look smooth; elsewhere it falls with the
-fourth power of the step.
+For every step the cubic Hermite interpolant is inserted into the equation at the midpoint (Enright,
+SIAM J. Numer. Anal. 1989). Where a step is too long for the fastest motion the residual is as large
+as the state itself, even if the ends look smooth; elsewhere it falls with the fourth power of the
+step.
 """
 
 import jax
@@ -33,8 +33,8 @@ def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array
     middle = (start + end) / 2 + step / 8 * (first - last)
     residual = step * (rate(middle, drive[:, 1]) + (first + last) / 4) - 1.5 * (end - start)
     lost = jnp.cumsum(jnp.abs(residual), axis=0)
-    # The largest value of a state, which is of order one; of what grows without bound the largest
-    # so far, so that the time is when it began to.
+    # The largest value of a state, which is of order one; for a state that grows without bound the
+    # largest so far, so that the time is that of the onset.
     complete = jnp.minimum(1.0, jnp.max(jnp.abs(state), axis=0))
     size = jnp.maximum(jax.lax.cummax(jnp.abs(end)), complete)
     invalid = jnp.any(~(lost <= LOOSE * size) & (size > 0), axis=1)  # NaN is bad too

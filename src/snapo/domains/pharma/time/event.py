@@ -21,8 +21,8 @@ def saturation_share(
     `excess` is solubility less concentration; until then nothing happens, so that the
     concentration is the initial one. 0 where the start is saturated, 1 where it never crosses
     (no derivative in both), an edge where a jump of the profile crosses. In between: a bracket
-    divided into sixteen, again and again, without derivatives; then two Newton steps, which
-    carry the first and second derivatives.
+    repeatedly divided into sixteen, without derivatives; then two Newton steps, which carry the
+    first and second derivatives.
     """
     if profile.kind == "constant":
         crossed = excess(value) <= 0
@@ -42,7 +42,7 @@ def saturation_share(
     for _ in range(ROUNDS):
         points = left + (right - left) * fixed(PARTS)
         below = jax.lax.stop_gradient(distance(points, at_rest)) <= 0
-        # The last point lies below by choice of the bracket, also where round-off says otherwise.
+        # The last point lies below by choice of the bracket, even if round-off suggests otherwise.
         first = jnp.clip(jnp.argmax(below), 1, len(PARTS) - 1)
         first = jnp.where(jnp.any(below), first, len(PARTS) - 1)
         left, right = points[first - 1], points[first]

@@ -20,13 +20,13 @@ from .step_choice import own_steps
 from .stiff import Stepped, Steps, limit_of, schedule, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
-OWN, MORE = 2, 100  # tries for a stiff run's own steps: twice the nominal ones, and so many more
+OWN, MORE = 2, 100  # steps tried for a stiff run: twice the nominal ones plus these
 
 
 class Solved(NamedTuple):
-    """The `final` y, the control values at the end, the time `reached` in s (the duration where
-    all went well, and where not), and how it went over time, if asked for; `error`: the largest
-    estimate of a step's error, relative to its state, or None."""
+    """The `final` y, the control values at the end, the time `reached` in s (the duration on
+    success), and the trajectory, if requested; `error`: the largest estimate of a step's error,
+    relative to its state, or None."""
 
     final: Float[Array, " m"]
     controls: list[Array]
@@ -60,7 +60,7 @@ def integrate(
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
-    """On the held steps of a stiff unit; where they are refused, on steps of the run's own if
+    """On the held steps of a stiff unit; where they are refused, on steps of the run's if
     `numerics.own`."""
     nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
     endpoints = [value[-1] for _, value in problem.controls]

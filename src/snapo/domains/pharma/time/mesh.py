@@ -32,7 +32,7 @@ class PiecewiseTime(NamedTuple):
     edges: np.ndarray
 
     def of(self, profile: Profile) -> Int[Array, " K"]:
-        """The number of the profile's own piece in which each piece lies."""
+        """The number of the profile's piece in which each piece lies."""
         middle = (self.edges[:-1] + self.edges[1:]) / 2
         local = np.searchsorted(profile.share[1:-1], middle, side="right")
         return jnp.asarray(local)[self.source]

@@ -16,10 +16,10 @@ class Numerics:
     - `steps`: fixed steps per unit and break interval; `open`: whether as many more are taken as
       the nominal batch needs. `refine`: whether the run repeats value and
       gradient with twice as many and reports the difference.
-    - `max_steps`: of the adaptive solver, after which the unit's status says where it stopped.
-    - `along`: whether derivatives on the mesh are taken along with every step, as suits many
-      batches side by side, and not of all steps at once, as is fast for one.
-    - `own_steps`: whether a run whose held steps are refused gets steps of its own in the same
+    - `max_steps`: of the adaptive solver, after which the unit's status contains the time reached.
+    - `along`: whether derivatives on the mesh are computed with every step, which suits many
+      batches in parallel, and not for all steps at once, which is fast for one.
+    - `own_steps`: whether a run whose held steps are refused gets separate steps in the same
       trace, which takes twice as long to compile.
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
       which explicit steps are "measured" to be too long or that need error control, or "all".

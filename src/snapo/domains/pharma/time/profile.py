@@ -34,8 +34,8 @@ def values_in(
 ) -> Float[Array, "..."]:
     """The profile at shares of the duration that lie in its pieces number `piece`.
 
-    The piece is given, not searched for: at a jump both sides can be asked for, and the adjoint
-    to the nodes is a gather.
+    The piece is an argument, not searched for: at a jump both sides can be requested, and the
+    adjoint to the nodes is a gather.
     """
     if profile.kind == "constant":
         return jnp.broadcast_to(value[piece], jnp.shape(share))
@@ -67,7 +67,7 @@ def flow_of(
     profile: Profile, inputs: Mapping[str, Any], duration, volume
 ) -> tuple[Profile, Float[Array, " N"]]:
     """The profile and its values as a flow in m3/s that adds up to `volume` over `duration`: the
-    profile's own values are its shape. All zero, nothing flows."""
+    profile's values are its shape. All zero, nothing flows."""
     shape = use(inputs, profile.value)
     mean = mean_value(profile, shape)
     some = mean > 0

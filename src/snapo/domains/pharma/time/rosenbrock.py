@@ -131,7 +131,7 @@ class Push(NamedTuple):
 
 
 def push(drive: Callable[..., Array], start: list[Array], end: list[Array]) -> Push:
-    """The drive of a step over which every control goes straight from `start` to `end`."""
+    """The drive of a step over which every control is linear from `start` to `end`."""
     change = [b - a for a, b in zip(start, end)]
     nodes = jnp.asarray(NODES, jnp.result_type(float))
     at = drive(*(a + nodes * d for a, d in zip(start, change)))

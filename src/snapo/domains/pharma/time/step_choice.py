@@ -46,7 +46,7 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
         factor = SAFETY * jnp.maximum(size, 1e-12) ** (-1 / ORDER)
         factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, MINIMUM, MAXIMUM), MINIMUM)
         requested = factor * (to - share)
-        # A step cut short at a node says little about the one after it.
+        # A step cut short at a node has little information about the next one.
         width = jnp.where(valid & (to == node), jnp.maximum(requested, width), requested)
         norms = [jnp.max(jnp.sum(jnp.abs(jacobian), axis)) for axis in (0, 1)]
         fastest = jnp.where(valid, jnp.maximum(fastest, jnp.minimum(*norms)), fastest)
@@ -66,8 +66,8 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
     """`maximum` steps for the problem at hand, in a trace; those that are not needed have no
-    length. Where they do not reach the end, one does that its error estimate refuses. No
-    derivatives."""
+    length. If they do not reach the end, one further step does, which is refused by its error
+    estimate. No derivatives."""
 
     def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end

@@ -19,7 +19,7 @@ from .profile import values_in
 from .rosenbrock import Push, push, rosenbrock
 
 FLOOR = 1e-6  # of scaled states, below which an error counts absolutely
-LOOSER, ENOUGH = 1e3, 1e-6  # refused are errors above so many tolerances, but none below this
+LOOSER, ENOUGH = 1e3, 1e-6  # refused: errors above this multiple of the tolerance and this number
 
 
 class Steps(NamedTuple):

@@ -55,8 +55,8 @@ from .operation import Inlet, Timed
 class Crystalliser(Timed):
     """Batch crystalliser; anti-solvent is dosed in proportion to the flow `dosing`.
 
-    - `initial_concentration`: where it replaces the feed's (a crystalliser alone); else None.
-    - `separate`: whether seed and nuclei keep moments of their own.
+    - `initial_concentration`: replaces that of the feed (of a single crystalliser), or None.
+    - `separate`: whether seed and nuclei have separate moments.
     - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
       volumes; crystals of the feed are then counted on the same. None: by the moments 0 to 5.
     - `basis`: "solution": concentrations are per volume of liquid, which crystals make less by
@@ -99,7 +99,7 @@ class Crystalliser(Timed):
         ("kᵥ", "shape"),
     )
     assumptions = (
-        "Crystals are pure; impurities come with the liquor that the cake keeps.",
+        "Crystals are pure; impurities come from the liquor retained in the cake.",
         "A stream holds one population of crystals, of one density and shape.",
     )
 

@@ -1,7 +1,7 @@
-"""Filter and wash at constant pressure: its time, and the liquor in the cake.
+"""Filter and wash at constant pressure: the time needed, and the liquor in the cake.
 
-The cake keeps a share of the liquor in its voids; of what was dissolved in it the wash leaves a
-share, and wash liquid takes the place of the liquor. The filtrate is the rest of the slurry.
+The cake retains a share of the liquor in its voids; the wash leaves a share of the species
+dissolved in it, and wash liquid replaces the liquor. The filtrate is the rest of the slurry.
 """
 
 from dataclasses import dataclass

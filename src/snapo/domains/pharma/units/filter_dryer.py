@@ -2,8 +2,8 @@
 
 Filtration at constant pressure is Ruth's equation, dt/dV = Kp V + B. A wash through the cake runs
 at the rate at which filtration ended; a reslurry wash mixes the cake with fresh solvent, which
-thins what is dissolved, and filters again. Drying is that of a heated shelf under vacuum, of which
-agitation makes the cake one: constant rate, then falling.
+dilutes the dissolved species, and filters again. Drying is that on a heated shelf under vacuum,
+with a cake kept uniform by agitation: constant rate, then falling.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """Reactor under a gas, such as hydrogen: it dissolves, and reacts in the liquid.
 
 The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
-Henry's law. Either its concentration is a state of its own, or it follows at every moment from
-what enters being what reacts (a reaction slow against kL a makes that wrong only at the start).
+Henry's law. Either its concentration is a state, or it follows at every moment from the balance of
+transfer and reaction (for a reaction slow against kL a that is wrong only at the start).
 """
 
 from dataclasses import dataclass
@@ -153,7 +153,7 @@ class Hydrogenation(Timed):
         return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
 
     def _steady(self, network, driven, c: list[Array], transfer) -> Array:
-        """The gas at which kL a (c* - c) is what reacts.
+        """The concentration of the gas at which kL a (c* - c) equals the rate of reaction.
 
         By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1
         and it does not run out. Where it does, steps that lead below 0 end there.

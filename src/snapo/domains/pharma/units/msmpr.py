@@ -218,7 +218,7 @@ class Msmpr(Instant):
         grows = above & (jax.lax.stop_gradient(gap(high)) > 0)
         level = jnp.where(grows, _root(gap, low, high), maximum / 2)
         growth, born, crystals = rates(level)
-        none = jnp.where((excess < 0) & (fed[3] > 0), jnp.nan, 0.0)  # what would dissolve
+        none = jnp.where((excess < 0) & (fed[3] > 0), jnp.nan, 0.0)  # crystals that would dissolve
         return Steady(
             jnp.where(grows, level, excess / saturated),
             jnp.where(grows, growth, none),

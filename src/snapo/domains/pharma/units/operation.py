@@ -1,7 +1,7 @@
-"""A unit operation: one object with its whole behaviour, from its table to the report's words.
+"""A unit operation: one object with all of its behaviour, from its table to its report.
 
 A new one is one file with one class, of which `registry` has the list. Every `CaseInput` of a unit
-is named "unit.field" ("reactor.temperature"), the unit being the object's own `name`; labels say
+is named "unit.field" ("reactor.temperature"), the unit being the object's `name`; labels say
 which node, species or coefficient an entry is.
 """
 
@@ -171,7 +171,7 @@ class Timed(Unit):
     @property
     @abstractmethod
     def error_controlled(self) -> bool:
-        """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
+        """Whether a mesh that it chose may be too coarse: stiff, or limited by its cells."""
 
     @property
     def steps_transfer(self) -> bool:

@@ -1,9 +1,9 @@
 """Reactors: tanks of the case's network, one or many in series, fed at the start or all the time.
 
-Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are what is
-integrated, and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction.
-Stirred and plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred
-tank has one, and what left the last. With a jacket the heat at a point is a further state.
+Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are integrated,
+and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction. Stirred and
+plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred tank has
+one, and the amounts that left the last point. With a jacket the heat at a point is a further state.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class Reactor(Timed):
       `cells` stirred tanks in series, None for a tube without mixing along it, of so many
       `elements`). A continuous reactor ends with its feed at the latest.
     - `filled`: the content of a continuous reactor at the start: its feed, or only the solvent.
-    - Continuous kinds deliver what left the outlet, mixed, over the duration.
+    - Continuous kinds deliver the mixed outflow over the duration.
     - `temperature`: where there is a `jacket`, its first value is where it starts.
     """
 
@@ -129,7 +129,7 @@ class Reactor(Timed):
         return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
 
     def fastest(self, network, feeds):
-        """By mass, no species is more concentrated than all that enters would be as this one."""
+        """By mass, a species is at most as concentrated as if the whole inflow consisted of it."""
         if self.jacket is not None:
             return np.inf
         mass = max(network.molar_mass @ feed.concentration.used() for feed in feeds)

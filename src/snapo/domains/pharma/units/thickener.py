@@ -1,4 +1,4 @@
-"""Thickener: crystals and liquor of a flow taken apart, as by a clarifier or a hydrocyclone."""
+"""Thickener: separates crystals and liquor of a flow, like a clarifier or a hydrocyclone."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ class Thickener(Instant):
     title = "thickener"
     reacts = False
     symbols = ()
-    assumptions = ("The overflow of a thickener is clear, whatever the sizes of the crystals.",)
+    assumptions = ("The overflow of a thickener is clear, for any sizes of the crystals.",)
 
     @property
     def inlets(self):
@@ -49,7 +49,7 @@ class Thickener(Instant):
         return ["crystals, with a share of the liquor: thick; the rest of it: liquor"]
 
     def deliver(self, network, inlets, inputs):
-        """Its measure: kg of crystals per m3 of what is thick."""
+        """Its measure: kg of crystals per m3 of the underflow."""
         feed, share = inlets[0], use(inputs, self.underflow)
         thick = feed.replace(
             species=feed.species * share,

@@ -2,8 +2,8 @@
 
 Per kg of crystals, X kg/kg of liquid leaves at w = k a max(f p_v(T) - p, 0), where a = 6 / (rho
 d32) is the crystals' surface in m2/kg, p_v the liquid's vapour pressure and p the pressure above
-the cake. Wet, f = 1: the rate is constant once the cake has warmed to where the shelf's heat, U A
-(T_shelf - T), is what evaporation takes. Below the critical moisture X_c the surface dries out
+the cake. Wet, f = 1: the rate is constant once the cake is so warm that the shelf's heat, U A
+(T_shelf - T), equals the heat of evaporation. Below the critical moisture X_c the surface dries out
 and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within 0.1 % of either
 branch outside 0.6 < r < 1.7. In the end X_c p / p_v is left, in equilibrium.
 
@@ -28,7 +28,7 @@ from ..flowsheet.stream import clear
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
 from ..read.fields import TextKey
-from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, positions
+from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, with_units
 from ..read.quantities import UnitError, conversion
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
@@ -84,10 +84,10 @@ class Liquid(TableRecord):
             raise read.section.error("antoine", table.antoine, message)
         zero = ZERO_CELSIUS if table.scale == "degC" else 0
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"
-        where = positions(read.section, "antoine", table.antoine, "1")
+        units = {} if scale == 1 and zero == 0 else {"unit": "Pa", "scale": "K"}
         antoine = case_input(
             name, numbers, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation",
-            positions=where if scale == 1 and zero == 0 else (),
+            positions=with_units(read.section, "antoine", 3, units),
         )  # fmt: skip
         return cls(antoine=antoine, **values(cls, read))
 

@@ -7,8 +7,8 @@ p = 2, Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution 
 
 Cells represent crystals of their mean volume, and a fragment is shared between the two cells on
 both sides of it so that number and volume are both kept (Kumar and Ramkrishna, Chemical Engineering
-Science 51, 1311, 1996). So mass closes to rounding on any grid; what is finer than the first cell
-joins it by its volume, and number is lost only there.
+Science 51, 1311, 1996). So mass is conserved to rounding on any grid; finer crystals join the first
+cell by their volume, and number is lost only there.
 """
 
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ class WetMill(Timed):
     def dynamics(self, network, inlets, inputs):
         """y: crystals in each cell, NUMBER per m3 of slurry."""
         slurry = inlets[0]
-        assert slurry.grid is not None  # reading has made sure that crystals are counted
+        assert slurry.grid is not None  # reading ensures that crystals are counted
         edges, volume = slurry.grid.array / SIZE, slurry.suspension()
         powers = fixed(cell_powers(edges))
         volumes = powers[3]
@@ -127,7 +127,7 @@ class WetMill(Timed):
 
 def shares(volumes: Float[Array, " N"], fragments) -> Float[Array, "N N"]:
     """[i, j] crystals that appear in cell i when one breaks in cell j; `volumes`: of the cells'
-    crystals, rising. Columns add up to `fragments` but for what is finer than the first cell, and
+    crystals, rising. Columns add up to `fragments` except for sizes below the first cell, and
     weighted by the volumes to the volume that broke."""
     power = (2 - fragments) / (fragments - 1)
     parent = volumes[None, :]

@@ -40,7 +40,7 @@ def layouts(t: Traced, lanes: int) -> Layouts:
 
 
 def _shared(rows: Layouts, t: Traced) -> None:
-    """Tables of the call and of its steps, and in float64 the sums of gradients by them."""
+    """Tables of the call and of its steps, and in float64 the sums of their gradients."""
     calls = [*t.call, *(leaf for p in t.phases.values() for leaf in p.cut.call_leaves)]
     nows = [*t.now, *t.phases["step"].cut.step_leaves]
     for leaf in dict.fromkeys(calls):
@@ -112,7 +112,7 @@ class Function:
         return Shared(self.layouts["table"], self.layouts["steps"], field("table"), step_row)
 
     def sums(self, step_row: str | None = None) -> Shared:
-        """The sums of gradients by the shared arrays, with those of the step in `step_row`."""
+        """The sums of the gradients of shared arrays, with those of the step in `step_row`."""
         calls, steps = self.layouts["call_sums"], self.layouts["step_sums"]
         return Shared(calls, steps, field("call_sums"), step_row)
 
@@ -127,7 +127,7 @@ class Build:
     """Everything that the functions of a kernel have in common while they are written.
 
     `work` and `chunk` are the bytes of scratch memory that one thread needs for arrays between
-    two regions and for waiting rows: the most that any function asks for.
+    two regions and for waiting rows: the maximum over all functions.
     """
 
     traced: Traced

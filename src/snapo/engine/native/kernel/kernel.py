@@ -245,7 +245,7 @@ class _Sweeps:
         )
 
     def back(self, name: str, block: str, first="0", last="1", stride="0") -> None:
-        """A reverse sweep of every column, with the column's own table."""
+        """A reverse sweep of every column, with the column's table."""
         with self.code.loop(field("columns")) as column:
             distance = self.code.index(f"mul nsw i64 {column.i}, {8 * len(CONTEXT)}")
             local = self.code.pointer("%context", distance)

@@ -176,14 +176,15 @@ def bind(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
 
 def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     """Normals of some steps at once, into scratch memory; the step's own are a row of it."""
-    code, size = s.code, value.size
-    steps = 1 if s.initial else ahead(size)
+    before = s.build.traced.setup.before if s.initial else 0
+    code, size = s.code, value.size // max(before, 1)
+    steps = max(before, 1) if s.initial else ahead(size)
     rows = steps * size + SPARE
     out = values.workspace.allocate((rows,), value.dtype, code.lanes)
     integers = values.workspace.allocate((rows,), np.uint32, code.lanes)
     antithetic = s.build.traced.setup.antithetic
     name = draw_function(code.module, size, value.dtype.name, antithetic)
-    key = code.pointer(field("keys"), 8 if s.initial else 0)
+    key = code.pointer(field("keys"), 8 if s.initial and not before else 0)
     lanes = code.index(f"mul nsw i64 %block, {4 * code.lanes}")
     paths = code.pointer(field("paths"), lanes)
 
@@ -195,7 +196,7 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
         )
 
     if s.initial:
-        write("0", "1")
+        write("0", f"{steps}")
         base = out.base
     else:
         relative = code.index(f"sub nsw i64 {s.t}, %begin")

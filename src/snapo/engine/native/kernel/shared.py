@@ -1,4 +1,4 @@
-"""The functions for all that the paths share: computed before them, transposed after them."""
+"""The functions of everything that paths share: computed before them, transposed after them."""
 
 import numpy as np
 

@@ -37,7 +37,7 @@ def test_a_seed_of_one_size(shrunk, gone):
     assert bool(said) == gone
     if gone:
         assert "shrink by 2" in said and "the smallest at the start have 20 um" in said
-        assert said.endswith('take method = "finite-volumes"')
+        assert said.endswith('use method = "finite-volumes"')
 
 
 @pytest.mark.parametrize(("shrunk", "gone"), [(0.4e-6, False), (30e-6, True)])

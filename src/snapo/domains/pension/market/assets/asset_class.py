@@ -1,8 +1,8 @@
-"""An asset class: a row of the asset table, and all that its kind means.
+"""An asset class: a row of the asset table, with the behaviour of its kind.
 
-A kind is a subclass in a file of its own in this folder: its columns and their reader, its
-returns, its price today by the curves and spreads, and its words. Classes of one kind are
-handled together: the class methods take the positions `positions` [k] of a case's classes.
+A kind is a subclass in a separate file of this folder: its columns and their reader, its returns,
+its price today by the curves and spreads, and its description. Classes of one kind are handled
+together: the class methods take the indices `positions` [k] of a case's classes.
 """
 
 import inspect
@@ -93,7 +93,7 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
-        """The fields that this kind adds, from the row's own columns."""
+        """The fields that this kind adds, from the row's columns."""
 
     @classmethod
     @abstractmethod
@@ -136,7 +136,7 @@ class AssetClass(AssetRow, ABC):
     def log_price(
         cls, case: PensionModel, inputs: dict[str, Any], positions: Sequence[int]
     ) -> Float[Array, " k"]:
-        """ln of prices over those at the case's own numbers: its derivatives are the exposures to
+        """ln of prices over those at the case's numbers: its derivatives are the exposures to
         curves, break-evens and spreads."""
         now = curve_prices(case, {}), curve_prices(case, inputs)
         return jnp.log(cls.ratio(case, positions, *now))
@@ -157,10 +157,10 @@ AnyKind = TypeVar("AnyKind", bound=type[AssetClass])
 
 
 def register(kind: AnyKind) -> AnyKind:
-    """Makes a kind known by its word; one that is incomplete or known already is an error."""
+    """Registers a kind by its keyword; an incomplete or a duplicate kind is an error."""
     needed = ("kind", "description", "columns", "without", "part", "risk")
     missing = [name for name in needed if not hasattr(kind, name)]
-    # Of its own: what a kind that it is made from is charged would be silence here.
+    # Each kind defines its risk: an inherited one would hide that it was forgotten.
     missing += ["risk of its own"] * ("risk" not in vars(kind) and "risk" not in missing)
     missing += sorted(getattr(kind, "__abstractmethods__", ()))
     if missing or inspect.isabstract(kind):

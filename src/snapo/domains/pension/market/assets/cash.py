@@ -1,4 +1,4 @@
-"""Cash: it earns the integral of the short rate, without a risk of its own."""
+"""Cash: it earns the integral of the short rate, without further risk."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,7 +12,7 @@ from .asset_class import AssetClass, register
 @register
 @dataclass(frozen=True)
 class Cash(AssetClass):
-    """Cash in the fund's own currency."""
+    """Cash in the fund's currency."""
 
     kind: ClassVar[str] = "cash"
     description: ClassVar[str] = "earns the short rate"
@@ -26,7 +26,7 @@ class Cash(AssetClass):
     @classmethod
     def read(cls, row, names):
         if row.cells.get("currency"):
-            raise row.error("currency", "cash is held in the fund's own currency")
+            raise row.error("currency", "cash is held in the fund's currency")
         return {}
 
     @classmethod

@@ -10,8 +10,8 @@ from .priced import Priced
 @register
 @dataclass(frozen=True)
 class Commodity(Priced):
-    """Commodities, lognormal with a shock of their own."""
+    """Commodities, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "commodity"
-    description: ClassVar[str] = "commodities; lognormal with a shock of their own"
+    description: ClassVar[str] = "commodities; lognormal with a separate shock"
     risk: ClassVar[str] = "commodity"

@@ -1,4 +1,4 @@
-"""Coupon bonds: on the nominal curve, without default, with a coupon of their own or at par.
+"""Coupon bonds: on the nominal curve, without default, with a fixed coupon or at par.
 
 After each step they are sold, and bonds of the first maturity and of the same coupon are bought; at
 par, of the coupon at which the path's curve values them at their principal.

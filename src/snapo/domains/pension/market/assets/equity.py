@@ -10,10 +10,10 @@ from .priced import Priced
 @register
 @dataclass(frozen=True)
 class Equity(Priced):
-    """Shares, lognormal with a shock of their own."""
+    """Shares, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "equity"
     description: ClassVar[str] = (
-        "shares, listed or private, and infrastructure; lognormal with a shock of their own"
+        "shares, listed or private, and infrastructure; lognormal with a separate shock"
     )
     risk: ClassVar[str] = "developed"

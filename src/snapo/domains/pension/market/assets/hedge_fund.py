@@ -10,10 +10,10 @@ from .priced import Priced
 @register
 @dataclass(frozen=True)
 class HedgeFund(Priced):
-    """A strategy without a market index, lognormal with a shock of its own."""
+    """A strategy without a market index, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "hedge-fund"
     description: ClassVar[str] = (
-        "hedge funds and other alternatives; lognormal with a shock of their own"
+        "hedge funds and other alternatives; lognormal with a separate shock"
     )
     risk: ClassVar[str] = "unlisted"

@@ -1,4 +1,4 @@
-"""Classes with a shock of their own: lognormal around a mean and a volatility that the case gives.
+"""Classes with a separate shock: lognormal, with mean and volatility from the case.
 
 Under "Q" the drift over cash is minus half the variance, so that the class earns cash on average.
 Under "P" the mean is the case's (see `records.assets.Assets`).
@@ -29,7 +29,7 @@ class Priced(AssetClass):
     """A class with its own shock; equity, property and others are kinds of it."""
 
     columns: ClassVar[tuple[str, ...]] = ("mean", "volatility", "smoothing")
-    without: ClassVar[str] = "its return has a mean and a volatility of its own"
+    without: ClassVar[str] = "its return has a separate mean and volatility"
     part: ClassVar[AttributionPart] = "assets"
     own_shock: ClassVar[bool] = True
 

@@ -10,10 +10,10 @@ from .priced import Priced
 @register
 @dataclass(frozen=True)
 class Property(Priced):
-    """Property, lognormal with a shock of its own."""
+    """Property, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "property"
     description: ClassVar[str] = (
-        "buildings and land; lognormal with a shock of its own, where appraised shown with a lag"
+        "buildings and land; lognormal with a separate shock, appraised values with a lag"
     )
     risk: ClassVar[str] = "unlisted-property"

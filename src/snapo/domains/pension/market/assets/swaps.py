@@ -1,10 +1,10 @@
 """The overlay: receiver swaps of rates and of inflation, of constant maturity.
 
 A swap of rates receives the fixed leg and pays cash on the notional. At par, the fixed leg is a
-bond with a coupon once a year that is worth the notional on the path's curve; the leg of a
+bond with a coupon once a year whose value on the path's curve is the notional; the leg of a
 zero-coupon swap is a zero-coupon bond bought with the notional. A zero-coupon swap of inflation
 receives the growth of the price index over its maturity and pays the break-even: an index-linked
-bond bought with the money of a nominal one of the same maturity.
+bond financed by a nominal one of the same maturity.
 
 So per unit of notional all earn exp(cash) times w @ (exp(n) - 1) over a step, n being log returns
 over cash of zero-coupon bonds and w the shares of a bond's payments, or 1 and -1 for inflation.

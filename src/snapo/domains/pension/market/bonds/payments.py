@@ -73,7 +73,7 @@ def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
 
 
 def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Array, " k"]:
-    """Value at the prices `after` of what is bought at the prices `before`, for a unit of money."""
+    """Value at the prices `after` of a unit of money invested at the prices `before`."""
     price = before(of.steps, linked)
     due = amounts(of, price)
     return (due @ after(of.steps, linked)) / (due @ price)

@@ -1,4 +1,4 @@
-"""Coupon bonds over a step: each payment is a zero-coupon bond of its own, bought at the prices of
+"""Coupon bonds over a step: each payment is a separate zero-coupon bond, bought at the prices of
 the path's curve and sold after the step (see `constant_maturity`).
 
 With shares w of the value by payment, fixed at the purchase, a bond earns sum_j w_j exp(n_j) over

@@ -2,7 +2,7 @@
 
 r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
 counts under "P" only, and a negative one is a positive premium of long bonds. A model is a
-subclass in a file of its own in this folder that names its factors; the names are those under
+subclass in a separate file of this folder that names its factors; the names are those under
 which a case correlates them.
 """
 
@@ -74,7 +74,7 @@ AnyModel = TypeVar("AnyModel", bound=type[ShortRate])
 
 
 def register(model: AnyModel) -> AnyModel:
-    """Makes a model known by its word; one that is incomplete or known already is an error."""
+    """Registers a model by its keyword; an incomplete or a duplicate model is an error."""
     missing = [
         name for name in ("kind", "factors", "description") if not getattr(model, name, None)
     ]

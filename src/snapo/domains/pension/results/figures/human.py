@@ -49,7 +49,7 @@ class Human(NamedTuple):
 
 
 def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) -> Human:
-    """All of them; `figures` are the case's own `reconcile.figures`."""
+    """All of them; `figures` are the case's `reconcile.figures`."""
     assets, liability = float(case.assets.amount.used()), figures.liability
     with jax.enable_x64(True):
         params = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}

@@ -59,7 +59,7 @@ def _increases(case: PensionCase) -> str:
         text = f"{values}, of all payments"
     elif apart is None:
         every = "pensions in payment, deferred rights and rights in service"
-        text = values if rule.kind == "none" else f"{values}, of {every} alike"
+        text = values if rule.kind == "none" else f"{values}, the same for {every}"
     else:
         text = (
             f"in payment {values}, deferred rights {_percent(apart.deferred)}, rights in service"

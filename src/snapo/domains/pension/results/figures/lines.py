@@ -1,4 +1,4 @@
-"""The case in a few lines, and its reconciliation with the actuary's own figures."""
+"""The case in a few lines, and its reconciliation with the actuary's figures."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,9 +25,9 @@ WORTH_TELLING = 0.002  # of the liability
 
 
 def against_months(case: PensionCase, result: LiabilityFigures) -> list[str]:
-    """A remark where payments by month are worth noticeably more or less than those by year.
+    """A remark where the value of payments by month differs noticeably from that by year.
 
-    Only of cohorts: cash flows come at the times that the actuary gives.
+    Only for cohorts: cash flows have the times given by the actuary.
     """
     if case.step != 1 or case.members is None or not result.liability:
         return []
@@ -40,7 +40,7 @@ def against_months(case: PensionCase, result: LiabilityFigures) -> list[str]:
     when = "ends" if case.plan.timing == "arrears" else "beginnings"
     return [
         f"with yearly steps benefits are paid at the {when} of years: the liability differs by "
-        f"{change:+.1%} from that of monthly steps, as in the fund's own valuation perhaps "
+        f"{change:+.1%} from that of monthly steps, which the fund's valuation may use "
         '(step = "month")'
     ]
 
@@ -247,7 +247,7 @@ def reconciled(
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
             message = (
-                f"this model's own figure is {line.own:.8g}, which differs by "
+                f"the figure of this model is {line.own:.8g}, which differs by "
                 f"{line.error:.3g}; the tolerance is {tolerance:g}"
             )
             raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)

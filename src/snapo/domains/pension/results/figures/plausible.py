@@ -57,7 +57,7 @@ def _size(case: PensionCase, human: Human) -> Iterator[str]:
 
 def _market(case: PensionCase, human: Human) -> Iterator[str]:
     for tenor, volatility in human.rate_volatility.items():
-        # Mean reversion leaves little of a volatility at 30 years.
+        # With mean reversion the volatility at 30 years may be small.
         low = RATE_VOLATILITY[0] if tenor <= 10 else 0.0
         if _outside(volatility, (low, RATE_VOLATILITY[1])):
             yield (
@@ -68,7 +68,7 @@ def _market(case: PensionCase, human: Human) -> Iterator[str]:
     for name, mean in human.returns.items():
         if _outside(mean, RETURN):
             yield (
-                f"{name} grows by {mean:.1%} a year where nothing happens, seldom "
+                f"{name} grows by {mean:.1%} a year without shocks, usually not "
                 f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
             )
 
@@ -94,9 +94,9 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     else:
         return
     yield (
-        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and nothing is ever "
-        f"paid in: {reason}. Payments agreed in money go into plan.contribution.schedule, a limit "
-        "in money into sponsor_limit"
+        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and there are no "
+        f"contributions: {reason}. Payments agreed in money go into plan.contribution.schedule, a "
+        "limit in money into sponsor_limit"
     )
 
 
@@ -115,8 +115,8 @@ def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
     if growth >= 1:
         yield (
             f"the gap to a funding ratio of {target:.0%} bears interest of {np.expm1(rate):.1%} a "
-            f"year, and recovery_years = {years:g} pays no more than {1 / years:.1%} of what is "
-            'left: it is never closed. plan.contribution.recovery = "level" ends it after these '
+            f"year, and recovery_years = {years:g} pays no more than {1 / years:.1%} of the "
+            'rest: it is never closed. plan.contribution.recovery = "level" ends it after these '
             "years"
         )
 

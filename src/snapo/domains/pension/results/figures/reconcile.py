@@ -1,4 +1,4 @@
-"""The actuary's figures from the model's own cash flows and curve, before any simulation."""
+"""The actuary's figures from the model's cash flows and curve, before any simulation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,1 +1,1 @@
-"""Reads what is decided in closed loop."""
+"""Reads the decisions in closed loop."""

@@ -19,7 +19,7 @@ from .rules import read_rules
 def read_control(
     file, raw: dict | None, numbers: EntryNumbers, species, units: Sequence[Unit], notes
 ) -> Control | None:
-    """`[control]`: who decides what, how often and on what."""
+    """`[control]`: the decisions, their times and the measurements."""
     if raw is None:
         return None
     section = TableContext(file, "control", notes)

@@ -13,7 +13,7 @@ from ..fields import TextKey, quantity, tables, word
 from ..numbers import POSITIVE, listed, suggest
 from ..numbers import quantity as number
 
-NOT_ZERO = "a gain that is not 0; its sign says which way the control acts"
+NOT_ZERO = "a gain that is not 0; its sign is the direction of the control"
 
 
 class RuleTable(CaseTable):
@@ -83,7 +83,7 @@ class _Loops:
         of = _among(section, "of", table.of, self.controls, "control")
         unit = table.of.partition(".")[0]
         if unit not in self.timed:
-            message = "a loop moves what is decided over a unit's time"
+            message = "a loop moves a number that is decided over a unit's time"
             raise section.error("of", table.of, message)
         moved = self.numbers.unit(table.of, 0)
         if table.inner is None:

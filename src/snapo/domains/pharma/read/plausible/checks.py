@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 
-from ...control.stages import staged
+from ...control.staging import staged
 from ...flowsheet.case import Connection, PharmaCase
 from ...flowsheet.feed import Feed
 from ...flowsheet.order import ancestors, groups, settled
@@ -14,7 +14,7 @@ from ...quality.draws import process_entries
 from ...time.profile import Profile, weights
 from ...units.operation import Inlet, Unit, timed
 
-MINIMUM = 1e-9  # s: of a flow whose duration is not known yet
+MINIMUM = 1e-9  # s: of a flow whose duration is still unknown
 
 
 def check_decided(case: PharmaCase) -> None:
@@ -25,7 +25,7 @@ def check_decided(case: PharmaCase) -> None:
     by_name = {unit.name: unit for unit in case.units}
     before = ancestors(case.units, case.connections)
     over_time = timed(case.units)
-    needed = set().union(*(before[unit.name] for unit in staged(case)))
+    needed = set().union(*(before[unit.name] for unit in staged(case.units, control)))
     for i, item in enumerate(control.manipulated):
         name = item.input.partition(".")[0]
         unit = by_name.get(name)
@@ -35,7 +35,9 @@ def check_decided(case: PharmaCase) -> None:
             profiles = [profile.value.name for profile in unit.profiles]
             if item.input in profiles:
                 continue
-            message = f"of {name} a policy decides what may change over time: {', '.join(profiles)}"
+            message = (
+                f"{name}: a policy decides fields that change over time: {', '.join(profiles)}"
+            )
         elif name in needed:
             message = f"{name} runs before a unit over whose time a policy decides or measures"
         else:
@@ -109,9 +111,9 @@ def check_amounts(
 
 
 def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> None:
-    """No number is studied, or decided, where a unit would take in more than its feed holds.
+    """Refuses ranges of numbers, studied or decided, for which a unit would use more than its feed.
 
-    `spans`: where the case says so, name of the number, and its highest value.
+    `spans`: position in the case, name of the number, and its highest value.
     """
     flows, file = _lasting(case.feeds, case.units, case.connections), case.file
     for unit in case.units:
@@ -144,9 +146,9 @@ def _check_shape(file, where: str, unit: Unit, dosing: Profile) -> None:
 
 
 def _lasting(feeds, units, connections) -> dict[tuple[str, str], float]:
-    """{(unit, inlet): s over which what comes flows, 0 of a batch}; units in the order of flow."""
+    """{(unit, inlet): duration of the inflow in s, 0 for a batch}; units in the order of flow."""
     fed = {(f.name, ""): f.duration or 0.0 for f in feeds}
-    # What comes back in a loop flows for as long as what is fed to it.
+    # The recycle of a loop flows for as long as its feed.
     _, into = settled(units, connections, fed, MINIMUM, lambda unit, flows: unit.lasts(flows))
     return {
         (unit.name, inlet.name): lasts

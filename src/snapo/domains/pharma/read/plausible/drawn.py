@@ -1,4 +1,4 @@
-"""Distributions that draw what a number cannot be: the share of such draws, noted or refused."""
+"""Distributions that draw impossible values: the share of such draws, noted or refused."""
 
 import math
 from typing import Any

@@ -43,7 +43,7 @@ POINTS = 65  # between the lowest and the highest temperature
 
 
 def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: FlowNetwork) -> None:
-    """Refuses what cannot be, with its limit."""
+    """Refuses impossible values, with their limit."""
     for feed in feeds:
         _check_feed(file, feed, network)
     for unit in units:
@@ -71,8 +71,8 @@ def check_moved_solubility(
             if (value <= 0).any():
                 worst = int(np.argmin(value))
                 messages.append(
-                    f"{numbers.givens[name].name} may come to {at[worst]:.6g} K, where the "
-                    f"solubility is {value[worst]:.4g} kg/m3, which cannot be."
+                    f"{numbers.givens[name].name} may reach {at[worst]:.6g} K, where the "
+                    f"solubility is {value[worst]:.4g} kg/m3, which is impossible."
                 )
     return messages
 
@@ -99,7 +99,7 @@ def _check_feed(file, feed: Feed, network: FlowNetwork) -> None:
     total = dissolved + float(feed.solvent.values[0])
     if total > LIQUID.high:
         message = (
-            f"solvent and what is dissolved weigh {total:.6g} kg in a cubic metre, and at most "
+            f"solvent and dissolved species weigh {total:.6g} kg in a cubic metre, and at most "
             f"{LIQUID.high:g} are allowed"
         )
         raise CaseError(str(file), f"feeds.{feed.name}", None, message)
@@ -113,7 +113,7 @@ def _check_solubility(file, unit: Unit, part: Solubility) -> None:
     worst = int(np.argmin(result))
     if not result[worst] > 0:
         message = (
-            f"at {at[worst]:.6g} K, which {unit.name} comes to, it is {result[worst]:.4g} kg/m3; "
+            f"at {at[worst]:.6g} K, which {unit.name} reaches, it is {result[worst]:.4g} kg/m3; "
             "allowed is above 0"
         )
         raise CaseError(str(file), f"units.{unit.name}.solubility", None, message)

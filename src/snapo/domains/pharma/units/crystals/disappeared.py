@@ -1,4 +1,4 @@
-"""Crystals that would have dissolved whole, which moments go on counting.
+"""Crystals that would have dissolved completely, but which moments still count.
 
 All crystals grow and shrink by the same length l(t), so one of size L at a time s has the size
 L + l(t) - l(s) later. Once that is below 0 it is gone. In the moments it stays, of a size below 0,
@@ -11,11 +11,11 @@ from .kinetics import Rates
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
 MAXIMUM = 1000  # points in time
-REMEDY = 'by moments none disappears; take method = "finite-volumes"'
+REMEDY = 'by moments none disappears; use method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
-    """Of a `track` by moments and the `rates` along it: what is gone, as text; "" where little is.
+    """Crystals that dissolve along a `track` by moments with its `rates`, as text; "" if few do.
 
     Of the crystals at the start those are the smallest below which two in a hundred lie, if
     their sizes are lognormal with the track's first moments.

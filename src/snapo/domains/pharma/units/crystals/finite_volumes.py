@@ -1,14 +1,14 @@
 """Crystals by finite volumes over their size: the population balance itself.
 
-n_t + (G n)_L = 0 with births B at the smallest size, n(L, t) crystals per m3 and m. What is
-followed is the number of crystals in each cell of a fixed grid; between cells they pass at
-n G, n being the density on the side from which they come, by slopes with a limiter: of second
-order where n is smooth, and (almost) without new extremes where it is not. Crystals that dissolve
-shrink, and below the smallest size they are gone. None grows out of the largest cell: what
-gathers there is reported, and is a grid too short.
+n_t + (G n)_L = 0 with births B at the smallest size, n(L, t) crystals per m3 and m. The state is
+the number of crystals in each cell of a fixed grid; between cells they pass at n G, n being the
+density on the side from which they come, by slopes with a limiter: of second order where n is
+smooth, and (almost) without new extremes where it is not. Crystals that dissolve shrink, and vanish
+below the smallest size. None grows out of the largest cell: crystals that accumulate there are
+reported, since the grid is too short.
 
-Moments take n constant within a cell, so the solute follows from the cells' own third moment, and
-mass closes whatever the grid.
+Moments take n constant within a cell, so the solute follows from the cells' third moment, and mass
+is conserved on any grid.
 """
 
 import jax.numpy as jnp
@@ -26,8 +26,8 @@ NEGATIVE = 0.05  # of the largest density: so far below zero a time step was uns
 def by_finite_volumes(
     edges: np.ndarray, seed: Float[Array, " N"], fed: Float[Array, " N"] | None = None
 ) -> Population:
-    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed` and `fed`: what
-    is there at the start."""
+    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed`, `fed`: initial
+    ones."""
     edges = edges / SIZE
     powers = fixed(cell_powers(edges))
     width = fixed(np.diff(edges))

@@ -6,8 +6,8 @@ Solid and liquid are in equilibrium where ln(x gamma) = -dH_m / R (1/T - 1/T_m) 
     ln gamma_0 = sum_j tau_j0 G_j0 x_j / S_0
         + sum_j x_j G_0j / S_j (tau_0j - sum_m x_m tau_mj G_mj / S_j),
 
-S_j = sum_k G_kj x_k, tau_ij = a_ij + b_ij / T, G_ij = exp(-alpha_ij tau_ij). x is found by
-bisection of ln x, and its derivatives by two steps more with the slope held, as a loop's are.
+S_j = sum_k G_kj x_k, tau_ij = a_ij + b_ij / T, G_ij = exp(-alpha_ij tau_ij). x is computed by
+bisection of ln x, and its derivatives by two further steps with the slope held, as for a loop.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, FilePosition, NoPosition
 from snapo.case.quantity import quantity_of
 
 from ...flowsheet.network import GAS_CONSTANT
@@ -35,7 +35,7 @@ from ...read.declared import (
     values,
 )
 from ...read.fields import Texts
-from ...read.numbers import POSITIVE, SHARE, case_input, listed
+from ...read.numbers import POSITIVE, SHARE, case_input, listed, position
 from ...read.reader import Reader
 
 ROUNDS = 60  # of bisection: to round-off
@@ -133,7 +133,7 @@ class Mixture(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Constants that the case does not have are those of `chemicals` by name."""
+        """Missing constants are taken from `chemicals` by name."""
         table, count = read.table, len(read.table.solvents) + 1
         liquid, masses = _read_liquid(read, count)
 
@@ -146,7 +146,9 @@ class Mixture(TableRecord):
             value = np.array([constant(read, "solute", table.solute, which)])
             quantity = quantity_of(cls.table.model_fields[key])
             text = quantity.meaning if quantity else ""
-            return case_input(f"{read.name}.{key}", value, ("",), unit, np.array(0), text)
+            where = (position(read.section, key, unit),)
+            name = f"{read.name}.{key}"
+            return case_input(name, value, ("",), unit, np.array(0), text, positions=where)
 
         solute = parameter("molar_mass", "kg/kmol", "MW")
         names = ["solute", *table.solvents]
@@ -159,10 +161,14 @@ class Mixture(TableRecord):
             if len(rows) != count or any(len(row) != count for row in rows):
                 raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
             numbers = np.array(rows, float)[apart]
-            where = tuple((*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart))
+            where: tuple[FilePosition, ...] = tuple(
+                (*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart)
+            )
+            if raw is None:
+                where = (NoPosition(f"the case has no {key}, which is then 0"),) * len(numbers)
             return case_input(
                 f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL",
-                positions=() if raw is None else where,
+                positions=where,
             )  # fmt: skip
 
         melting = parameter("melting", "K", "Tm"), parameter("fusion", "J/mol", "Hfus")

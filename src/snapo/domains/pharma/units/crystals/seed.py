@@ -25,7 +25,7 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 class Seed(TableRecord):
     """Crystals at the start: `loading` of a `size`; or `moments`, index [6].
 
-    Of the two, one is there and the other None; moments are m^k/m3, k = 0..5.
+    One of the two is None; moments are m^k/m3, k = 0..5.
     `size` is the mean by number and `spread` the standard deviation as a share of it, of a
     lognormal distribution; None where all are of one size.
     """
@@ -104,7 +104,7 @@ def _read_moments(read: Reader) -> CaseInput:
     ]
     if not _possible(np.array(values)):
         message = (
-            "no crystals have these moments: the mean square of a size is at least the square of "
+            "these moments are impossible: the mean square of a size is at least the square of "
             "its mean, mu0 mu2 >= mu1^2, and so on up to mu5"
         )
         raise read.section.error("moments", table.moments, message)

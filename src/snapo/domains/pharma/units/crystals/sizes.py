@@ -51,7 +51,7 @@ def halved(edges: np.ndarray) -> np.ndarray:
 
 
 def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
-    """Refuses a grid that a part of the seed lies outside of."""
+    """Refuses a grid that does not contain all of the seed."""
     outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
     if outside > SEED_OUTSIDE:
         message = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"

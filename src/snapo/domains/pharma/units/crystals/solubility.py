@@ -16,7 +16,7 @@ from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
 from ...read.declared import ABSOLUTE, CONCENTRATION, ENERGY, TableRecord, inner, values
 from ...read.fields import TextKey
-from ...read.numbers import ZERO_CELSIUS, absent, case_input, positions, several
+from ...read.numbers import ZERO_CELSIUS, absent, case_input, several, with_units
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
 from .nrtl import Mixture, dissolved
@@ -94,8 +94,8 @@ def _read_coefficients(read: Reader) -> CaseInput:
         numbers = numbers * scale
     else:  # the unit is a factor of the whole, which the logarithm adds
         numbers[0] += np.log(scale)
-    # Coefficients in another unit of solubility are not the numbers of the file.
-    where = positions(read.section, "coefficients", numbers, "1") if scale == 1 else ()
+    units = {} if scale == 1 else {"unit": "kg/m^3"}
+    where = with_units(read.section, "coefficients", len(numbers), units)
     unit = "kg/m3/K^k" if table.kind == "polynomial" else "1/K^k"
     labels = tuple(f"t^{k}" for k in range(len(numbers)))
     text = "coefficient of solubility"
@@ -120,7 +120,7 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
 
 
 def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
-    """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent."""
+    """c*(T) in kg/m3 of the case's coefficients, without anti-solvent."""
     if record.kind == "van-t-hoff":
         assert record.value and record.enthalpy and record.reference
         energy = record.enthalpy.used() / GAS_CONSTANT

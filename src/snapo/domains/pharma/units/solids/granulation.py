@@ -12,8 +12,8 @@ lognormal with these moments. The granules consolidate: their porosity falls exp
 its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder Technology
 117, 3, 2001). How the two rates depend on speed and moisture is an empirical power law.
 
-A granule goes on as a particle of its own density: the stream's moments are those of granules, with
-the sizes of the crystals inside kept with them.
+A granule continues as a particle with its own density: the stream's moments are those of granules,
+with the sizes of the crystals inside kept with them.
 """
 
 from dataclasses import dataclass
@@ -88,8 +88,8 @@ class Granulation(Timed):
         ("u", "tip speed"),
     )
     assumptions = (
-        "Granulation liquid and excipient are there from the start, and nothing dissolves in the "
-        "liquid; granules do not break.",
+        "Granulation liquid and excipient are present from the start, and nothing dissolves in "
+        "the liquid; granules do not break.",
     )
 
     @property

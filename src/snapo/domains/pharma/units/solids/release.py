@@ -17,8 +17,8 @@ POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(3)[i] / 2 + (0.5, 0.0)[i] for
 
 
 BY_MEAN = (
-    "Crystals that are followed by their moments dissolve as spheres of one size, d₃₂: where their "
-    "sizes differ the share that is dissolved is too good."
+    "Crystals described by their moments dissolve as spheres of one size, d₃₂: if their sizes "
+    "differ the dissolved share is too optimistic."
 )
 
 
@@ -53,7 +53,7 @@ def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Flo
 
 
 def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
-    """The seconds that the drug's crystals last: rho h r / (D Cs), r half of their size.
+    """The lifetime of the drug's crystals in s: rho h r / (D Cs), r half of their size.
 
     `unit` has `diffusivity`, `solubility` and `film`."""
     sizes, share, density = inside(product)

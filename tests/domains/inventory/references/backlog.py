@@ -22,7 +22,7 @@ def best_base_stock(
     """S = (L + 1) mean + z s with s = deviation sqrt(L + 1); cost (h + p) phi(z) s.
 
     `holding` by unit and period, `shortage` by unit that waits and period; z is the normal
-    quantile of p / (p + h). The timing is that of `item.simulator`.
+    quantile of p / (p + h). The timing is that of `snapo.domains.inventory.item.simulator`.
     """
     z = float(stats.norm.ppf(shortage / (shortage + holding)))
     spread = deviation * np.sqrt(lead_time + 1)

@@ -27,11 +27,11 @@ def serial_line(
     shortage: float,
     width: float = 0.01,
 ) -> SupplyLine:
-    """The best echelon levels, and the least average cost.
+    """The best echelon levels, and the minimum average cost.
 
-    - `holding` [n] local costs, `periods` [n] of demand that pass from an order to its arrival,
-      both from the customer up; goods on their way cost what their sender's place costs.
-    - `width`: of the grid, in units of demand.
+    - `holding` [n] local costs, `periods` [n] of demand between an order and its arrival, both from
+      the customer up; goods on their way cost as much as at the place that sent them.
+    - `width` of the grid, in units of demand.
     """
     echelon = np.asarray(holding) - np.append(np.asarray(holding)[1:], 0.0)
     complete = int(np.sum(periods))

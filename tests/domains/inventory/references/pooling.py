@@ -1,9 +1,9 @@
-"""Stores that share their stocks: the least cost of normal demand that waits, in closed form.
+"""Stores that share their stocks: the minimum cost for normal demand that waits, in closed form.
 
 Orders arrive before demand (lead time 0), so every period starts at the levels S_i, and after
-demand goods go wherever they are short. With D_i independent, and all of the same costs, what is
-held in the end is (sum S - sum D)^+, what is short (sum D - sum S)^+, and what moves is the sum of
-(S_i - D_i)^+ less what is held:
+demand goods go wherever they are short. With D_i independent, and equal costs, the final stock is
+(sum S - sum D)^+, the shortage (sum D - sum S)^+, and the amount moved is the sum of (S_i - D_i)^+
+less the final stock:
 
     cost = h E(S - D)^+ + p E(D - S)^+ + c (sum E(S_i - D_i)^+ - E(S - D)^+),     c <= h + p.
 
@@ -44,12 +44,12 @@ def pooled_stores(
 
 
 def one_newsvendor(deviation: float, holding: float, shortage: float) -> float:
-    """(h + p) phi(z) deviation: what a level costs that faces demand of this deviation.
+    """(h + p) phi(z) deviation: the cost of a level for demand of this deviation.
 
-    Of n equal stores with a lead time of L periods, pooled at no cost, the deviation is that of
-    all demand in L + 1 periods. Balanced at no cost before demand only, each of them faces
-    sqrt(L / n + 1) deviations of a period (Eppen and Schrage, 1981), if none is ever so short that
-    the others' stock would have to be taken for it.
+    For n equal stores with a lead time of L periods, pooled at no cost, the deviation is that of
+    all demand in L + 1 periods. Balanced at no cost before demand only, each store faces sqrt(L / n
+    + 1) deviations of a period (Eppen and Schrage, 1981), provided that balance never needs stock
+    which the others cannot spare.
     """
     z = stats.norm.ppf(shortage / (shortage + holding))
     return float((holding + shortage) * stats.norm.pdf(z) * deviation)

@@ -2,7 +2,7 @@
 
 Exact up to its tolerance and the two limits given: relative value iteration on the stock and the
 orders on their way, with MacQueen's bounds (1966) around the average cost. Demand is lost or
-delivered later where there is no stock; for the timing see `item.simulator`.
+delivered later where there is no stock; timing as in `snapo.domains.inventory.item.simulator`.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 
 class Costs(NamedTuple):
-    """Of a period: by unit held, by unit short, by unit ordered, and by order."""
+    """Costs of a period: per unit held, per unit short, per unit ordered, and per order."""
 
     holding: float
     shortage: float
@@ -21,7 +21,7 @@ class Costs(NamedTuple):
 
 
 class ExactOptimum(NamedTuple):
-    """The least average cost of a period, between `low` and `high`, and the best orders.
+    """The minimum average cost of a period, between `low` and `high`, and the best orders.
 
     - `orders`: by stock [0 …] and the orders on their way, the next one to arrive first; of
       backlogged demand by inventory position, from `first`.

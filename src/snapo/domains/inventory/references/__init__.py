@@ -1,1 +1,0 @@
-"""Costs that are known by other means."""
