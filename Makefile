@@ -20,7 +20,8 @@ demo: $(READY)
 test: $(READY)
 	$(PYTEST) $(SHARED)
 
-prove: $(READY)
+# Dask and Ray, on which a book is proved to have the same bits, come with the proofs alone.
+prove: $(VENV)/.clusters
 	$(PYTEST) $(SHARED) -m "prove and not study"
 
 # Pages with code run when they change; a warning, a broken link or a request to the network fails.
@@ -43,6 +44,10 @@ $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,lint]'
 	touch $(READY)
+
+$(VENV)/.clusters: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,dask,ray]'
+	touch $@
 
 $(VENV)/.docs: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,docs]'

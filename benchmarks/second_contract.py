@@ -27,7 +27,6 @@ import jax
 import numpy as np
 
 from snapo.case.load import load
-from snapo.solver.solve import solve
 from snapo.study.study import Setup
 
 EVENTS = {"/jax/core/compile/backend_compile_duration": "XLA", "/snapo/compile": "native"}
@@ -189,13 +188,7 @@ def solved(domain: str, second: bool) -> dict[str, Any]:
     jax.monitoring.register_event_duration_secs_listener(count)
     started = time.process_time()
     setup = DOMAINS[domain](second)
-    solution = solve(
-        setup.problem,
-        policy=setup.policy if setup.recipe is None else setup.recipe,
-        training=setup.training,
-        evaluation=setup.evaluation,
-        engine=setup.engines,
-    )
+    solution = setup.solve()
     spent = time.process_time() - started
     jax.monitoring.unregister_event_duration_listener(count)
     assert solution.sensitivities is not None

@@ -30,6 +30,7 @@ ORDER = [
     "report",
     "study",
     "live",
+    "book",
     "testing",
     "domains",
     "cli",

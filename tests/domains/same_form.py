@@ -10,9 +10,6 @@ import jax.numpy as jnp
 from snapo.problem.code.version import path, text
 from snapo.problem.inputs import plain
 from snapo.problem.problem import Problem
-from snapo.solver.solution import Solution
-from snapo.solver.solve import solve
-from snapo.study.study import Setup
 
 
 def programs(problem: Problem):
@@ -50,14 +47,3 @@ def same_programs(problems: Iterable[Problem], enough: int) -> int:
         if pairs >= enough:
             break
     return pairs
-
-
-def solved(setup: Setup) -> Solution:
-    """What is made ready, solved."""
-    return solve(
-        setup.problem,
-        policy=setup.policy if setup.recipe is None else setup.recipe,
-        training=setup.training,
-        evaluation=setup.evaluation,
-        engine=setup.engines,
-    )

@@ -42,7 +42,7 @@ def places(folder, kind, size=None):
 )  # fmt: skip
 def test_every_input_has_its_place(tmp_path, kind, size):
     found = places(tmp_path / "case", kind, size)
-    assert [name for name in found.inputs if found.writer(name) is None] == []
+    assert [name for name in found.inputs if name not in found.recorded] == []
 
 
 def opened(run, folder) -> WhatIf:

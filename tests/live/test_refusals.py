@@ -49,7 +49,9 @@ def test_a_mistake_of_the_users_code_is_told_as_theirs_and_ours_as_ours():
         "ValueError: the tank has no size."
     )
     for module in (None, "other", "min"):
-        assert stopped(stop("mine"), [], module).startswith("snapo could not calculate this, by")
+        assert stopped(stop("mine"), [], module).startswith(
+            "snapo could not calculate this, because"
+        )
 
 
 @pytest.fixture

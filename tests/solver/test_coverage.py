@@ -130,7 +130,9 @@ def sample(case: Case, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Totals [N], and their derivatives [N, 5]."""
     paths = np.arange(PATHS)
     if isinstance(case.scenarios, snapo.Sobol):
-        shape = SimpleNamespace(horizon=1, noise_size=2, initial_noise_size=0)
+        shape = SimpleNamespace(
+            horizon=1, noise_size=2, initial_noise_size=0, first_step=0, initial_steps=0
+        )
         y, z = snapo.Sobol(seed).draws(paths, shape).step_noise[0].T
     else:
         pairs = case.scenarios.antithetic

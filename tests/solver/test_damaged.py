@@ -121,6 +121,6 @@ def test_another_kind_of_file(file, progress, tmp_path):
 )
 def test_a_policy_of_the_same_shape_that_is_another_one(file, progress, other, named):
     """Another activation, other actions: the same numbers would be another rule."""
-    with pytest.raises(checkpoint.CheckpointError, match="holds a") as refused:
+    with pytest.raises(checkpoint.CheckpointError, match="contains a") as refused:
         checkpoint.load(file, initial_progress(other, Training(steps=3)))
     assert named in str(refused.value) or "another shape" in str(refused.value)

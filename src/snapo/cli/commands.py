@@ -6,7 +6,7 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ def run(options: argparse.Namespace) -> int:
         "new": _new,
         "check": _check,
         "solve": _solve,
+        "book": _book,
         "certify": _certify,
         "report": _report,
         "open": _open,
@@ -104,7 +105,12 @@ def _asked(options: argparse.Namespace) -> CaseRequest:
 
 
 def _check(options: argparse.Namespace) -> Answer:
-    lines = commands.check(_asked(options), say)
+    if _is_book(options.case):
+        from snapo.book import commands as book
+
+        lines = book.check(options.case)
+    else:
+        lines = commands.check(_asked(options), say)
     return {"status": "ok", "lines": lines}, "\n".join(lines), OK
 
 
@@ -120,6 +126,45 @@ def _solve(options: argparse.Namespace) -> Answer:
         seeds=options.seeds,
     )
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
+
+
+def _book(options: argparse.Namespace) -> Answer:
+    from snapo.book import commands as book
+
+    if options.sql is not None:
+        columns, rows = book.query(options.book, options.sql)
+        return {"status": "ok", "columns": columns, "rows": rows}, _as_table(columns, rows), OK
+    result = book.solve(
+        options.book,
+        say,
+        out=options.out,
+        workers=options.workers,
+        on=options.on,
+        trust_network=options.trust_network,
+        shard=options.shard,
+        resume=options.resume,
+    )
+    return result, book.summary(result), OK if result["status"] == "ok" else FAILED
+
+
+def _as_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    cells = [list(columns), *([_cell(value) for value in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells)]
+    return "\n".join("  ".join(map(str.rjust, row, widths)) for row in cells)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:,.6g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def _is_book(path: Path) -> bool:
+    """Whether a file says that it is a book; whatever is wrong with it is said by its reader."""
+    from snapo.case.load import load
+
+    try:
+        return path.suffix == ".toml" and load(path)[1].get("kind") == "book"
+    except CaseError:
+        return False
 
 
 def by_seed(result: Mapping[str, Any]) -> list[str]:
@@ -161,6 +206,11 @@ def _certify(options: argparse.Namespace) -> Answer:
 
 
 def _report(options: argparse.Namespace) -> Answer:
+    if (options.run / "book.json").is_file():
+        from snapo.book import commands as book
+
+        file = book.report(options.run)
+        return {"status": "ok", "report": file}, str(file), OK
     tables = {"report": commands.report(options.run)}
     if options.pdf:
         tables["pdf"] = commands.printed(options.run)

@@ -42,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_new,
         _add_check,
         _add_solve,
+        _add_book,
         _add_certify,
         _add_report,
         _add_open,
@@ -99,6 +100,41 @@ def _add_solve(commands) -> None:
         help="train with this number of seeds, or those of a list (0,3,7); the run is that of the "
         "best",
     )
+
+
+def _add_book(commands) -> None:
+    book = commands.add_parser("book", help="value a book of contracts, under stresses, on workers")
+    book.add_argument(
+        "book", metavar="BOOK", type=Path, help="a TOML file; with --sql the folder of a valued one"
+    )
+    book.add_argument(
+        "--out", metavar="DIR", type=Path, help="folder of the results (default: run, next to it)"
+    )
+    where = book.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers", metavar="N", type=_count, help="processes of this machine (default: its cores)"
+    )
+    where.add_argument(
+        "--on",
+        metavar="WHERE",
+        default="",
+        help="dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns an executor",
+    )
+    book.add_argument(
+        "--trust-network",
+        action="store_true",
+        help="join a scheduler without TLS or token that is not on this machine",
+    )
+    book.add_argument(
+        "--shard",
+        metavar="K/N",
+        type=_shard,
+        help="compute the part K of N, from 1; the parts meet in one folder",
+    )
+    book.add_argument(
+        "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
+    )
+    book.add_argument("--sql", metavar="QUERY", help="query the tables values, deltas and shares")
 
 
 def _add_certify(commands) -> None:
@@ -212,6 +248,20 @@ def _paths(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
         raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
     return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 4096:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 to 4096")
+    return int(text)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    digits = (number + count).isascii() and number.isdigit() and count.isdigit()
+    if not digits or not 1 <= int(number) <= int(count):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a part such as 3/100, from 1/100 on")
+    return int(number), int(count)
 
 
 def _port(text: str) -> int:

@@ -75,7 +75,7 @@ def table(
     values = [column.values(records) for column in columns]
     all_places = None if decimal_places is None else [decimal_places] * len(records)
     if by_row:
-        all_places = [decimals([x for x in row if not isinstance(x, str)]) for row in zip(*values)]
+        all_places = [decimals(_numbers(row)) for row in zip(*values)]
     head, texts, cells = [], set(), []
     for column, column_values in zip(columns, values):
         column_cells = column.cells(column_values, all_places)
@@ -85,6 +85,10 @@ def table(
         cells.append(column_cells)
     rows = [sum(row, ()) for row in zip(*cells)]
     return Table(head, rows, caption, frozenset(texts), folded=folded)
+
+
+def _numbers(row: Sequence[Any]) -> list[Any]:
+    return [x.value if isinstance(x, WithError) else x for x in row if not isinstance(x, str)]
 
 
 class Bar(NamedTuple):

@@ -19,7 +19,7 @@ from snapo.solver import statistics
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.relaxations.stop import Relaxation
 from snapo.solver.solution import Solution
-from snapo.solver.solve import Evaluation
+from snapo.solver.solve import Evaluation, solve
 from snapo.solver.tables import write_csv
 
 ProgressCallback = Callable[[str], None]
@@ -40,6 +40,17 @@ class Setup(NamedTuple):
     engines: Engines
     recipe: Policy | None = None
     case: Any = None
+
+    def solve(self, **options: Any) -> Solution:
+        """`snapo.solve` with these arguments; `options`: its others."""
+        return solve(
+            self.problem,
+            policy=self.policy if self.recipe is None else self.recipe,
+            training=self.training,
+            evaluation=self.evaluation,
+            engine=self.engines,
+            **options,
+        )
 
 
 class Today(NamedTuple):

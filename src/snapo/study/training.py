@@ -13,7 +13,6 @@ from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
-from snapo.solver.solve import solve
 from snapo.solver.tables import write_csv
 from snapo.solver.train import Progress, Record, initial_progress
 from snapo.solver.verdict.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
@@ -26,12 +25,7 @@ from .study import Part, Setup, StudyRun
 def train(run: StudyRun) -> dict[str, Any]:
     """Solves the study's problem into the run folder."""
     setup = run.setup
-    solution = solve(
-        setup.problem,
-        policy=setup.policy if setup.recipe is None else setup.recipe,
-        training=setup.training,
-        evaluation=setup.evaluation,
-        engine=setup.engines,
+    solution = setup.solve(
         callbacks=[lambda state: _keep(run, state, setup.training)],
         progress=_resumed(run, setup),
     )

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from tests.compilations import compilations
-from tests.domains.same_form import same_programs, solved
+from tests.domains.same_form import same_programs
 
 from snapo.case.load import load
 from snapo.domains.control import SIZES
@@ -67,12 +67,12 @@ def test_a_plant_has_no_numbers(size):
 @pytest.mark.parametrize("size", ["pendulum", "measured"])
 def test_a_second_plant_compiles_nothing_and_has_its_own_bits(size):
     setup = make_setup(plant(size), "native")
-    first = solved(setup)
+    first = setup.solve()
     with compilations() as compiled:
-        second = solved(setup_at(setup, plant(size, 1.05)))
+        second = setup_at(setup, plant(size, 1.05)).solve()
     assert compiled == []
     jax.clear_caches()
     _runners.clear()
-    again = solved(make_setup(plant(size, 1.05), "native"))
+    again = make_setup(plant(size, 1.05), "native").solve()
     assert second.value == again.value != first.value
     assert jax.tree.all(jax.tree.map(np.array_equal, second.policy, again.policy))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.gas_storage.storage_cases import CASES, read
-from tests.domains.same_form import same_programs, solved
+from tests.domains.same_form import same_programs
 
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
@@ -141,12 +141,12 @@ def test_a_second_contract_compiles_nothing_and_has_its_own_bits(tmp_path):
         case = read(folder, **changes)
         return make_setup(case, "native", fitted_value(bare_problem(case)))
 
-    first = solved(setup("quick", QUICK))
+    first = setup("quick", QUICK).solve()
     with compilations() as made:
-        second = solved(setup(tmp_path, other(QUICK, tmp_path)))
+        second = setup(tmp_path, other(QUICK, tmp_path)).solve()
     assert made == []
     jax.clear_caches()
     _runners.clear()
-    again = solved(setup(tmp_path, other(QUICK, tmp_path)))
+    again = setup(tmp_path, other(QUICK, tmp_path)).solve()
     assert second.value == again.value != first.value
     assert jax.tree.all(jax.tree.map(np.array_equal, second.policy, again.policy))

@@ -8,7 +8,7 @@ import pytest
 from tests.compilations import compilations
 from tests.domains.inventory.inventory_cases import case
 from tests.domains.inventory.network_cases import network
-from tests.domains.same_form import same_programs, solved
+from tests.domains.same_form import same_programs
 
 from snapo.domains.inventory.setup import make_setup, setup_at, simulator_of
 from snapo.engine.native.call import _runners
@@ -135,17 +135,17 @@ def lot(cost: float, mean: float):
 @pytest.mark.parametrize("made", [lot, line])
 def test_a_second_inventory_compiles_nothing_and_has_its_own_bits(made):
     setup = make_setup(made(8.0, 5.0), "native")
-    first = solved(setup)
+    first = setup.solve()
     # The verdict sums the rates of all steps, where a training gained: not in every one.
     schedule(setup.training)(np.arange(setup.training.steps))
     with compilations() as compiled:
-        second = solved(make_setup(made(9.0, 5.5), "native"))
+        second = make_setup(made(9.0, 5.5), "native").solve()
         moved = setup_at(setup, made(9.0, 5.5))
-        third = solved(moved)
+        third = moved.solve()
     assert compiled == []
     jax.clear_caches()
     _runners.clear()
-    again = solved(make_setup(made(9.0, 5.5), "native"))
+    again = make_setup(made(9.0, 5.5), "native").solve()
     assert second.value == again.value == third.value != first.value
     for policy in (second.policy, third.policy):
         assert jax.tree.all(jax.tree.map(np.array_equal, policy, again.policy))

@@ -16,6 +16,7 @@ simulator passes through it:
 
 from snapo.lanes import Unsupported as Unsupported
 
+from .call import forget_kernels as forget_kernels
 from .call import unavailable as unavailable
 from .engine import Native as Native
 from .explain import Explanation as Explanation

@@ -72,6 +72,11 @@ COMPILED = "/snapo/compile"  # event with the compile time of a kernel, like JAX
 _runners: OrderedDict[Any, Runner] = OrderedDict()
 
 
+def forget_kernels() -> None:
+    """Frees the memory of all compiled kernels; the disk has their code."""
+    _runners.clear()
+
+
 def linked(kernel: Kernel) -> Linked:
     """The kernel's machine code, from the disk where it was made before."""
     return Linked(cached(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)

@@ -1,6 +1,8 @@
 """Machine code from text for this processor, by llvmlite (imported when it is first needed)."""
 
+import hashlib
 import importlib
+import os
 import re
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -57,8 +59,12 @@ class Processor(NamedTuple):
         return max(1, self.register // np.dtype(dtype).itemsize) * REGISTERS
 
 
+PROCESSOR = "SNAPO_PROCESSOR"  # the variable that names the target of all code
+LEVELS = {"x86-64-v2": 16, "x86-64-v3": 32, "x86-64-v4": 64}  # and bytes of a vector register
+
+
 @cache
-def host() -> Processor:
+def actual() -> Processor:
     """The processor that this process runs on."""
     llvm = binding()
     features = llvm.get_host_cpu_features()
@@ -66,6 +72,33 @@ def host() -> Processor:
     register = 64 if wide else 32 if features.get("avx2") else 16
     name = llvm.get_host_cpu_name()
     return Processor(llvm.get_default_triple(), name, features.flatten(), register)
+
+
+@cache
+def host() -> Processor:
+    """The processor that code is made for: the actual one, or the level that `PROCESSOR` names."""
+    level = os.environ.get(PROCESSOR)
+    if not level:
+        return actual()
+    return Processor(actual().triple, level, "", LEVELS[level])
+
+
+def use_processor(level: str) -> bool:
+    """Makes all code of this process from now on for a level of `LEVELS`, so that it has the same
+    bits on every processor that has it; False where this one has not."""
+    if not actual().triple.startswith("x86_64") or actual().register < LEVELS[level]:
+        return False
+    if os.environ.get(PROCESSOR) != level:
+        os.environ[PROCESSOR] = level
+        host.cache_clear()
+    return True
+
+
+def fingerprint() -> str:
+    """The name of all that the bits of this processor depend on."""
+    processor = actual()
+    text = f"{processor.triple} {processor.name} {processor.features}"
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 @dataclass(frozen=True)

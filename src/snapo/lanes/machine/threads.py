@@ -21,9 +21,9 @@ def cores() -> int:
 
 @contextmanager
 def in_thread(work: Callable[[], object]) -> Iterator[None]:
-    """Does the work in a thread while the block runs; the end of the block waits for it. For
+    """Does the work in a thread while the block runs; the end of the block waits for it.
 
-    work that is repeated if its result is missing, such as compiling: a failure is ignored.
+    For work that is repeated if its result is missing, such as compiling: a failure is ignored.
     """
 
     def done() -> None:

@@ -383,7 +383,7 @@ def test_scenarios_measured_on_the_training_paths(case):
     supply(case)
     text = (case / "case.toml").read_text()
     (case / "case.toml").write_text(text.replace('"evaluation.csv"\n', '"training.csv"\n'))
-    refused(case, ["scenarios.evaluation", "same paths"])
+    refused(case, ["scenarios.evaluation", "paths on which it was trained"])
 
 
 def test_level_payments_end_after_a_whole_step(case):

@@ -102,7 +102,9 @@ def test_measurements_keep_their_unit_and_may_lie_a_little_below_zero(tmp_path):
     assert batch.units[-1] == "mmol/L" and batch.scales[-1] == pytest.approx((1e-3, 0.0))
     assert batch.value[-1] == pytest.approx(-2e-4) and batch.units[0] == "mol/L"
     (tmp_path / "batch.csv").write_text(text.replace("-0.2 mmol/L", "-2 mmol/L"))
-    with pytest.raises(CaseError, match="20 of its standard deviations below the least value"):
+    with pytest.raises(
+        CaseError, match="20 of its standard deviations below the smallest possible value"
+    ):
         read_case(tmp_path)
 
 

@@ -1,0 +1,258 @@
+"""What a book costs: shapes, overhead, size, and a model of its wall time.
+
+    python -m benchmarks.book shapes       a contract of a known shape, of other dates, a stress
+    python -m benchmarks.book overhead     what the driver costs, and how long workers wait
+    python -m benchmarks.book large        100 contracts under 20 stresses
+    python -m benchmarks.book model        wall time at 1, 2 and 4 workers, and what was expected
+
+All are books of the gas storage template; times depend on what else the machine does.
+"""
+
+import json
+import os
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from snapo.book.executors import worker_pools
+from snapo.book.file import read_book
+from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
+from snapo.book.run import plan_of, run_book
+from snapo.book.work import answer
+from snapo.book.workers import answers
+from snapo.study.domain import find
+
+from .machine import machine
+
+CURVE = '[[stress]]\nname = "curve {change:+d} %"\nscale = {{ "market.forward_curve" = {scale} }}\n'
+WINTER = """[[stress]]
+name = "winter"
+shift = { "market.forward_curve" = 2.0 }
+when = "2021-12/2022-02"
+"""
+CHANGES = [x for x in range(-10, 10) if x]
+STRESSES = "".join(CURVE.format(change=x, scale=1 + x / 100) for x in CHANGES) + WINTER
+
+
+def write_book(
+    folder: Path, rows: Sequence[dict[str, Any]], stresses: str, tasks: str = "", run: str = ""
+) -> Path:
+    """A book of the template of a gas store, with the keys of each row."""
+    template = find("gas-storage", "").templates
+    store = folder / "store"
+    store.mkdir(parents=True, exist_ok=True)
+    for file in next(iter(template.values())).iterdir():
+        if file.is_file():
+            (store / file.name).write_bytes(file.read_bytes())
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [",".join(columns), *(",".join(str(row.get(x, "")) for x in columns) for row in rows)]
+    (folder / "contracts.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text = '[cases]\ntemplate = "store"\ntable = "contracts.csv"\n'
+    (folder / "book.toml").write_text(
+        f'kind = "book"\n{text}{stresses}[tasks]\n{tasks}[run]\n{run}', encoding="utf-8"
+    )
+    return folder / "book.toml"
+
+
+def rows(count: int) -> list[dict[str, Any]]:
+    """Stores that differ in costs, level and volatility, not in their shape."""
+    return [
+        {
+            "name": f"store {i}",
+            "contract.injection_cost": round(0.01 + 0.001 * (i % 37), 4),
+            "contract.inventory": 500 + 13 * (i % 101),
+            "model.spot_volatility": round(0.5 + 0.01 * (i % 23), 3),
+        }
+        for i in range(count)
+    ]
+
+
+class Timed(NamedTuple):
+    """An order, what it took, and the seconds of compiling in it."""
+
+    name: str
+    cpu_seconds: float
+    compile_seconds: float
+
+
+def shapes() -> list[str]:
+    """One process: the first contract, a further one, other dates, another number of days, and the
+    first one under a stress."""
+    import jax
+
+    heard: list[float] = []
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event in ("/jax/core/compile/backend_compile_duration", "/snapo/compile"):
+            heard.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    contracts = [
+        *rows(2),
+        *[row | {"name": f"judged {row['name']}"} for row in rows(4)[2:]],
+        {"name": "other dates", "contract.start": "2021-05-01", "contract.end": "2022-05-01"},
+        {"name": "other days", "contract.start": "2021-04-01", "contract.end": "2022-03-02"},
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_CACHE_HOME"] = folder
+        file = write_book(Path(folder), contracts, STRESSES, "judge = 0\n")
+        book = read_book(file)
+        table, policy = [], None
+        for contract, name in zip(
+            book.contracts,
+            ("first", "further", "first judged", "judged", "other dates", "other number of days"),
+        ):
+            judged = name.endswith("judged")
+            order = BookOrder.of(contract, book.tasks, book.run.seed, judged=judged)
+            heard.clear()
+            data, cost = opened(answer(order.pack()))
+            table.append(Timed(name, cost.cpu_seconds, sum(heard)))
+            stored = OrderAnswer.unpack(data)
+            assert stored.points[0].status == "ok", stored.points[0].note
+            policy = stored.policy if policy is None else policy
+        first = BookOrder.of(
+            book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy
+        )
+        times = []
+        for count in (1, 11):
+            moves = tuple(stress.moves for stress in book.stresses[:count])
+            _, cost = opened(answer(replace(first, stresses=moves).pack()))
+            times.append(cost.cpu_seconds)
+        table.append(Timed("a stress", (times[1] - times[0]) / 10, 0.0))
+    cold, further = table[0].cpu_seconds, table[1].cpu_seconds
+    needed = {
+        "further": f"{further / cold:.2f} of the first (needed 0.20)",
+        "other dates": f"{table[4].cpu_seconds / cold:.2f} of the first (needed 0.25)",
+        "other number of days": f"{table[5].cpu_seconds / cold:.2f} of the first (needed 0.67)",
+        "a stress": f"{table[6].cpu_seconds / further:.2f} of a further contract (needed 0.50)",
+    }
+    return [
+        "one process, the gas storage template; processor seconds",
+        *(
+            f"{x.name:<22}{x.cpu_seconds:>8.2f} s, compiling {x.compile_seconds:>6.2f} s   "
+            f"{needed.get(x.name, '')}"
+            for x in table
+        ),
+    ]
+
+
+def idle(order: bytes, seconds: float = 0.25) -> bytes:
+    """Works so long, and answers with an answer's size."""
+    ended, begun = time.perf_counter() + seconds, time.perf_counter()
+    while time.perf_counter() < ended:
+        pass
+    return json.dumps([begun, time.perf_counter(), os.getpid()]).encode() + b" " * 100_000
+
+
+def overhead(count: int = 200) -> list[str]:
+    """Small orders on one worker, so that the driver has a core: how long the worker waits."""
+    with tempfile.TemporaryDirectory() as folder:
+        book = read_book(write_book(Path(folder), rows(count), STRESSES))
+        plan = plan_of(book)
+        waiting = iter([plan._base(x, False).pack() for x in book.contracts])  # pyright: ignore[reportPrivateUsage]
+        began, cpu, spans = time.perf_counter(), time.process_time(), []
+        for _, result in answers(lambda: next(waiting, None), idle, worker_pools("", 1)):
+            assert isinstance(result, bytes)
+            spans.append(json.loads(result))
+        seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+    spans.sort()
+    busy = sum(last - first for first, last, _ in spans)
+    span = spans[-1][1] - spans[0][0]
+    return [
+        f"{count} orders of 0.25 s on one worker: {seconds:.1f} s",
+        f"the worker waits {1 - busy / span:.1%} of its time (needed at most 10 %)",
+        f"the driver's processor time is {cpu / seconds:.1%} of the wall time (needed at most 5 %)",
+    ]
+
+
+def large(contracts: int = 100) -> list[str]:
+    """Contracts under 20 stresses on the cores of this machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_book(Path(folder), rows(contracts), STRESSES)
+        progress = partial(print, file=sys.stderr, flush=True)
+        result = run_book(read_book(file), progress, worker_pools(""), out=Path(folder) / "run")
+        peaks = _peaks(Path(folder) / "run")
+    driver = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    points = contracts * len(result["sums"])
+    growth = [max(of[20:]) / of[19] - 1 for of in peaks.values() if len(of) > 20]
+    return [
+        f"{contracts} contracts, {len(result['sums'])} points each: {result['status']}",
+        f"{result['seconds']['total'] / 60:.1f} min of wall time (needed 25 for 100 contracts)",
+        f"{result['cpu_seconds'] / points:.2f} processor seconds a point",
+        f"workers at most {result['peak_mb']:.0f} MB (needed 900), driver {driver:.0f} MB "
+        "(needed 400)",
+        f"growth of a worker after its 20th order: {max(growth, default=0.0):.1%} (needed 5 %)",
+    ]
+
+
+def _peaks(folder: Path) -> dict[str, list[float]]:
+    """{worker: memory at most, after each of its orders}."""
+    table: dict[str, list[float]] = {}
+    for file in sorted(folder.glob("answers/*/*"), key=lambda x: x.stat().st_mtime):
+        cost: Cost = opened(file.read_bytes())[1]
+        table.setdefault(cost.worker, []).append(cost.peak_mb)
+    return table
+
+
+def expected(durations: Sequence[float], first: float, workers: int, begin: float) -> float:
+    """Wall time by event simulation: every worker starts, compiles with its first order, and takes
+    the next one when it is free. A machine's cores are shared by its workers."""
+    free = [begin] * workers
+    fresh = [True] * workers
+    for duration in durations:
+        i = free.index(min(free))
+        free[i] += duration + first * fresh[i]
+        fresh[i] = False
+    return max(free)
+
+
+def model(contracts: int = 16) -> list[str]:
+    """Wall time with 1, 2 and 4 workers on the cores of this machine, and that of the model, from
+    one worker's orders alone."""
+    cores = len(os.sched_getaffinity(0))
+    lines, orders = [], []
+    start = first = 0.0
+    for workers in (1, 2, 4):
+        with tempfile.TemporaryDirectory() as folder:
+            file = write_book(Path(folder), rows(contracts), "", "judge = 0\n")
+            pools = worker_pools("", workers)
+            result = run_book(read_book(file), lambda _: None, pools, out=Path(folder) / "run")
+            costs = [opened(x.read_bytes())[1] for x in Path(folder).glob("run/answers/*/*")]
+        seconds = result["seconds"]["orders"]
+        if workers == 1:
+            orders = [statistics.median(x.cpu_seconds for x in costs)] * contracts
+            first = max(x.cpu_seconds for x in costs) - orders[0]
+            start = seconds - first - sum(orders)
+        # More workers than cores share them.
+        share = max(1.0, workers / cores)
+        wall = expected([x * share for x in orders], first * share, workers, start * share)
+        fitted = "the numbers are those of this run" if workers == 1 else f"expected {wall:.1f} s"
+        off = "" if workers == 1 else f" ({seconds / wall - 1:+.0%})"
+        lines.append(f"{workers} workers: {seconds:.1f} s, {fitted}{off}")
+    about = f"start {start:.1f} s, a shape {first:.1f} s, a contract {orders[0]:.1f} s"
+    return [f"{contracts} contracts on {cores} cores: {about} (needed within 20 %)", *lines]
+
+
+TABLES: dict[str, Callable[[], list[str]]] = {
+    "shapes": shapes,
+    "overhead": overhead,
+    "large": large,
+    "model": model,
+}
+
+if __name__ == "__main__":
+    names = sys.argv[1:] or list(TABLES)
+    if unknown := set(names) - set(TABLES):
+        sys.exit(f"{', '.join(unknown)}: allowed is {', '.join(TABLES)}")
+    print(machine())
+    for name in names:
+        print()
+        for line in TABLES[name]():
+            print(line, flush=True)

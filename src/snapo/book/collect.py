@@ -1,0 +1,274 @@
+"""From the answers of a book to its tables, sums and risk."""
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from snapo.solver import statistics
+
+from .file import BASE, Book, BookContract
+from .folder import POLICIES, TABLES, BookFolder
+from .order import BookOrder, BookPoint, Cost, OrderAnswer, name_of
+from .parquet import TableRows, TableWriter
+from .plan import BookPlan
+from .sums import BookTotal, DeltaTotal, Sum, risks
+
+FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
+TOGETHER = 32
+
+
+@dataclass
+class BookPosition:
+    """All points of a contract in the book.
+
+    - `points`: {stress: its point, with the cost and the shape of its answer}.
+    - `world`: equal for contracts whose path p is the same world.
+    """
+
+    contract: BookContract
+    points: dict[str, tuple[BookPoint, Cost | None, str]]
+    policy: bytes | None = None
+    world: str = ""
+
+    @property
+    def base(self) -> BookPoint:
+        return self.points[BASE][0]
+
+    @property
+    def worst(self) -> BookPoint:
+        """A point that failed, where there is one."""
+        return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
+
+
+def position(
+    plan: BookPlan, contract: BookContract, folder: BookFolder, lost: Mapping[str, str]
+) -> BookPosition:
+    """The points of a contract from the folder's answers; `lost`: {order: the reason}."""
+    names = [BASE, *(stress.name for stress in plan.book.stresses)]
+
+    def read(name: str) -> tuple[OrderAnswer, Cost | None] | None:
+        if name in lost:
+            return OrderAnswer((BookPoint.without_value("lost", lost[name]),)), None
+        return folder.read(name)
+
+    def answer_of(name: str) -> OrderAnswer | None:
+        result = read(name)
+        return None if result is None else result[0]
+
+    result = BookPosition(contract, {})
+    waiting = iter(names)
+
+    def take(order: BookOrder) -> OrderAnswer | None:
+        entry = read(name_of(order.pack()))
+        for i, name in enumerate(itertools.islice(waiting, len(order.stresses) + order.base)):
+            if entry is None:
+                result.points[name] = (
+                    BookPoint.without_value("missing", "it has not been computed"),
+                    None,
+                    "",
+                )
+            else:
+                answer, cost = entry
+                point = answer.points[min(i, len(answer.points) - 1)]
+                result.points[name] = point, cost if i == 0 else None, answer.shape
+        return None if entry is None else entry[0]
+
+    base = plan.base(contract, answer_of)
+    answer = None if base is None else take(base)
+    if answer is not None:
+        result.policy, result.world = answer.policy, answer.world
+    for order in () if base is None else plan.further(base, result.policy):
+        take(order)
+    for name in waiting:
+        point = BookPoint.without_value("missing", "its base has not been computed")
+        if answer is not None:
+            point = BookPoint.without_value(
+                answer.points[0].status, f"its base: {answer.points[0].note}"
+            )
+        result.points[name] = point, None, ""
+    return result
+
+
+@dataclass
+class Results:
+    """The sums of a book, filled position by position."""
+
+    book: Book
+    total: BookTotal = field(default_factory=lambda: BookTotal(BASE))
+    deltas: DeltaTotal = field(default_factory=DeltaTotal)
+    groups: dict[str, dict[str, BookTotal]] = field(default_factory=dict)
+    cases: Counter[str] = field(default_factory=Counter)
+    failures: list[dict[str, str]] = field(default_factory=list)
+    explained: dict[str, float] = field(default_factory=dict)
+    cpu_seconds: float = 0.0
+    peak_mb: float = 0.0
+    shapes: set[str] = field(default_factory=set)
+
+    def add(self, member: BookPosition) -> None:
+        """Adds a contract."""
+        contract = member.contract
+        self.cases[member.worst.status] += 1
+        for stress, (point, cost, _) in member.points.items():
+            if point.status != "ok":
+                row = {"case": contract.name, "stress": stress}
+                self.failures.append(row | {"status": point.status, "note": point.note})
+            if cost is not None:
+                self.cpu_seconds += cost.cpu_seconds
+                self.peak_mb = max(self.peak_mb, cost.peak_mb)
+            more = contract.quantity * explained(member.base, point)
+            self.explained[stress] = self.explained.get(stress, 0.0) + more
+        self.shapes |= {shape for _, _, shape in member.points.values() if shape}
+        shares = {
+            stress: contract.quantity * point.shares if point.status == "ok" else None
+            for stress, (point, _, _) in member.points.items()
+        }
+        self.total.add(contract.market, shares, member.world)
+        for column in self.book.by:
+            label = contract.labels.get(column, "")
+            self.groups.setdefault(column, {}).setdefault(label, BookTotal(BASE)).add(
+                contract.market, shares, member.world
+            )
+        for delta in member.base.deltas:
+            labels = delta.labels if len(delta.labels) == delta.blocks.shape[1] else ("",)
+            for label, blocks in zip(labels, delta.blocks.T):
+                key = (contract.market, delta.input, label)
+                self.deltas.add(key, contract.quantity * blocks)
+
+    def table(self) -> dict[str, Any]:
+        """The content of result.json without the cost of the run."""
+        stresses = [stress.name for stress in self.book.stresses]
+        names = [BASE, *stresses]
+        failed_count = sum(count for status, count in self.cases.items() if status != "ok")
+        status = "ok" if not failed_count else "incomplete" if self.cases["missing"] else "failed"
+        return {
+            "kind": "book",
+            "status": status,
+            "title": self.book.title,
+            "cases": {"ok": self.cases["ok"], "failed": failed_count},
+            "sums": [
+                _sum_row(stress, self.total.at(stress), self.explained[stress]) for stress in names
+            ],
+            "by": {
+                column: {
+                    label: [_sum_row(stress, total.at(stress)) for stress in names]
+                    for label, total in sorted(totals.items())
+                }
+                for column, totals in self.groups.items()
+            },
+            "risk": [risk._asdict() for risk in risks(self.total, stresses)],
+            "deltas": self._deltas(),
+            "notes": [
+                f"contracts of the market {market or 'of the book'} are not valued on common paths "
+                "(jumps with several starts, or quasi-random points with several ends): their sums "
+                "have no error"
+                for market in self.total.shares
+                if not self.total.is_common(market)
+            ],
+            "failures": self.failures[:1000],
+            "shapes": len(self.shapes),
+            "cpu_seconds": self.cpu_seconds,
+            "peak_mb": self.peak_mb,
+        }
+
+    def _deltas(self) -> list[dict[str, Any]]:
+        months = self.deltas.by_month()
+        rows = []
+        for key in months.blocks:
+            value, error = months.estimate(key)
+            names = dict(zip(("market", "input", "label"), key))
+            common = self.total.is_common(key[0])
+            rows.append(names | {"held": value, "held_error": error if common else None})
+        return rows
+
+
+def _sum_row(stress: str, total: Sum | None, explained: float | None = None) -> dict[str, Any]:
+    row: dict[str, Any] = {"stress": stress}
+    row |= dict.fromkeys(Sum._fields) if total is None else total._asdict()
+    if explained is not None and total is not None:
+        row |= {"explained": explained, "unexplained": total.change - explained}
+    return row
+
+
+def explained(base: BookPoint, point: BookPoint) -> float:
+    """The change that the held derivatives of the base explain, per unit of the contract."""
+    sums = {delta.input: delta.blocks.mean(0) for delta in base.deltas}
+    return sum(float(sums[name] @ x) for name, x in point.changes.items() if name in sums)
+
+
+def tables(member: BookPosition) -> dict[str, TableRows]:
+    """The rows of a contract in every table; values, changes, derivatives and shares are those of
+    the position: times its quantity."""
+    contract, base = member.contract, member.base
+    head = {"case": contract.name, "market": contract.market}
+    values, deltas, shares = ([] for _ in TABLES)
+    for stress, (point, cost, shape) in member.points.items():
+        entry = head | {"stress": stress}
+        change = statistics.of_shares(point.shares - base.shares) if _both_ok(point, base) else None
+        by_deltas = contract.quantity * explained(base, point) if change else None
+        change_value = None if change is None else contract.quantity * change.value
+        values.append(
+            entry
+            | {
+                "status": point.status,
+                "note": point.note,
+                "value": contract.quantity * point.value,
+                "standard_error": abs(contract.quantity) * point.standard_error,
+                "change": change_value,
+                "change_error": change and abs(contract.quantity) * change.standard_error,
+                "explained": by_deltas,
+                "unexplained": None
+                if change_value is None or by_deltas is None
+                else change_value - by_deltas,
+                "cpu_seconds": cost and cost.cpu_seconds,
+                "peak_mb": cost and cost.peak_mb,
+                "shape": shape,
+                "worker": cost and cost.worker,
+            }
+            | {x: text for x, text in contract.labels.items() if x not in ("market", "quantity")}
+        )
+        if point.status == "ok":
+            for batch, share in enumerate(point.shares):
+                shares.append(entry | {"batch": batch, "share": contract.quantity * float(share)})
+        for delta in point.deltas:
+            for i, blocks in enumerate(delta.blocks.T):
+                result = statistics.of_shares(contract.quantity * blocks)
+                label = delta.labels[i] if i < len(delta.labels) else str(i)
+                deltas.append(
+                    entry
+                    | {"input": delta.input, "label": label, "held": result.value}
+                    | {"held_error": result.standard_error, "trusted": delta.trusted}
+                )
+    return {name: _columns(rows) for name, rows in zip(TABLES, (values, deltas, shares))}
+
+
+def _both_ok(point: BookPoint, base: BookPoint) -> bool:
+    return point.status == "ok" == base.status and len(point.shares) == len(base.shares)
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> TableRows:
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def collect(plan: BookPlan, folder: BookFolder, lost: Mapping[str, str]) -> Results:
+    """Writes the tables and policies of all contracts, and returns the sums."""
+    results = Results(plan.book)
+    together = TOGETHER if len(plan.book.contracts) > FEW else 1
+    (folder.path / POLICIES).mkdir(exist_ok=True)
+    with TableWriter(folder.path, together) as writer:
+        for contract in plan.book.contracts:
+            member = position(plan, contract, folder, lost)
+            results.add(member)
+            writer.write(file_name(contract.name), tables(member))
+            if member.policy is not None:
+                (folder.path / POLICIES / f"{file_name(contract.name)}.npz").write_bytes(
+                    member.policy
+                )
+    return results
+
+
+def file_name(case: str) -> str:
+    """The name of a contract as that of a file."""
+    return case.replace("/", "-")

@@ -1,0 +1,166 @@
+"""Where the orders of a book are computed: processes of this machine, Dask, Ray, or any executor.
+
+snapo starts no cluster: it joins one. Whoever reaches the port of a scheduler can run code there,
+so that an address beyond this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
+"""
+
+import importlib
+import ipaddress
+import logging
+import multiprocessing
+import os
+import sys
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import suppress
+from functools import partial
+from typing import Any
+from urllib.parse import urlsplit
+
+from snapo.case.error import CaseError
+from snapo.lanes.machine.disk import cache_home
+
+from .workers import Submits, Work, WorkerPool
+
+MAX_CACHE = 256 << 20  # bytes of XLA's programs on disk
+IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself
+
+
+def worker_pools(
+    where: str, workers: int | None = None, trust_network: bool = False
+) -> list[WorkerPool]:
+    """The places of `--on WHERE`; "" is this machine, with one process for each core.
+
+    **Raises:** `CaseError` where there is no such place, or its network is open.
+    """
+    if not where:
+        return _processes(workers)
+    kind, _, address = where.partition(":")
+    if kind == "dask":
+        return [_dask(address, trust_network)]
+    if kind == "ray":
+        return [_ray(address, trust_network)]
+    return _named(where)
+
+
+def _processes(workers: int | None) -> list[WorkerPool]:
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+    count = workers or len(cores)
+    # One order in work and the next one: a worker does not wait for the driver.
+    return [WorkerPool(partial(_process, cores[i % len(cores)]), 2) for i in range(count)]
+
+
+def _process(core: int) -> Executor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_pinned, initargs=(core,))
+
+
+def _pinned(core: int) -> None:
+    """A worker keeps to one core, for its kernels and for XLA, and keeps XLA's programs on disk."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {core})
+    folder = cache_home() / "snapo" / "xla"
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Code that is loaded from there is run: it must be the user's own.
+        if folder.stat().st_uid == os.getuid() and not folder.stat().st_mode & 0o022:
+            os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+            os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+            os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(MAX_CACHE))
+
+
+def _named(where: str) -> list[WorkerPool]:
+    """The executors of MODULE:FACTORY: the factory returns one, or several."""
+    module, _, name = where.partition(":")
+    sys.path.insert(0, os.getcwd())
+    try:
+        made = getattr(importlib.import_module(module), name)()
+        executors = [made] if hasattr(made, "submit") else list(made)
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        allowed = (
+            "allowed is dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns "
+            f"an executor ({error})"
+        )
+        raise CaseError("--on", "", where, allowed) from None
+    finally:
+        sys.path.pop(0)
+    count = max(2, IN_FLIGHT // len(executors))
+    return [WorkerPool(partial(_same, executor), count) for executor in executors]
+
+
+def _same(executor: Submits) -> Submits:
+    return executor
+
+
+def _dask(address: str, trust_network: bool) -> WorkerPool:
+    try:
+        from distributed import Client  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise _missing("dask") from None
+    parts = urlsplit(address if "//" in address else f"tcp://{address}")
+    if parts.scheme != "tls" and not trust_network and not _loopback(parts.hostname):
+        message = "this scheduler has no TLS (tls://…): whoever reaches it runs code there"
+        raise _open(f"dask:{address}", message)
+    try:
+        client = Client(address, timeout=20)
+    except (OSError, ValueError, TimeoutError, TypeError) as error:
+        raise CaseError("--on", "", f"dask:{address}", f"no scheduler answers: {error}") from None
+
+    def make() -> Executor:
+        return client.get_executor(pure=False)
+
+    return WorkerPool(make, IN_FLIGHT, client.close)
+
+
+def _ray(address: str, trust_network: bool) -> WorkerPool:
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise _missing("ray") from None
+    parts = urlsplit(address if "//" in address else f"ray://{address}")
+    token = os.environ.get("RAY_AUTH_MODE") == "token"
+    near = address in ("auto", "local") or _loopback(parts.hostname)
+    if not near and not token and not trust_network:
+        message = "this cluster has no token (RAY_AUTH_MODE=token): whoever reaches it runs code"
+        raise _open(f"ray:{address}", message)
+    try:
+        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+    except (OSError, ValueError, ConnectionError, RuntimeError) as error:
+        raise CaseError("--on", "", f"ray:{address}", f"no cluster answers: {error}") from None
+    return WorkerPool(RayExecutor, IN_FLIGHT, ray.shutdown)
+
+
+class RayExecutor:
+    """Ray as an executor: it has none of its own (ray issue 29456)."""
+
+    def __init__(self):
+        import ray  # pyright: ignore[reportMissingImports]
+
+        self.remote: Any = ray.remote(num_cpus=1, max_retries=0)(_called)
+
+    def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]":
+        return self.remote.remote(fn, order).future()
+
+    def shutdown(self, wait: bool = True) -> None:
+        """The cluster is not ours to end."""
+
+
+def _called(work: Work, order: bytes) -> bytes:
+    return work(order)
+
+
+def _missing(extra: str) -> CaseError:
+    return CaseError("--on", "", extra, f'{extra} is missing: pip install "snapo[{extra}]"')
+
+
+def _open(where: str, message: str) -> CaseError:
+    allowed = f"{message}; with --trust-network this is up to you"
+    return CaseError("--on", "", where, allowed)
+
+
+def _loopback(host: str | None) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host or "").is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,243 @@
+"""An order: one contract with some of the book's stresses, as bytes; and its answer, as bytes.
+
+The answer depends on nothing but the order. An order has neither the contract's name nor its
+quantity, so that contracts with equal cases are computed once; its name is the hash of its bytes.
+"""
+
+import base64
+import datetime
+import hashlib
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.toml import to_toml
+from snapo.solver.provenance import versions
+
+from .file import BookContract, StressMove, TasksTable
+
+STRESSES = 25  # of one order
+BATCHES = 512  # of paths, whose shares are kept
+
+
+@dataclass(frozen=True)
+class BookOrder:
+    """The task of a worker: one contract with some stresses.
+
+    - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
+    - `stresses`: the moves of each.
+    - `tasks`: of the book; `seed`: of training and paths.
+    - `base`: whether the unstressed point is computed too, before the stresses.
+    - `judged`: whether the derivatives are tested by bumps.
+    - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
+      a policy is trained for each stress, for its only stress.
+    - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
+      of the processors that give the same bits.
+    """
+
+    case: str
+    files: Mapping[str, bytes]
+    stresses: tuple[tuple[StressMove, ...], ...]
+    tasks: TasksTable
+    seed: int
+    base: bool = True
+    judged: bool = False
+    policy: bytes | None = None
+    processor: str = ""
+    fingerprint: str = ""
+
+    @classmethod
+    def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
+        """Of a contract, without stresses where `more`, the other fields, has none."""
+        fields = {"stresses": (), **more}
+        return cls(to_toml(contract.tables), contract.files, tasks=tasks, seed=seed, **fields)
+
+    def pack(self) -> bytes:
+        """The order as bytes; equal orders have equal bytes."""
+        table = {
+            "case": self.case,
+            "files": {name: _text(data) for name, data in sorted(self.files.items())},
+            "stresses": [[_plain(move) for move in moves] for moves in self.stresses],
+            "tasks": self.tasks.model_dump(),
+            "seed": self.seed,
+            "base": self.base,
+            "judged": self.judged,
+            "policy": None if self.policy is None else _text(self.policy),
+            "processor": self.processor,
+            "fingerprint": self.fingerprint,
+            "versions": versions(),
+        }
+        return json.dumps(table, sort_keys=True).encode()
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "BookOrder":
+        """The order of these bytes."""
+        table = json.loads(data)
+        stresses = tuple(tuple(map(_move, moves)) for moves in table["stresses"])
+        policy = table["policy"]
+        return cls(
+            table["case"],
+            {name: base64.b64decode(text) for name, text in table["files"].items()},
+            stresses,
+            TasksTable(**table["tasks"]),
+            table["seed"],
+            table["base"],
+            table["judged"],
+            None if policy is None else base64.b64decode(policy),
+            table["processor"],
+            table["fingerprint"],
+        )
+
+
+def name_of(order: bytes) -> str:
+    """The name of an order: the hash of its bytes."""
+    return hashlib.blake2b(order, digest_size=16).hexdigest()
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def _plain(move: StressMove) -> dict[str, Any]:
+    when = None if move.when is None else [day.isoformat() for day in move.when]
+    return asdict(move) | {"when": when}
+
+
+def _move(table: Mapping[str, Any]) -> StressMove:
+    if table["when"] is None:
+        return StressMove(table["key"], table["scale"], table["shift"])
+    first, last = map(datetime.date.fromisoformat, table["when"])
+    return StressMove(table["key"], table["scale"], table["shift"], (first, last))
+
+
+class BookPoint(NamedTuple):
+    """The value at one point: unstressed, or under a stress.
+
+    - `status`: "ok" or "failed", with a `note`.
+    - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
+    - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
+    - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
+    """
+
+    status: str
+    note: str
+    value: float
+    standard_error: float
+    shares: np.ndarray
+    changes: Mapping[str, np.ndarray]
+    deltas: "tuple[Delta, ...]" = ()
+
+    @classmethod
+    def without_value(cls, status: str, note: str) -> "BookPoint":
+        """A point that was not valued, and the reason."""
+        return cls(status, note, np.nan, np.nan, np.full(1, np.nan), {})
+
+
+class Delta(NamedTuple):
+    """The held derivatives with respect to the `n` numbers of one input.
+
+    - `labels`, `unit`: of the input; `blocks`: [32 to 64, n] of independent blocks of paths.
+    - `trusted`: whether no bump of the input refuted them; None where none was made.
+    """
+
+    input: str
+    labels: tuple[str, ...]
+    unit: str
+    blocks: np.ndarray
+    trusted: bool | None = None
+
+
+class OrderAnswer(NamedTuple):
+    """What was computed for an order.
+
+    - `points`: the base first where the order has one, then those of its stresses.
+    - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
+    - `world`: equal for answers whose path p is the same world (`Scenarios.world`).
+    """
+
+    points: tuple[BookPoint, ...]
+    policy: bytes | None = None
+    shape: str = ""
+    world: str = ""
+
+    def pack(self) -> bytes:
+        """The answer as bytes, an archive of arrays; equal answers have equal bytes."""
+        arrays = dict[str, np.ndarray]()
+        points = []
+        for i, point in enumerate(self.points):
+            arrays[f"shares.{i}"] = point.shares
+            arrays |= {f"change.{i}.{j}": x for j, x in enumerate(point.changes.values())}
+            arrays |= {f"blocks.{i}.{j}": x.blocks for j, x in enumerate(point.deltas)}
+            points.append(
+                point._asdict()
+                | {"shares": None, "changes": list(point.changes)}
+                | {"deltas": [x._replace(blocks=None)._asdict() for x in point.deltas]}  # pyright: ignore[reportArgumentType]
+            )
+        if self.policy is not None:
+            arrays["policy"] = np.frombuffer(self.policy, np.uint8)
+        table = json.dumps({"points": points, "shape": self.shape, "world": self.world})
+        out = io.BytesIO()
+        np.savez(out, allow_pickle=False, table=np.array(table), **arrays)
+        return out.getvalue()
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "OrderAnswer":
+        """The answer of these bytes. **Raises:** `ValueError` where they are none."""
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as file:
+                arrays = dict(file)
+            table = json.loads(str(arrays["table"]))
+            points = tuple(_point(i, row, arrays) for i, row in enumerate(table["points"]))
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
+            raise ValueError(f"not an answer: {error}") from None
+        policy = arrays.get("policy")
+        policy = None if policy is None else policy.tobytes()
+        return cls(points, policy, table["shape"], table["world"])
+
+
+def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> BookPoint:
+    deltas = tuple(
+        Delta(**entry | {"labels": tuple(entry["labels"]), "blocks": arrays[f"blocks.{i}.{j}"]})
+        for j, entry in enumerate(row["deltas"])
+    )
+    changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
+    return BookPoint(
+        **row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas}
+    )
+
+
+class Cost(NamedTuple):
+    """What an answer took, which is no part of it.
+
+    - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
+    - `worker`: its process and machine.
+    """
+
+    cpu_seconds: float
+    peak_mb: float
+    worker: str
+
+
+def enclosed(answer: bytes, cost: Cost) -> bytes:
+    """An answer with its cost, and a checksum by which a whole one is known."""
+    head = {"checksum": name_of(answer), "cost": cost._asdict()}
+    return json.dumps(head).encode() + b"\n" + answer
+
+
+def opened(data: bytes) -> tuple[bytes, Cost]:
+    """The answer and its cost. **Raises:** `ValueError` where they are not whole."""
+    head, _, answer = data.partition(b"\n")
+    try:
+        table = json.loads(head)
+        cost, checksum = Cost(**table["cost"]), table["checksum"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"not an answer: {error}") from None
+    if checksum != name_of(answer):
+        raise ValueError("not a whole answer")
+    return answer, cost

@@ -1,0 +1,104 @@
+"""Parquet tables of a book, a file for each contract or for several, and queries on them."""
+
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+
+from .folder import TABLES
+
+TableRows = dict[str, list[Any]]  # {column: values}
+NUMBERS = (
+    "value", "standard_error", "change", "change_error", "explained", "unexplained", "cpu_seconds",
+    "peak_mb", "held", "held_error", "share",
+)  # fmt: skip
+
+
+class TableWriter:
+    """Writes the rows of contracts, those of `together` contracts into one file.
+
+    A context manager; it writes files whole.
+    """
+
+    def __init__(self, path: Path, together: int):
+        self.path, self.together = path, together
+        self.waiting: list[dict[str, TableRows]] = []
+        self.names: list[str] = []
+
+    def __enter__(self) -> "TableWriter":
+        for name in TABLES:
+            folder = self.path / name
+            folder.mkdir(exist_ok=True)
+            for file in folder.glob("*.parquet"):
+                file.unlink()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._flush()
+
+    def write(self, name: str, tables: dict[str, TableRows]) -> None:
+        """Adds the rows of a contract."""
+        self.waiting.append(tables)
+        self.names.append(name)
+        if len(self.waiting) == self.together:
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self.waiting:
+            return
+        pa, parquet = _pyarrow()
+        name = self.names[0] if self.together == 1 else f"from {self.names[0]}"
+        for kind in TABLES:
+            parts = [pa.table(_typed(pa, tables[kind])) for tables in self.waiting]
+            parts = [part for part in parts if part.num_rows]
+            if parts:
+                table = pa.concat_tables(parts, promote_options="permissive")
+                file = self.path / kind / f"{name}.parquet"
+                temporary = file.with_suffix(".part")
+                parquet.write_table(table, temporary, compression="zstd")
+                temporary.replace(file)
+        self.waiting, self.names = [], []
+
+
+def _typed(pa: Any, rows: TableRows) -> dict[str, Any]:
+    kinds = {"batch": pa.int32(), "trusted": pa.bool_()} | dict.fromkeys(NUMBERS, pa.float64())
+    return {name: pa.array(x, kinds.get(name, pa.string())) for name, x in rows.items()}
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        message = 'pyarrow is missing: pip install "snapo[book]"'
+        raise CaseError("book", "", None, message) from None
+    return pyarrow, pyarrow.parquet
+
+
+def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Columns and rows of a query on the tables of a book's folder: `values`, `deltas`, `shares`.
+
+    **Raises:** `CaseError` where DuckDB is missing, or refuses the query.
+    """
+    try:
+        import duckdb
+    except ImportError:
+        message = 'duckdb is missing: pip install "snapo[book]"'
+        raise CaseError("--sql", "", None, message) from None
+    with duckdb.connect() as database:
+        for name in TABLES:
+            files = str((path / name).resolve() / "*.parquet").replace("'", "''")
+            if list((path / name).glob("*.parquet")):
+                database.execute(
+                    f'CREATE VIEW "{name}" AS SELECT * FROM '
+                    f"read_parquet('{files}', union_by_name = true)"
+                )
+        try:
+            # A query reads these tables and nothing else of this machine.
+            folder = str(path.resolve()).replace("'", "''")
+            database.execute(f"SET allowed_directories = ['{folder}/']")
+            database.execute("SET enable_external_access = false")
+            result = database.execute(sql)
+            return [column[0] for column in result.description or ()], result.fetchall()
+        except duckdb.Error as error:
+            raise CaseError("--sql", "", sql, str(error).splitlines()[0]) from None

@@ -1,0 +1,160 @@
+"""The plan of a book: which orders its contracts need, and in which sequence.
+
+The base of a contract is ordered first; its policy travels with its further stresses. Similar
+contracts come one after the other, so that a worker has their code.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from .file import Book, BookContract
+from .order import STRESSES, BookOrder, OrderAnswer, name_of
+
+MIN_JUDGED = 3  # of similar contracts
+
+# The answer to the order of this name; None where there is none.
+AnswerReader = Callable[[str], OrderAnswer | None]
+
+
+def similarity_key(contract: BookContract) -> str:
+    """Equal for contracts that most probably share compiled code: all but their numbers is equal.
+
+    It decides no more than the sequence; the shape of an answer is that of compiled code.
+    """
+    term = contract.tables.get("contract", {})
+    days = "start" in term and "end" in term and _days(term["start"], term["end"])
+    lines = {name: content.count(b"\n") for name, content in sorted(contract.files.items())}
+    return json.dumps([_kinds(contract.tables), str(days), lines], sort_keys=True)
+
+
+def _days(start: Any, end: Any) -> Any:
+    try:
+        return (end - start).days
+    except (TypeError, AttributeError):
+        return None
+
+
+def _kinds(table: Any) -> Any:
+    if isinstance(table, Mapping):
+        return {key: _kinds(value) for key, value in table.items() if key != "title"}
+    if isinstance(table, list):
+        return [_kinds(value) for value in table]
+    return table if isinstance(table, str | bool) else type(table).__name__
+
+
+@dataclass(frozen=True)
+class BookPlan:
+    """The orders of a book; `fingerprint` of the processors that may answer them."""
+
+    book: Book
+    fingerprint: str = ""
+
+    @cached_property
+    def first_of_case(self) -> dict[str, BookContract]:
+        """{name of a contract: the first contract with the same case}."""
+        first, table = dict[str, BookContract](), dict[str, BookContract]()
+        for contract in self.book.contracts:
+            case = name_of(self._base(contract, False).pack())
+            table[contract.name] = first.setdefault(case, contract)
+        return table
+
+    @cached_property
+    def similar(self) -> dict[str, list[BookContract]]:
+        """{similarity key: contracts}, equal cases once."""
+        groups = dict[str, list[BookContract]]()
+        for contract in self.book.contracts:
+            if self.first_of_case[contract.name] is contract:
+                groups.setdefault(self.similarity_keys[contract.name], []).append(contract)
+        return groups
+
+    @cached_property
+    def similarity_keys(self) -> dict[str, str]:
+        """{name of a contract: its similarity key}."""
+        return {contract.name: similarity_key(contract) for contract in self.book.contracts}
+
+    @cached_property
+    def judged(self) -> set[str]:
+        """The names of the contracts whose derivatives are judged in any case."""
+        share, names = self.book.tasks.judge, set[str]()
+        for contracts in self.similar.values():
+            count = max(math.ceil(share * len(contracts)), MIN_JUDGED) if share else 0
+            names |= {contract.name for contract in contracts[:count]}
+        return names
+
+    @property
+    def size(self) -> int:
+        """How many orders the whole book has, equal cases once."""
+        stresses = len(self.book.stresses)
+        by_contract = max(1, math.ceil(stresses / STRESSES))
+        if self.book.tasks.policy == "stress":
+            by_contract = 1 + stresses
+        return by_contract * sum(map(len, self.similar.values()))
+
+    def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
+        """All whose orders some contracts need, equal cases once: first the judged ones of similar
+        contracts, then the others."""
+        first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
+        kinds = {self.similarity_keys[name] for name in first_of_case}
+        groups = [
+            x for kind, similar in sorted(self.similar.items()) if kind in kinds for x in similar
+        ]
+        return [x for x in groups if x.name in self.judged] + [
+            x for x in groups if x.name in first_of_case and x.name not in self.judged
+        ]
+
+    def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
+        """The first order of a contract; None as long as it waits for similar judged ones.
+
+        Where a bump refuted a derivative of one, those of all similar contracts are judged.
+        """
+        first = self.first_of_case[contract.name]
+        if first.name in self.judged or not self.judged:
+            return self._base(first, first.name in self.judged)
+        refuted = self._refuted(self.similarity_keys[first.name], read)
+        return None if refuted is None else self._base(first, refuted)
+
+    def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
+        if kind not in self._verdicts:
+            judged = [x for x in self.similar[kind] if x.name in self.judged]
+            answers = [read(name_of(self._base(x, True).pack())) for x in judged]
+            complete = [answer for answer in answers if answer is not None]
+            if len(complete) < len(judged):
+                return None
+            deltas = [delta for answer in complete for delta in answer.points[0].deltas]
+            self._verdicts[kind] = any(delta.trusted is False for delta in deltas)
+        return self._verdicts[kind]
+
+    @cached_property
+    def _verdicts(self) -> dict[str, bool]:
+        return {}
+
+    def _base(self, contract: BookContract, judged: bool) -> BookOrder:
+        book = self.book
+        order = BookOrder.of(
+            contract,
+            book.tasks,
+            book.run.seed,
+            judged=judged,
+            processor=book.run.processor,
+            fingerprint="" if book.run.processor else self.fingerprint,
+        )
+        if book.tasks.policy == "stress":
+            return order
+        return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
+
+    def further(self, base: BookOrder, policy: bytes | None) -> Iterator[BookOrder]:
+        """The other orders of a contract, in the sequence of the stresses."""
+        moves = [stress.moves for stress in self.book.stresses]
+        if self.book.tasks.policy == "stress":
+            for one in moves:
+                yield replace(base, base=False, stresses=(one,), policy=None)
+            return
+        if policy is None:
+            return
+        for i in range(STRESSES, len(moves), STRESSES):
+            stresses = tuple(moves[i : i + STRESSES])
+            yield replace(base, base=False, judged=False, stresses=stresses, policy=policy)

@@ -1,0 +1,223 @@
+"""Computes a book: gives out its orders, keeps their answers, and makes its tables."""
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from snapo.case.error import CaseError
+from snapo.lanes.machine import pipeline
+from snapo.solver.provenance import versions
+from snapo.solver.tables import write_text
+from snapo.study.study import ProgressCallback
+
+from .collect import collect
+from .file import Book, BookContract
+from .folder import REPORT, RESULT, BookFolder
+from .order import BookOrder, BookPoint, OrderAnswer, name_of, opened
+from .plan import BookPlan
+from .work import answer
+from .workers import Lost, WorkerPool, answers
+
+EVERY = 5.0  # seconds between two lines of progress
+
+
+class Shard(NamedTuple):
+    """The part `number` of `count` of a book, from 1."""
+
+    number: int
+    count: int
+
+
+class Driver:
+    """The orders of some contracts, in sequence, and their answers.
+
+    - `lost`: {order: the reason}, of those that no worker answered.
+    """
+
+    def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
+        self.plan, self.folder = plan, folder
+        self.waiting = deque(plan.needed(contracts))
+        self.further_orders: deque[BookOrder] = deque()
+        self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
+        self.lost: dict[str, str] = {}
+        self.computed = self.reused = 0
+
+    def next_order(self) -> bytes | None:
+        """The next order without an answer; None where all others wait for one in work."""
+        while True:
+            order, contract = self._next()
+            if order is None:
+                return None
+            data = order.pack()
+            name = name_of(data)
+            stored = self.folder.read(name)
+            if stored is None:
+                self.flight[name] = order, contract
+                return data
+            self.reused += 1
+            if contract is not None:
+                self._add_further(order, stored[0])
+
+    def _next(self) -> tuple[BookOrder | None, BookContract | None]:
+        if self.further_orders:
+            return self.further_orders.popleft(), None
+        for i, contract in enumerate(self.waiting):
+            order = self.plan.base(contract, self._read)
+            if order is not None:
+                del self.waiting[i]
+                return order, contract
+        return None, None
+
+    def _read(self, name: str) -> OrderAnswer | None:
+        if name in self.lost:
+            return OrderAnswer((BookPoint.without_value("lost", self.lost[name]),))
+        entry = self.folder.read(name)
+        return None if entry is None else entry[0]
+
+    def _add_further(self, base: BookOrder, answer: OrderAnswer) -> None:
+        if answer.points[0].status == "ok":
+            self.further_orders.extend(self.plan.further(base, answer.policy))
+
+    def take(self, data: bytes, result: bytes | Lost) -> None:
+        """Keeps an answer. **Raises:** `OSError` where the disk is full."""
+        name = name_of(data)
+        order, contract = self.flight.pop(name)
+        if not isinstance(result, Lost):
+            try:
+                complete, _ = opened(result)
+                stored = OrderAnswer.unpack(complete)
+            except ValueError as error:
+                result = Lost(f"its answer cannot be read: {error}")
+        if isinstance(result, Lost):
+            self.lost[name] = result.reason
+            return
+        self.folder.write(name, result)
+        self.computed += 1
+        if contract is not None:
+            self._add_further(order, stored)
+
+
+def run_book(
+    book: Book,
+    progress: ProgressCallback,
+    worker_pools: Sequence[WorkerPool],
+    *,
+    out: Path | None = None,
+    shard: Shard | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Values a book into the folder `out`, by default `run` next to its file.
+
+    - `worker_pools`: where its orders are computed; `shard`: only a part of its contracts.
+    - `resume`: answers that the folder has are not computed again.
+
+    Returns the content of result.json. Where interrupted, or on a full disk, answers that have been
+    written stay. **Raises:** `CaseError` where the folder cannot be written.
+    """
+    began = time.perf_counter()
+    folder = BookFolder(book.file.parent / "run" if out is None else out)
+    plan = plan_of(book)
+    folder.prepare(_record(book), keep=resume or shard is not None)
+    contracts = plan.needed(book.contracts)
+    if shard is not None:
+        slice_ends = (len(contracts) * n // shard.count for n in (shard.number - 1, shard.number))
+        contracts = contracts[slice(*slice_ends)]
+    driver = Driver(plan, contracts, folder)
+    _compute(driver, worker_pools, progress, began)
+    seconds = time.perf_counter() - began
+    cost = {
+        "orders": {"computed": driver.computed, "reused": driver.reused, "lost": len(driver.lost)},
+        "seconds": {"orders": seconds, "total": seconds},
+        "workers": len(worker_pools),
+        "versions": versions(),
+        "run": str(folder.path),
+    }
+    if shard is not None and not _is_complete(plan, folder):
+        return {
+            "kind": "book",
+            "status": "ok" if not driver.lost else "failed",
+            "title": book.title,
+            "shard": list(shard),
+            **cost,
+        }
+    return write_results(plan, folder, driver.lost, cost, began)
+
+
+def plan_of(book: Book) -> BookPlan:
+    """The plan of a book whose orders processors of this kind may answer."""
+    return BookPlan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
+
+
+def write_results(
+    plan: BookPlan, folder: BookFolder, lost: Mapping[str, str], cost: dict[str, Any], began: float
+) -> dict[str, Any]:
+    """Writes the tables, result.json and the report; returns the content of result.json."""
+    from snapo.report.page import render
+
+    from .report import page
+
+    results = collect(plan, folder, lost)
+    cost["seconds"]["total"] = time.perf_counter() - began
+    result = results.table() | cost
+    write_text(folder.path / RESULT, _to_json(result))
+    write_text(folder.path / REPORT, render(page(result, folder.record())))
+    return result
+
+
+def _compute(
+    driver: Driver, worker_pools: Sequence[WorkerPool], progress: ProgressCallback, began: float
+) -> None:
+    reported_at, size = time.perf_counter(), driver.plan.size
+    try:
+        for order, result in answers(driver.next_order, answer, worker_pools):
+            driver.take(order, result)
+            if (now := time.perf_counter()) - reported_at > EVERY:
+                reported_at = now
+                done = driver.computed + driver.reused + len(driver.lost)
+                progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
+    except OSError as error:
+        message = (
+            f"an answer cannot be written ({error.strerror}); --resume goes on from the others"
+        )
+        raise CaseError(str(driver.folder.path), "", None, message) from None
+
+
+def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
+    """Whether every order of the book has an answer."""
+    driver = Driver(plan, plan.book.contracts, folder)
+    return driver.next_order() is None and not driver.waiting
+
+
+def _record(book: Book) -> dict[str, Any]:
+    return {
+        "title": book.title,
+        "cases": [
+            {"name": x.name, "market": x.market, "quantity": x.quantity, "labels": dict(x.labels)}
+            for x in book.contracts
+        ],
+        "stresses": [stress.name for stress in book.stresses],
+        "by": list(book.by),
+        "tasks": book.tasks.model_dump(),
+        "seed": book.run.seed,
+        "processor": book.run.processor,
+        "versions": versions(),
+    }
+
+
+def _to_json(result: Mapping[str, Any]) -> str:
+    import json
+
+    with suppress(ValueError):
+        return json.dumps(result, indent=1, allow_nan=False)
+    return json.dumps(_without_nan(result), indent=1)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(x) for key, x in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(x) for x in value]
+    return None if isinstance(value, float) and value != value else value

@@ -1,0 +1,181 @@
+"""Workers that die, answers that are not whole, disks that are full: each answer once, and equal."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter, deque
+
+import numpy as np
+import pytest
+from tests.book.books import HERE, answers_of, write_book
+from tests.book.conftest import ROWS
+from tests.book.fragile import echo
+
+from snapo.book import run
+from snapo.book.executors import worker_pools
+from snapo.book.file import read_book
+from snapo.book.folder import BookFolder
+from snapo.book.run import Shard, run_book
+from snapo.book.workers import Lost, answers
+from snapo.case.error import CaseError
+
+
+def given(orders, where, work=echo):
+    waiting = deque(orders)
+    return list(answers(lambda: waiting.popleft() if waiting else None, work, where))
+
+
+def test_killed_workers_lose_nothing(tmp_path):
+    """60 orders on two processes; four of them kill theirs the first time, one every time."""
+    orders = [f"order:{i}".encode() for i in range(55)]
+    once = [f"once:{tmp_path / str(i)}".encode() for i in range(4)]
+    results = given([*orders[:20], *once, b"poison:", *orders[20:]], worker_pools("", 2))
+    assert Counter(order for order, _ in results) == Counter([*orders, *once, b"poison:"])
+    table = dict(results)
+    assert all(table[order] == order + b"!" for order in (*orders, *once))
+    poison = table[b"poison:"]
+    assert isinstance(poison, Lost) and "BrokenProcessPool" in poison.reason
+
+
+def test_an_exception_is_a_loss_too():
+    table = dict(given([b"a", b"fails:", b"b", b"other:"], HERE))
+    assert table[b"a"] == b"a!" and table[b"b"] == b"b!"
+    assert table[b"fails:"] == Lost("MemoryError: too large")
+    assert table[b"other:"] == Lost("no worker has the processor that the book names")
+
+
+def test_an_unreadable_contract_fails_alone(valued, tmp_path):
+    """The others have their values; the sum has none, as it would be that of another book."""
+    file = write_book(tmp_path, ROWS)
+    result = run_book(read_book(file), lambda _: None, HERE, out=valued.out.parent / "with wrong")
+    assert result["status"] == "failed" and result["cases"] == {"ok": 4, "failed": 1}
+    assert {row["case"] for row in result["failures"]} == {"wrong"}
+    assert "max_inventory" in result["failures"][0]["note"]
+    assert "-1" in result["failures"][0]["note"]
+    assert result["sums"][0]["value"] is None
+    assert result["by"]["desk"]["A"][0] == valued.result["by"]["desk"]["A"][0]
+
+
+def test_resume_computes_what_is_missing(valued, tmp_path):
+    """Of a book with one contract changed, that contract; an answer that is cut is computed again."""
+    rows = [row | {"contract.injection_cost": 0.06} if row["name"] == "dearer" else row
+            for row in ROWS[:4]]  # fmt: skip
+    file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
+    first = run_book(read_book(file), lambda _: None, HERE, out=out)
+    repeated = run_book(
+        read_book(write_book(tmp_path, rows)), lambda _: None, HERE, out=out, resume=True
+    )
+    assert repeated["orders"] == {"computed": 1, "reused": 1, "lost": 0}
+    assert repeated["by"]["desk"]["A"] == first["by"]["desk"]["A"]
+    assert repeated["sums"][0]["value"] != first["sums"][0]["value"]
+
+    largest = max(out.glob("answers/*/*"), key=lambda x: x.stat().st_size)
+    largest.write_bytes(largest.read_bytes()[:-100])
+    complete = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
+    assert complete["orders"]["computed"] == 1
+    assert complete["sums"] == repeated["sums"]
+
+
+def test_shards_meet(valued, tmp_path):
+    """Two parts in one folder give the numbers of the whole, whichever is the last."""
+    file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
+    second = run_book(read_book(file), lambda _: None, HERE, out=out, shard=Shard(2, 2))
+    assert "sums" not in second and not (out / "result.json").exists()
+    first = run_book(read_book(file), lambda _: None, HERE, out=out, shard=Shard(1, 2))
+    assert first["sums"] == valued.result["sums"]
+    assert json.loads((out / "result.json").read_text())["sums"] == first["sums"]
+
+
+def test_a_full_disk_keeps_what_is_written(valued, tmp_path, monkeypatch):
+    file, out, written = write_book(tmp_path, ROWS[:4]), tmp_path / "run", []
+
+    def full(folder, name, data):
+        if written:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written.append(name)
+        before(folder, name, data)
+
+    before = BookFolder.write
+    monkeypatch.setattr(BookFolder, "write", full)
+    with pytest.raises(CaseError, match=r"No space left on device.*--resume"):
+        run_book(read_book(file), lambda _: None, HERE, out=out)
+    monkeypatch.undo()
+    result = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
+    assert result["orders"] == {"computed": 1, "reused": 1, "lost": 0}
+    assert result["sums"] == valued.result["sums"]
+
+
+def test_a_lost_order_is_named_and_tried_again(valued, tmp_path, monkeypatch):
+    file, out, real = write_book(tmp_path, ROWS[:4]), tmp_path / "run", run.answer
+
+    def dies(order):
+        if b"injection_cost = 0.04" in order:
+            raise MemoryError("killed")
+        return real(order)
+
+    monkeypatch.setattr(run, "answer", dies)
+    result = run_book(read_book(file), lambda _: None, HERE, out=out)
+    assert result["status"] == "failed" and result["orders"]["lost"] == 1
+    assert {(x["case"], x["status"]) for x in result["failures"]} == {("dearer", "lost")}
+    assert "killed" in result["failures"][0]["note"]
+    monkeypatch.undo()
+    result = run_book(read_book(file), lambda _: None, HERE, out=out, resume=True)
+    assert result["sums"] == valued.result["sums"]
+
+
+def test_a_folder_of_something_else_is_not_touched(tmp_path):
+    file = write_book(tmp_path, ROWS[:1])
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    with pytest.raises(CaseError, match="this folder has other files"):
+        run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "other")
+    assert [x.name for x in (tmp_path / "other").iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.prove
+def test_sixty_contracts_with_everything_killed(tmp_path):
+    """kill -9 of a worker and then of the driver; the resumed run has the answers of a quiet one."""
+    rows = [
+        {"name": f"store {i}", "contract.injection_cost": round(0.02 + 0.001 * i, 3)}
+        for i in range(60)
+    ]
+    file = write_book(tmp_path, rows, stresses="")
+    command = [sys.executable, "-m", "snapo", "book", str(file), "--workers", "2", "--json"]
+    out = tmp_path / "run"
+    driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _wait_for(out, 5)
+    workers = subprocess.run(
+        ["pgrep", "-P", str(driver.pid), "-f", "spawn_main"], capture_output=True, text=True
+    )
+    os.kill(int(workers.stdout.split()[0]), signal.SIGKILL)
+    count = _wait_for(out, 20)
+    driver.send_signal(signal.SIGKILL)
+    driver.wait()
+    assert count < 60
+    resumed = subprocess.run([*command, "--resume"], capture_output=True, text=True)
+    result = json.loads(resumed.stdout)
+    assert result["status"] == "ok" and result["cases"] == {"ok": 60, "failed": 0}
+    orders = result["orders"]
+    assert orders["computed"] + orders["reused"] == 60 and orders["reused"] >= 20
+    quiet = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "quiet")
+    assert quiet["sums"] == result["sums"]
+    book = read_book(file)
+    mine, other = answers_of(book, out), answers_of(book, tmp_path / "quiet")
+    for name, answer in mine.items():
+        assert answer.pack() == other[name].pack()
+    assert len({float(np.mean(x.points[0].shares)) for x in mine.values()}) == 60
+
+
+def _wait_for(out, count):
+    """Until the folder has so many answers."""
+    ended = time.monotonic() + 300
+    while time.monotonic() < ended:
+        found = len(list(out.glob("answers/*/[0-9a-f]*")))
+        if found >= count:
+            return found
+        time.sleep(0.1)
+    raise AssertionError("too slow")
