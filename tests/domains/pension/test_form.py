@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.pension import market_cases, people_cases, pots_cases
-from tests.domains.same_form import same_programs, solved
+from tests.domains.same_form import same_programs
 
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
@@ -127,18 +127,18 @@ def test_a_second_fund_compiles_nothing_and_has_its_own_bits(kind):
     first = other_numbers(replace(MAKERS[kind](draw), **QUICK), draw)
     second = other_numbers(first, np.random.default_rng(0))
     setup = make_setup(first, "native")
-    before = solved(setup)
+    before = setup.solve()
     # The verdict sums the rates of all steps, where a training gained: not in every one.
     schedule(setup.training)(np.arange(setup.training.steps))
     with compilations() as compiled:
-        after = solved(make_setup(second, "native"))
+        after = make_setup(second, "native").solve()
         moved = setup_at(setup, second, "native").problem.schedule
     assert compiled == []
     jax.clear_caches()
     _runners.clear()
     again = make_setup(second, "native")
     assert jax.tree.all(jax.tree.map(np.array_equal, moved, again.problem.schedule))
-    alone = solved(again)
+    alone = again.solve()
     assert after.value == alone.value != before.value
     assert jax.tree.all(jax.tree.map(np.array_equal, after.policy, alone.policy))
 
