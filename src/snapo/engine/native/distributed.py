@@ -104,7 +104,7 @@ class Distributed:
         count = min(groups, self.workers.parallel)
         cuts = (groups * np.arange(count + 1) // count).tolist()
         steps = _filled(runner, "steps", inputs.memory["steps"])
-        steps_name = hashlib.blake2b(steps, digest_size=16).hexdigest()
+        steps_name = hashlib.blake2b(steps.data, digest_size=16).hexdigest()
         parts = {
             _order(runner, steps_name, inputs, edges[first : last + 1]): (first, last)
             for first, last in pairwise(cuts)
