@@ -26,7 +26,7 @@ Work = Callable[[bytes], bytes]
 
 
 class Submits(Protocol):
-    """The methods of an executor that a book uses."""
+    """The methods of an executor that are used."""
 
     def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
 
