@@ -11,7 +11,12 @@ import pytest
 import snapo
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 PAGES += sorted((ROOT / "examples").rglob("*.md")) + sorted((ROOT / "src").rglob("*.md"))
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Where a page may count its paths from; rooms.md counts them from the package.
@@ -109,8 +114,18 @@ def test_every_page_is_on_the_site():
     trees = re.findall(r"```{toctree}(.*?)```", "".join(p.read_text() for p in PAGES), re.S)
     listed = {line.split("/")[-1] for tree in trees for line in tree.split()}
     for page in PAGES:
-        if page.is_relative_to(ROOT / "docs") and page.name != "index.md":
+        orphan = page.name == "index.md" or "\norphan: true\n" in page.read_text()
+        if page.is_relative_to(ROOT / "docs") and not orphan:
             assert page.stem in listed, relative(page)
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_package():
+    package = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
+    package = re.sub(r'"\s*f?"', "", package)
+    rows = re.findall(r"^\| (`.+?) \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.M)
+    messages = [code for row in rows for code in re.findall(r"`([^`]+)`", row)]
+    assert len(messages) > 15
+    assert not [text for text in messages if text.split("[")[0].replace("…", "{") not in package]
 
 
 @pytest.mark.prove
