@@ -34,6 +34,8 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/codespell README.md CHANGELOG.md CONTRIBUTING.md docs examples src
+	$(BIN)/python -m tests.house.style
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks
