@@ -5,7 +5,7 @@ import snapo
 
 
 class Reservoir(snapo.Simulator):
-    horizon, noise_size = 52, 2  # weeks; and the standard normals of one: rain and price
+    horizon, noise_size = 52, 2  # weeks; normals a week: rain and price
     action = snapo.Box(0.0, 1.0)  # the share of the turbines' capacity
 
     def prepare(self, inputs):  # the numbers that all paths share
