@@ -119,6 +119,18 @@ def test_every_page_is_on_the_site():
             assert page.stem in listed, relative(page)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_columns_of_tables_have_heads(page):
+    """A reader of a screen, and a reader in a hurry, needs the head of every column."""
+    lines = prose(page).splitlines()
+    heads = [head for head, rule in zip(lines, lines[1:]) if re.match(r"\|(?:-+\|)+$", rule)]
+    assert not [head for head in heads if re.search(r"\|\s*\|", head)]
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
 def test_messages_of_the_troubleshooting_page_are_those_of_the_package():
     package = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     package = re.sub(r'"\s*f?"', "", package)
