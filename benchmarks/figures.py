@@ -136,7 +136,7 @@ def demo(run: Path) -> dict[str, str]:
     bound, names = result["bound"], (run / "sensitivities.csv").read_text(encoding="utf-8")
     lines = names.splitlines()[1:]
     share, seconds = bound["gap"]["value"] / result["value"], result["seconds"]
-    found = {
+    return {
         "value": rungs["Trained policy"],
         "starting_rule": rungs["Fitted rule"],
         "intrinsic": rungs["Intrinsic"],
@@ -149,10 +149,16 @@ def demo(run: Path) -> dict[str, str]:
         "plain_error": f"{deviation / PLAIN_PATHS**0.5:.0f}",
         "seconds": f"{seconds['total'] - seconds.get('dynamic programming', 0.0):.0f} s",
     }
-    if "dynamic_programming" in result["references"]:
-        found["exact"] = f"{result['references']['dynamic_programming']:,.0f}"
-        found["exact_error"] = f"{result['reference_errors']['dynamic_programming']:,.0f}"
-    return found
+
+
+def exact(run: Path) -> dict[str, str]:
+    """Value and error of dynamic programming, of a run with `--reference`; none of another."""
+    result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    value = result["references"].get("dynamic_programming")
+    errors = result.get("reference_errors") or {}
+    if value is None:
+        return {}
+    return {"value": f"{value:,.0f}", "grid_error": f"{errors['dynamic_programming']:,.0f}"}
 
 
 def cases(folder: Path) -> dict[str, str]:
@@ -198,6 +204,8 @@ def main(arguments: list[str]) -> None:
 
         run = Path(arguments[1])
         record("demo", "make demo", demo(run))
+        if found := exact(run):
+            record("exact", "snapo solve demo --reference", found)
         (FILE.parent / "storage.svg").write_text(readme_picture(run), encoding="utf-8")
     elif arguments[:1] == ["cases"]:
         record("cases", "snapo new KIND; snapo solve KIND", cases(Path(arguments[1])))

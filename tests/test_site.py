@@ -3,6 +3,7 @@
 import ast
 import doctest
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +124,7 @@ def test_every_page_is_on_the_site():
 def test_columns_of_tables_have_heads(page):
     """A reader of a screen, and a reader in a hurry, needs the head of every column."""
     lines = prose(page).splitlines()
-    heads = [head for head, rule in zip(lines, lines[1:]) if re.match(r"\|(?:-+\|)+$", rule)]
+    heads = [head for head, rule in pairwise(lines) if re.match(r"\|(?:-+\|)+$", rule)]
     assert not [head for head in heads if re.search(r"\|\s*\|", head)]
 
 
