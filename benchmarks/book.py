@@ -250,11 +250,13 @@ def model(contracts: int = 16) -> list[str]:
 def training(paths: int = 16384, rounds: int = 5) -> list[str]:
     """Training steps of one one-core process and of two, in turns; then one of the two is killed
     in the middle of a step."""
-    settings = [f"training.paths={paths}", "training.validation_paths=512"]
+    settings = (f"training.paths={paths}", "training.validation_paths=512")
     with tempfile.TemporaryDirectory() as folder, Workers(worker_pools("", 2)) as workers:
         write_book(Path(folder), rows(1), "")
         loaded = load(CaseRequest(Path(folder) / "store", settings, None))
-        setup = loaded.domain.study(loaded.case, Options()).setup()
+        study = loaded.domain.study(loaded.case, Options())
+        assert study.setup is not None
+        setup = study.setup()
         one = replace(setup.engines.train, threads=1)
         two = setup.engines.over(workers).train
         progress = initial_progress(setup.policy, setup.training, setup.problem)

@@ -39,7 +39,8 @@ def case(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def setup(case):
-    loaded = load(CaseRequest(case, [f"{key}={value}" for key, value in SHORT.items()], None))
+    settings = tuple(f"{key}={value}" for key, value in SHORT.items())
+    loaded = load(CaseRequest(case, settings, None))
     return loaded.domain.study(loaded.case, Options()).setup()
 
 
