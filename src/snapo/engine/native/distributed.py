@@ -147,7 +147,7 @@ def _filled(runner: Runner, name: str, rows: np.ndarray) -> np.ndarray:
 
 
 def _rows(runner: Runner, inputs: KernelInputs, first: int, last: int) -> dict[str, np.ndarray]:
-    """What some blocks read of the inputs, but for the numbers of the steps."""
+    """The inputs of some blocks, but for the numbers of the steps."""
     rows = {
         name: row if name in SHARED else _blocks(name, row, inputs, first, last)
         for name, row in inputs.memory.rows.items()
@@ -225,7 +225,7 @@ def _packed(table: dict[str, Any], rows: ByteRows) -> bytes:
 
 
 def _unpacked(data: bytes) -> tuple[dict[str, Any], ByteRows, bytes]:
-    """The table, the rows, and what comes after them."""
+    """The table, the rows, and the bytes after them."""
     at = data.index(b"\n") + 1
     table, rows = json.loads(data[:at]), {}
     for name, size in table["rows"].items():
