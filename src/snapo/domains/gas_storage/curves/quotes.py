@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
@@ -20,15 +19,14 @@ from .products import delivery
 AGREEMENT = 5e-4  # of the price, between quotes that are together those of the same days
 WEEKDAYS = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
 Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday"]
-FACTORS = "factors of the price by day of the week, { saturday = 0.94, sunday = 0.94 }"
 
 
-class CurveTable(CaseTable):
+class QuotedCurveTable(CaseTable):
     """How a daily curve is made from quotes."""
 
     smoother: Literal["daily", "spline"] = "daily"
     end: Literal["flat", "free"] = "flat"
-    factors: dict[Weekday, Positive] = Field({}, description=FACTORS)
+    factors: dict[Weekday, Positive] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ def read_quotes(
     section: TableContext,
     name: str,
     declaration: Quantity,
-    table: CurveTable,
+    table: QuotedCurveTable,
     days: Sequence[datetime.date],
 ) -> QuotedCurve:
     """The quotes in a CSV with columns product,price, and the prices of these days.

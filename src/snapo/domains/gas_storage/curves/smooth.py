@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 Smoother = Literal["daily", "spline"]
-Period = tuple[int, int]  # the first day and the day after the last one, counted from the first
+MeanPeriod = tuple[int, int]  # the first day and the day after the last one, counted from the first
 DEGREE = 4
 POWERS = np.arange(DEGREE + 1)
 
@@ -32,7 +32,7 @@ class Undetermined(ValueError):
 
 
 def prices_of_means(
-    periods: Sequence[Period],
+    periods: Sequence[MeanPeriod],
     factors: Float[np.ndarray, " D"],
     smoother: Smoother = "daily",
     flat_end: bool = True,

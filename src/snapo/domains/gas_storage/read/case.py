@@ -28,7 +28,7 @@ from snapo.case.table import TableContext, parse
 
 from ..contract.feasibility import check_feasible
 from ..contract.records import GasMarket, StorageCase, numbers_of
-from ..curves.quotes import CurveTable, QuotedCurve, read_quotes
+from ..curves.quotes import QuotedCurve, QuotedCurveTable, read_quotes
 from ..prices.process import Delivery
 from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, payment_days, pays_by_price, read_contract
@@ -56,7 +56,7 @@ def read_market(
     return GasMarket(curve, rate, rate_day, gas_day), quoted
 
 
-_PLAIN = CurveTable()  # pyright: ignore[reportCallIssue]
+_PLAIN = QuotedCurveTable()  # pyright: ignore[reportCallIssue]
 
 
 def _forward(

@@ -15,7 +15,7 @@ from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range
 from snapo.case.table import TITLE, CaseTable, NotNegative, Title
 
-from ..curves.quotes import CurveTable
+from ..curves.quotes import QuotedCurveTable
 
 
 def _plain_day(value: Any) -> Any:
@@ -151,7 +151,7 @@ class MarketTable(CaseTable):
         None, description="a CSV file with columns date,price; or quotes"
     )
     quotes: FileName | None = Field(None, description="a CSV file with columns product,price")
-    curve: CurveTable | None = Field(None, description=CURVE)
+    curve: QuotedCurveTable | None = Field(None, description=CURVE)
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)
 
