@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
@@ -26,7 +27,7 @@ class QuotedCurveTable(CaseTable):
 
     smoother: Literal["daily", "spline"] = "daily"
     end: Literal["flat", "free"] = "flat"
-    factors: dict[Weekday, Positive] = {}
+    factors: dict[Weekday, Positive] = Field({})
 
 
 @dataclass(frozen=True, eq=False)
