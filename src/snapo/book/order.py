@@ -111,9 +111,9 @@ def _plain(move: StressMove) -> dict[str, Any]:
 
 def _move(table: Mapping[str, Any]) -> StressMove:
     if table["when"] is None:
-        return StressMove(table["key"], table["scale"], table["shift"])
+        return StressMove(**table)
     first, last = map(datetime.date.fromisoformat, table["when"])
-    return StressMove(table["key"], table["scale"], table["shift"], (first, last))
+    return StressMove(**{**table, "when": (first, last)})
 
 
 class BookPoint(NamedTuple):
@@ -123,6 +123,7 @@ class BookPoint(NamedTuple):
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
     - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
+    - `outputs`: what the paths add up to beside the value.
     """
 
     status: str
@@ -132,11 +133,31 @@ class BookPoint(NamedTuple):
     shares: np.ndarray
     changes: Mapping[str, np.ndarray]
     deltas: "tuple[Delta, ...]" = ()
+    outputs: "tuple[OutputFigures, ...]" = ()
 
     @classmethod
     def without_value(cls, status: str, note: str) -> "BookPoint":
         """A point that was not valued, and the reason."""
         return cls(status, note, np.nan, np.nan, np.full(1, np.nan), {})
+
+
+class OutputFigures(NamedTuple):
+    """An output of a simulator, or a quality attribute of a process, over the paths of a point.
+
+    - `value`, `standard_error`: of its mean; `deviation`, `p05`, `p95`: between paths.
+    - `nominal`: at the set point of a process; `within`: the share of its batches within the
+      limits; None of other outputs.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    deviation: float
+    p05: float
+    p95: float
+    nominal: float | None = None
+    within: float | None = None
 
 
 class Delta(NamedTuple):
@@ -207,9 +228,9 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
         for j, entry in enumerate(row["deltas"])
     )
     changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
-    return BookPoint(
-        **row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas}
-    )
+    parts: dict[str, Any] = row | {"shares": arrays[f"shares.{i}"], "changes": changes}
+    outputs = tuple(OutputFigures(*entry) for entry in row["outputs"])
+    return BookPoint(**parts | {"deltas": deltas, "outputs": outputs})
 
 
 class Cost(NamedTuple):
