@@ -17,7 +17,7 @@ from .folder import POINTS, POLICIES, TABLES, BookFolder
 from .order import BookOrder, BookPoint, Cost, OrderAnswer, OutputFigures, name_of
 from .parquet import TableRows, TableWriter
 from .plan import BookPlan
-from .sums import BookTotal, DeltaTotal, Sum, risks
+from .sums import BookTotal, DeltaTotal, ExposureTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
 TOGETHER = 32
@@ -129,6 +129,7 @@ class Results:
     book: Book
     total: BookTotal = field(default_factory=lambda: BookTotal(BASE))
     deltas: DeltaTotal = field(default_factory=DeltaTotal)
+    exposure: ExposureTotal = field(default_factory=ExposureTotal)
     groups: dict[str, dict[str, BookTotal]] = field(default_factory=dict)
     cases: Counter[str] = field(default_factory=Counter)
     failures: list[dict[str, str]] = field(default_factory=list)
@@ -165,6 +166,11 @@ class Results:
             self.groups.setdefault(column, {}).setdefault(label, BookTotal(BASE)).add(
                 contract.market, shares, member.world
             )
+        columns = [("", ""), *((x, contract.labels.get(x, "")) for x in self.book.by)]
+        for x in member.base.exposure:
+            for column, label in columns:
+                key = (column, label, contract.market, x.output, x.unit)
+                self.exposure.add(key, x.days, contract.quantity * x.blocks)
         for delta in member.base.deltas:
             labels = delta.labels if len(delta.labels) == delta.blocks.shape[1] else ("",)
             for label, blocks in zip(labels, delta.blocks.T):
@@ -209,6 +215,7 @@ class Results:
             },
             "risk": [risk._asdict() for risk in risks(self.total, stresses)],
             "deltas": self._deltas(),
+            "exposure": self.exposure.table(self.total.is_common),
             "points": [
                 entry.row(dict(zip([axis.label for axis in self.book.axes], at)))
                 for at, entry in self.points.items()
@@ -257,7 +264,7 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
     the position: times its quantity."""
     contract, base = member.contract, member.base
     head = {"case": contract.name, "market": contract.market}
-    values, deltas, shares, outputs = ([] for _ in TABLES)
+    values, deltas, shares, outputs, exposure = ([] for _ in TABLES)
     for stress, (point, cost, shape) in member.points.items():
         entry = head | {"stress": stress}
         change = statistics.of_shares(point.shares - base.shares) if _both_ok(point, base) else None
@@ -290,6 +297,14 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
         if point.status == "ok":
             for batch, share in enumerate(point.shares):
                 shares.append(entry | {"batch": batch, "share": contract.quantity * float(share)})
+        for x in point.exposure:
+            for day, blocks in zip(x.days, x.blocks.T):
+                result = statistics.of_shares(contract.quantity * blocks)
+                exposure.append(
+                    entry
+                    | {"output": x.output, "unit": x.unit, "day": day}
+                    | {"value": result.value, "standard_error": result.standard_error}
+                )
         for delta in point.deltas:
             for i, blocks in enumerate(delta.blocks.T):
                 result = statistics.of_shares(contract.quantity * blocks)
@@ -299,7 +314,8 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
                     | {"input": delta.input, "label": label, "held": result.value}
                     | {"held_error": result.standard_error, "trusted": delta.trusted}
                 )
-    return {name: _columns(rows) for name, rows in zip(TABLES, (values, deltas, shares, outputs))}
+    parts = values, deltas, shares, outputs, exposure
+    return {name: _columns(rows) for name, rows in zip(TABLES, parts)}
 
 
 def _both_ok(point: BookPoint, base: BookPoint) -> bool:

@@ -130,7 +130,12 @@ def sweep_book(
         )
     tasks = parse(
         TasksTable,
-        {"deltas": "none" if train else "base", "judge": 0.0, "paths": max(64, paths)},
+        {
+            "deltas": "none" if train else "base",
+            "judge": 0.0,
+            "paths": max(64, paths),
+            "exposure": False,
+        },
         "",
         "",
     )

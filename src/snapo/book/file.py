@@ -90,6 +90,7 @@ class TasksTable(CaseTable):
         description="the share of contracts whose derivatives are tested by bumps, 0 to 1",
     )
     paths: int = Field(16384, ge=64, le=2**24, description="paths of every value, 64 or more")
+    exposure: bool = Field(True, description="the mean of every output by day, unstressed")
 
 
 class RunTable(CaseTable):

@@ -2,7 +2,7 @@
 
 book.json           the book: its contracts, stresses and tasks, and versions
 answers/            the answers by the hash of their orders, each written whole or not at all
-values/, deltas/, shares/, outputs/     Parquet, a file for each contract (for 32 beyond 500)
+values/, deltas/, shares/, outputs/, exposure/   Parquet, a file for each contract, or for 32
 policies/           the trained policies, as `policy.save` writes them
 points.csv          the points of the axes with their values, where the book has axes
 result.json         sums, risk, failures and cost
@@ -24,7 +24,7 @@ from .order import Cost, OrderAnswer, opened
 
 BOOK, RESULT, REPORT = "book.json", "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
-TABLES = ("values", "deltas", "shares", "outputs")
+TABLES = ("values", "deltas", "shares", "outputs", "exposure")
 POINTS = "points.csv"
 LAYOUT = 1
 

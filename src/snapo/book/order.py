@@ -123,7 +123,7 @@ class BookPoint(NamedTuple):
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
     - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
-    - `outputs`: what the paths add up to beside the value.
+    - `outputs`: what the paths add up to beside the value; `exposure`: the outputs by day.
     """
 
     status: str
@@ -134,6 +134,7 @@ class BookPoint(NamedTuple):
     changes: Mapping[str, np.ndarray]
     deltas: "tuple[Delta, ...]" = ()
     outputs: "tuple[OutputFigures, ...]" = ()
+    exposure: "tuple[Exposure, ...]" = ()
 
     @classmethod
     def without_value(cls, status: str, note: str) -> "BookPoint":
@@ -174,6 +175,19 @@ class Delta(NamedTuple):
     trusted: bool | None = None
 
 
+class Exposure(NamedTuple):
+    """The mean of an output of every step.
+
+    - `days`: [T] dates, or the numbers of steps from 1 where a case has no dates.
+    - `blocks`: [32 or fewer, T] of independent blocks of paths.
+    """
+
+    output: str
+    unit: str
+    days: tuple[str, ...]
+    blocks: np.ndarray
+
+
 class OrderAnswer(NamedTuple):
     """What was computed for an order.
 
@@ -195,10 +209,12 @@ class OrderAnswer(NamedTuple):
             arrays[f"shares.{i}"] = point.shares
             arrays |= {f"change.{i}.{j}": x for j, x in enumerate(point.changes.values())}
             arrays |= {f"blocks.{i}.{j}": x.blocks for j, x in enumerate(point.deltas)}
+            arrays |= {f"exposure.{i}.{j}": x.blocks for j, x in enumerate(point.exposure)}
             points.append(
                 point._asdict()
                 | {"shares": None, "changes": list(point.changes)}
                 | {"deltas": [x._replace(blocks=None)._asdict() for x in point.deltas]}  # pyright: ignore[reportArgumentType]
+                | {"exposure": [x[:-1] for x in point.exposure]}
             )
         if self.policy is not None:
             arrays["policy"] = np.frombuffer(self.policy, np.uint8)
@@ -230,7 +246,11 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
     changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
     parts: dict[str, Any] = row | {"shares": arrays[f"shares.{i}"], "changes": changes}
     outputs = tuple(OutputFigures(*entry) for entry in row["outputs"])
-    return BookPoint(**parts | {"deltas": deltas, "outputs": outputs})
+    exposure = tuple(
+        Exposure(output, unit, tuple(days), arrays[f"exposure.{i}.{j}"])
+        for j, (output, unit, days) in enumerate(row["exposure"])
+    )
+    return BookPoint(**parts | {"deltas": deltas, "outputs": outputs, "exposure": exposure})
 
 
 class Cost(NamedTuple):

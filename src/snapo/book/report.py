@@ -3,15 +3,19 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from snapo.report import charts
+from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import decimals, measured, number, seconds, with_unit
+from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
 
 BASE = "base"
+COLOURS = ("main", "withdraw", "inject", "limit", "good", "other")
 MAX_DRAWN = 8  # outputs that have a picture over the axes
 MAX_ROWS = 40  # rows of a table of stresses, and bars of a picture
 
@@ -37,6 +41,8 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         sections.append(_stresses(result))
     if result["by"]:
         sections.append(_groups(result))
+    if result.get("exposure"):
+        sections.append(_exposure(result["exposure"]))
     if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
     if result["failures"]:
@@ -259,6 +265,49 @@ def _values(rows: Sequence[PointRow], output: str) -> list[float]:
 def _identifier(text: str) -> str:
     """The letters and digits of a text."""
     return "".join(x if x.isascii() and x.isalnum() else "-" for x in text)
+
+
+def _exposure(rows: Sequence[Mapping[str, Any]]) -> Section:
+    """The mean of every output by day: of the book, and of its parts."""
+    parts = dict[tuple[str, str, str, str], list[Mapping[str, Any]]]()
+    for row in rows:
+        key = (row["output"], row["market"], row["unit"], row["by"])
+        parts.setdefault(key, []).append(row)
+    charts_of = [
+        _by_day(f"exposure-{i}", *key, members)
+        for i, (key, members) in enumerate(parts.items())
+        if any(len(row["days"]) > 1 for row in members)
+    ]
+    blocks: list[Block] = [*charts_of[:MAX_DRAWN]]
+    note = "Means over the paths of the unstressed points; errors are in result.json and exposure/."
+    return Section("exposure", "Exposure by day", "Exposure", [*blocks, Text(note, caveat=True)])
+
+
+def _by_day(
+    name: str,
+    output: str,
+    market: str,
+    unit: str,
+    column: str,
+    rows: Sequence[Mapping[str, Any]],
+) -> Chart:
+    shown = rows[: len(COLOURS)]
+    days = sorted({day for row in shown for day in row["days"]}, key=lambda day: (len(day), day))
+    dated = all(len(day) == 10 and day[4] == "-" for day in days)
+    when = date_numbers(days) if dated else np.arange(1.0, len(days) + 1)
+    lines = []
+    for row, colour in zip(shown, COLOURS):
+        values = dict(zip(row["days"], row["value"]))
+        numbers = np.array([values.get(day, np.nan) for day in days])
+        lines.append(charts.Line(row["label"] or "book", numbers, colour))
+    title = readable(output) + (f", market {market}" if market else "")
+    title += f", by {column}" if column else ""
+    paint = charts.lines if dated else charts.trace
+    low, high = (number(float(end([x.values for x in lines]))) for end in (np.nanmin, np.nanmax))
+    alt = f"{title}, by day, from {low} to {high}"
+    svg = draw(name, alt, lambda axes: paint(axes, when, lines, unit))
+    more = f"; of {len(rows):,} the first {len(shown)}" if len(rows) > len(shown) else ""
+    return Chart(svg, f"{title}, mean of a day{more}.")
 
 
 class DeltaRow(NamedTuple):

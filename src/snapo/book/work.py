@@ -30,11 +30,13 @@ from snapo.live.positions import InputPositions
 from snapo.problem.form import form_of
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, load_policy
+from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
 from snapo.solver.derivatives.interval import HELD
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import Sensitivities, sensitivities
 from snapo.study.assign import assigned
+from snapo.study.chapters.profile import leaves
 from snapo.study.domain import Domain, Options, find
 from snapo.study.kind import with_other_numbers
 from snapo.study.prepare import use_every_core
@@ -47,6 +49,7 @@ from .order import (
     BookPoint,
     Cost,
     Delta,
+    Exposure,
     OrderAnswer,
     OutputFigures,
     enclosed,
@@ -54,6 +57,7 @@ from .order import (
 from .plan import kinds_of
 from .workers import OTHER
 
+EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
@@ -182,6 +186,8 @@ class _Decided:
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = self._point(self.setup, solution.totals, {}, deltas)
+        if order.tasks.exposure and base.status == "ok":
+            base = base._replace(exposure=tuple(self._exposure(solution.policy)))
         points = (base, *self._stressed(solution.policy))
         return OrderAnswer(points, _file(solution.policy), *labels)
 
@@ -209,6 +215,26 @@ class _Decided:
             paths = setup.evaluation.sensitivity_paths
             deltas = _deltas(sensitivities(setup.problem, policy, paths=paths, engine=engine))
         return self._point(setup, totals, changes, deltas)
+
+    def _exposure(self, policy: Policy) -> Iterator[Exposure]:
+        """The mean of the outputs of every step, by block of paths."""
+        problem, about = self.setup.problem, self.contract.study.about
+        bound = self.setup.engines.evaluate.bind(problem, controls=False)
+        source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
+        paths = source.available(min(self.order.tasks.paths, EXPOSURE_PATHS))
+        for block in source.blocks(paths, EXPOSURE_BLOCKS):
+            draws = source.draws(block, problem.simulator)
+            outputs = bound.values(policy, draws, EXACT, record=("outputs",)).record["outputs"]
+            for name, values in leaves(outputs).items():
+                numbers = np.asarray(values, np.float64)
+                if numbers.ndim == 2:  # one number of a path and step
+                    means.setdefault(name, []).append(numbers.mean(1))
+        horizon = problem.simulator.horizon
+        days = about.get("days") or [str(i + 1) for i in range(horizon)]
+        for name, rows in means.items():
+            if np.isfinite(rows).all() and np.any(rows):
+                unit = about.get("units", {}).get(name, "")
+                yield Exposure(name, unit, tuple(days[:horizon]), np.array(rows))
 
     def _point(
         self,
