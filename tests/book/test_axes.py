@@ -94,7 +94,7 @@ def test_a_number_has_the_unit_of_the_case():
         ({"sobol": 4}, "first and last number"),
         ({"sobol": 4, "range": "35:5"}, "first and last number"),
         ({"sobol": 4, "range": "5:35:7"}, "first and last number"),
-        ({"range": "5:35"}, "write sobol = 64"),
+        ({"range": "5:35"}, "write sobol = 64 as well"),
         ({"sobol": 4, "values": [1.0], "range": "5:35"}, "either values or these"),
         ({"sobol": 0, "range": "5:35"}, "1 or more"),
     ],

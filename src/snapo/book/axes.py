@@ -131,17 +131,17 @@ def read_design(
 
 
 def _labels(keys: Sequence[str], columns: Collection[str]) -> list[str]:
-    """The shortest end of each key that no other key and no column has, and that is no number."""
+    """The shortest last part of each key that no other key and no column has, and no number is."""
     labels = list[str]()
     for key in keys:
         parts = key.split(".")
-        ends = [".".join(parts[i:]) for i in reversed(range(len(parts)))]
+        suffixes = [".".join(parts[i:]) for i in reversed(range(len(parts)))]
         free = [
-            end
-            for end in ends
-            if not end.split(".")[0].isdigit()
-            and end not in columns
-            and not any(f".{other}".endswith(f".{end}") for other in keys if other != key)
+            suffix
+            for suffix in suffixes
+            if not suffix.split(".")[0].isdigit()
+            and suffix not in columns
+            and not any(f".{other}".endswith(f".{suffix}") for other in keys if other != key)
         ]
         labels.append(free[0] if free else key)
     return labels
@@ -157,7 +157,7 @@ def _range_of(file: str, where: str, table: AxisTable) -> _Range | None:
     """The range of an axis of Sobol points; None of an axis of values."""
     if table.sobol is None:
         if table.range:
-            message = "a range is that of Sobol points: write sobol = 64 beside it, or values"
+            message = "a range is that of Sobol points: write sobol = 64 as well, or values"
             raise CaseError(file, f"{where}.range", table.range, message)
         return None
     if table.values:

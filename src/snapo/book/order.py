@@ -123,7 +123,7 @@ class BookPoint(NamedTuple):
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
     - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
-    - `outputs`: what the paths add up to beside the value; `exposure`: the outputs by day.
+    - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """
 
     status: str

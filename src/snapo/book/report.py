@@ -206,7 +206,7 @@ def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Sec
     ]
     names = [axis["label"] for axis in axes]
     first = next((row.outputs for row in rows if row.outputs), {})
-    # A process has quality attributes, each as important as the chance to keep all of their limits.
+    # A process has quality attributes, each as important as the share within all limits.
     drawn = [name for name, x in first.items() if x["nominal"] is not None][:MAX_DRAWN]
     value, blocks = "Share of batches within all limits" if drawn else "Value", list[Block]()
     for output in ("", *drawn):
@@ -235,8 +235,8 @@ def _picture(
     if not valued:
         return [Missing(f"{title}: no point has a value.")]
     name = f"points-{_identifier(output)}"
-    ends = f"from {number(min(v))} to {number(max(v))}" if (v := _values(valued, output)) else ""
-    alt = f"{title} over {' and '.join(names)}, {ends}"
+    span = f"from {number(min(v))} to {number(max(v))}" if (v := _values(valued, output)) else ""
+    alt = f"{title} over {' and '.join(names)}, {span}"
     if len(names) == 1 and all(x is not None for (x,) in positions):
         line = sorted(zip((x or 0.0 for (x,) in positions), (row.of(output) for row in valued)))
         svg = draw(name, alt, lambda axes: charts.swept_line(axes, line, names[0], title))
@@ -291,22 +291,24 @@ def _by_day(
     column: str,
     rows: Sequence[Mapping[str, Any]],
 ) -> Chart:
-    shown = rows[: len(COLOURS)]
-    days = sorted({day for row in shown for day in row["days"]}, key=lambda day: (len(day), day))
+    displayed = rows[: len(COLOURS)]
+    days = sorted(
+        {day for row in displayed for day in row["days"]}, key=lambda day: (len(day), day)
+    )
     dated = all(len(day) == 10 and day[4] == "-" for day in days)
     when = date_numbers(days) if dated else np.arange(1.0, len(days) + 1)
     lines = []
-    for row, colour in zip(shown, COLOURS):
+    for row, colour in zip(displayed, COLOURS):
         values = dict(zip(row["days"], row["value"]))
         numbers = np.array([values.get(day, np.nan) for day in days])
         lines.append(charts.Line(row["label"] or "book", numbers, colour))
     title = readable(output) + (f", market {market}" if market else "")
     title += f", by {column}" if column else ""
     paint = charts.lines if dated else charts.trace
-    low, high = (number(float(end([x.values for x in lines]))) for end in (np.nanmin, np.nanmax))
+    low, high = (number(float(of([x.values for x in lines]))) for of in (np.nanmin, np.nanmax))
     alt = f"{title}, by day, from {low} to {high}"
     svg = draw(name, alt, lambda axes: paint(axes, when, lines, unit))
-    more = f"; of {len(rows):,} the first {len(shown)}" if len(rows) > len(shown) else ""
+    more = f"; of {len(rows):,} the first {len(displayed)}" if len(rows) > len(displayed) else ""
     return Chart(svg, f"{title}, mean of a day{more}.")
 
 

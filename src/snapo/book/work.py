@@ -264,7 +264,7 @@ class _Decided:
 
 
 class _Calculated:
-    """A process without a policy: the chance to keep its limits, and its quality attributes."""
+    """A process without a policy: the share of batches within all limits, and its attributes."""
 
     def __init__(self, contract: _Contract, calculation: Recalculated):
         self.contract, self.calculation = contract, calculation
