@@ -13,6 +13,7 @@ from tests.miniatures import thirty_days
 from snapo.book import commands
 from snapo.book.axes import read_design
 from snapo.book.commands import sweep_book
+from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.run import run_book
 from snapo.case.csv import write_table
@@ -237,3 +238,14 @@ def test_a_stress_moves_a_key_once_and_labels_are_no_results(tmp_path):
         read_book(write_book(tmp_path / "a", ROWS[:1], stresses=stress))
     with pytest.raises(CaseError, match="give that of the table another one"):
         read_book(write_book(tmp_path / "b", [{"name": "a", "value": 3}]))
+
+
+@pytest.mark.prove
+def test_a_process_has_its_bits_in_every_worker(process, tmp_path):
+    """In this process, and in two of their own, which calculate other points before."""
+    settings = ["units.reactor.temperature=32:46", "units.reactor.duration=3600:4800"]
+    book = sweep_book(process, settings, sobol=4)
+    here = run(book, tmp_path / "here")
+    there = run_book(book, lambda _: None, worker_pools("", 2), out=tmp_path / "there")
+    assert there["points"] == here["points"] and len(here["points"]) == 4
+    assert "deeper is more" in (tmp_path / "there" / "report.html").read_text()
