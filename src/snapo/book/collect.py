@@ -4,16 +4,20 @@ import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from snapo.solver import statistics
+from snapo.solver.tables import write_csv
 
 from .file import BASE, Book, BookContract
-from .folder import POLICIES, TABLES, BookFolder
-from .order import BookOrder, BookPoint, Cost, OrderAnswer, name_of
+from .folder import POINTS, POLICIES, TABLES, BookFolder
+from .order import BookOrder, BookPoint, Cost, OrderAnswer, OutputFigures, name_of
 from .parquet import TableRows, TableWriter
 from .plan import BookPlan
-from .sums import BookTotal, DeltaTotal, Sum, risks
+from .sums import BookTotal, DeltaTotal, ExposureTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
 TOGETHER = 32
@@ -24,11 +28,13 @@ class BookPosition:
     """All points of a contract in the book.
 
     - `points`: {stress: its point, with the cost and the shape of its answer}.
+    - `labels`: {stress: {label of an axis: the text of its value}}.
     - `world`: equal for contracts whose path p is the same world.
     """
 
     contract: BookContract
     points: dict[str, tuple[BookPoint, Cost | None, str]]
+    labels: Mapping[str, Mapping[str, str]]
     policy: bytes | None = None
     world: str = ""
 
@@ -57,7 +63,8 @@ def position(
         result = read(name)
         return None if result is None else result[0]
 
-    result = BookPosition(contract, {})
+    labels = {stress.name: stress.labels for stress in plan.book.stresses}
+    result = BookPosition(contract, {}, labels)
     waiting = iter(names)
 
     def take(order: BookOrder) -> OrderAnswer | None:
@@ -79,7 +86,7 @@ def position(
     answer = None if base is None else take(base)
     if answer is not None:
         result.policy, result.world = answer.policy, answer.world
-    for order in () if base is None else plan.further(base, result.policy):
+    for order in () if base is None or answer is None else plan.further(base, answer):
         take(order)
     for name in waiting:
         point = BookPoint.without_value("missing", "its base has not been computed")
@@ -92,24 +99,52 @@ def position(
 
 
 @dataclass
+class PointTotal:
+    """The sum of the contracts at a point of the axes, and the outputs of each of them."""
+
+    stress: str
+    total: BookTotal = field(default_factory=lambda: BookTotal(BASE))
+    outputs: list[tuple[OutputFigures, ...]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def row(self, at: Mapping[str, str]) -> dict[str, Any]:
+        """Its content in result.json."""
+        total = self.total.at(self.stress)
+        row = dict.fromkeys(Sum._fields) if total is None else total._asdict()
+        if self.stress == BASE:
+            row |= {"change": None, "change_error": None}
+        outputs = self.outputs[0] if len(self.outputs) == 1 else ()
+        return {
+            "at": dict(at),
+            **row,
+            "outputs": [x._asdict() for x in outputs],
+            "note": "; ".join(dict.fromkeys(filter(None, self.notes))),
+        }
+
+
+@dataclass
 class Results:
     """The sums of a book, filled position by position."""
 
     book: Book
     total: BookTotal = field(default_factory=lambda: BookTotal(BASE))
     deltas: DeltaTotal = field(default_factory=DeltaTotal)
+    exposure: ExposureTotal = field(default_factory=ExposureTotal)
     groups: dict[str, dict[str, BookTotal]] = field(default_factory=dict)
     cases: Counter[str] = field(default_factory=Counter)
     failures: list[dict[str, str]] = field(default_factory=list)
+    points: dict[tuple[str, ...], PointTotal] = field(default_factory=dict)
     explained: dict[str, float] = field(default_factory=dict)
     cpu_seconds: float = 0.0
     peak_mb: float = 0.0
     shapes: set[str] = field(default_factory=set)
+    policies: int = 0
 
     def add(self, member: BookPosition) -> None:
         """Adds a contract."""
         contract = member.contract
         self.cases[member.worst.status] += 1
+        self.policies += member.policy is not None
         for stress, (point, cost, _) in member.points.items():
             if point.status != "ok":
                 row = {"case": contract.name, "stress": stress}
@@ -125,16 +160,37 @@ class Results:
             for stress, (point, _, _) in member.points.items()
         }
         self.total.add(contract.market, shares, member.world)
+        self._add_points(member, shares)
         for column in self.book.by:
             label = contract.labels.get(column, "")
             self.groups.setdefault(column, {}).setdefault(label, BookTotal(BASE)).add(
                 contract.market, shares, member.world
             )
+        columns = [("", ""), *((x, contract.labels.get(x, "")) for x in self.book.by)]
+        for x in member.base.exposure:
+            for column, label in columns:
+                key = (column, label, contract.market, x.output, x.unit)
+                self.exposure.add(key, x.days, contract.quantity * x.blocks)
         for delta in member.base.deltas:
             labels = delta.labels if len(delta.labels) == delta.blocks.shape[1] else ("",)
             for label, blocks in zip(labels, delta.blocks.T):
                 key = (contract.market, delta.input, label)
                 self.deltas.add(key, contract.quantity * blocks)
+
+    def _add_points(self, member: BookPosition, shares: Mapping[str, np.ndarray | None]) -> None:
+        """Adds a contract to the points of the axes: at its labels, or at those of stresses."""
+        axes = [axis.label for axis in self.book.axes]
+        for stress, (point, _, _) in member.points.items():
+            of_stress = member.labels.get(stress, {})
+            labels = {**member.contract.labels, **of_stress}
+            if not axes or (stress != BASE and not of_stress) or not labels.keys() >= {*axes}:
+                continue
+            at = tuple(labels[label] for label in axes)
+            entry = self.points.setdefault(at, PointTotal(stress))
+            both = {BASE: shares[BASE], stress: shares[stress]}
+            entry.total.add(member.contract.market, both, member.world)
+            entry.outputs.append(point.outputs)
+            entry.notes.append(point.note)
 
     def table(self) -> dict[str, Any]:
         """The content of result.json without the cost of the run."""
@@ -159,6 +215,11 @@ class Results:
             },
             "risk": [risk._asdict() for risk in risks(self.total, stresses)],
             "deltas": self._deltas(),
+            "exposure": self.exposure.table(self.total.is_common),
+            "points": [
+                entry.row(dict(zip([axis.label for axis in self.book.axes], at)))
+                for at, entry in self.points.items()
+            ],
             "notes": [
                 f"contracts of the market {market or 'of the book'} are not valued on common paths "
                 "(jumps with several starts, or quasi-random points with several ends): their sums "
@@ -168,6 +229,7 @@ class Results:
             ],
             "failures": self.failures[:1000],
             "shapes": len(self.shapes),
+            "policies": self.policies,
             "cpu_seconds": self.cpu_seconds,
             "peak_mb": self.peak_mb,
         }
@@ -202,7 +264,7 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
     the position: times its quantity."""
     contract, base = member.contract, member.base
     head = {"case": contract.name, "market": contract.market}
-    values, deltas, shares = ([] for _ in TABLES)
+    values, deltas, shares, outputs, exposure = ([] for _ in TABLES)
     for stress, (point, cost, shape) in member.points.items():
         entry = head | {"stress": stress}
         change = statistics.of_shares(point.shares - base.shares) if _both_ok(point, base) else None
@@ -227,10 +289,22 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
                 "worker": cost and cost.worker,
             }
             | {x: text for x, text in contract.labels.items() if x not in ("market", "quantity")}
+            | dict(member.labels.get(stress, {}))
         )
+        for x in point.outputs:
+            figures = {key: number for key, number in x._asdict().items() if key != "name"}
+            outputs.append(entry | {"output": x.name} | figures)
         if point.status == "ok":
             for batch, share in enumerate(point.shares):
                 shares.append(entry | {"batch": batch, "share": contract.quantity * float(share)})
+        for x in point.exposure:
+            for day, blocks in zip(x.days, x.blocks.T):
+                result = statistics.of_shares(contract.quantity * blocks)
+                exposure.append(
+                    entry
+                    | {"output": x.output, "unit": x.unit, "day": day}
+                    | {"value": result.value, "standard_error": result.standard_error}
+                )
         for delta in point.deltas:
             for i, blocks in enumerate(delta.blocks.T):
                 result = statistics.of_shares(contract.quantity * blocks)
@@ -240,7 +314,8 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
                     | {"input": delta.input, "label": label, "held": result.value}
                     | {"held_error": result.standard_error, "trusted": delta.trusted}
                 )
-    return {name: _columns(rows) for name, rows in zip(TABLES, (values, deltas, shares))}
+    parts = values, deltas, shares, outputs, exposure
+    return {name: _columns(rows) for name, rows in zip(TABLES, parts)}
 
 
 def _both_ok(point: BookPoint, base: BookPoint) -> bool:
@@ -266,7 +341,26 @@ def collect(plan: BookPlan, folder: BookFolder, lost: Mapping[str, str]) -> Resu
                 (folder.path / POLICIES / f"{file_name(contract.name)}.npz").write_bytes(
                     member.policy
                 )
+    if results.points:
+        _write_points(folder.path / POINTS, results)
     return results
+
+
+def _write_points(file: Path, results: Results) -> None:
+    """The points of the axes as a CSV."""
+    rows = results.table()["points"]
+    numbers = ("value", "standard_error", "change", "change_error")
+    names = dict.fromkeys(x["name"] for row in rows for x in row["outputs"])
+    columns = [x for name in names for x in (name, f"{name} standard_error")]
+    header = [axis.label for axis in results.book.axes]
+    lines = []
+    for row in rows:
+        outputs = {x["name"]: x for x in row["outputs"]}
+        cells = [*row["at"].values(), *(row[key] for key in numbers)]
+        for name in names:
+            cells += [outputs.get(name, {}).get(key) for key in ("value", "standard_error")]
+        lines.append(["" if x is None else x for x in (*cells, row["note"])])
+    write_csv(file, [*header, *numbers, *columns, "note"], lines)
 
 
 def file_name(case: str) -> str:

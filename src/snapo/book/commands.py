@@ -2,17 +2,36 @@
 
 import json
 import math
-from collections.abc import Mapping
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.case.load import load
+from snapo.case.table import parse
 from snapo.solver.tables import write_text
+from snapo.study.assign import OPTION, assigned
+from snapo.study.domain import Domain, Options, RunsCode, find
+from snapo.study.kind import with_other_numbers
 from snapo.study.study import ProgressCallback
 
+from .axes import RANGE, read_design
 from .executors import worker_pools
-from .file import read_book
-from .folder import REPORT, RESULT, BookFolder
+from .file import (
+    Book,
+    BookContract,
+    BookStress,
+    RunTable,
+    StressMove,
+    TasksTable,
+    along,
+    contents,
+    read_book,
+)
+from .folder import POINTS, REPORT, RESULT, BookFolder
 from .parquet import query as query
 from .plan import BookPlan
 from .run import Shard, run_book
@@ -20,6 +39,8 @@ from .run import Shard, run_book
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.
 OF_A_SHAPE, OF_A_CONTRACT, OF_A_JUDGED, OF_A_STRESS = 13.0, 17.0, 8.4, 1.2
+
+MAX_LINES = 60  # points of the axes that are printed
 
 
 def solve(
@@ -41,6 +62,132 @@ def solve(
     made = worker_pools(on, workers, trust_network)
     part = None if shard is None else Shard(*shard)
     return run_book(book, progress, made, out=out, shard=part, resume=resume)
+
+
+def sweep(
+    path: Path,
+    assignments: Sequence[str],
+    progress: ProgressCallback,
+    *,
+    sobol: int | None = None,
+    train: bool = False,
+    out: Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Values a case at all points of some axes, as a book; see `run_book`.
+
+    - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
+      `sobol` points.
+    - `train`: whether each point trains its policy; else that of the case decides at all of them.
+
+    **Raises:** `CaseError` for a mistake in the case, its axes, or a point of them.
+    """
+    book = sweep_book(path, assignments, sobol=sobol, train=train)
+    folder = book.file.parent / "sweep" if out is None else out
+    return run_book(book, progress, worker_pools("", workers), out=folder, resume=resume)
+
+
+def sweep_book(
+    path: Path, assignments: Sequence[str], *, sobol: int | None = None, train: bool = False
+) -> Book:
+    """The book of a sweep: the case under a stress for each point, or a contract for each."""
+    file, tables = load(path)
+    if file.suffix != ".toml":
+        message = "a sweep reads a TOML file; save the sheets as CSV files next to one"
+        raise CaseError(str(file), "", None, message)
+    entries, fixed = _axes(assignments, sobol)
+    tables, _ = assigned(tables, fixed)
+    domain = find(tables.get("kind"), str(file))
+    if isinstance(domain, RunsCode):
+        message = f'a case of kind "{domain.kind}" runs code of yours, which no sweep runs yet'
+        raise CaseError(str(file), "kind", None, message)
+    case: Any = domain.read(file, tables)
+    seed, paths = case.training.seed, case.evaluation.paths
+    try:
+        design = read_design(Path(OPTION), entries, seed)
+    except CaseError as error:
+        number = re.match(r"axis\[(\d+)\]", error.where)
+        where = entries[int(number[1]) - 1]["key"] if number else ""
+        raise CaseError(OPTION, where, error.value, error.allowed) from None
+    settings = [design.settings(tables, point) for point in design.points]
+    for point in (settings[0], settings[-1]):
+        _read_at(domain, file, tables, point)
+    title = str(tables.get("title") or file.parent.resolve().name)
+    contract = BookContract(title, "", 1.0, tables, contents(file.parent), {})
+    contracts, stresses = (contract,), ()
+    study = domain.study(case, Options())
+    if train or study.setup is None:
+        contracts = tuple(along(design, contracts))
+    else:
+        stresses = tuple(
+            BookStress(
+                ", ".join(map(" ".join, design.labels(point).items())),
+                tuple(StressMove(key, value=text) for key, text in values),
+                design.labels(point),
+            )
+            for point, values in zip(design.points, settings)
+        )
+    tasks = parse(
+        TasksTable,
+        {
+            "deltas": "none" if train else "base",
+            "judge": 0.0,
+            "paths": max(64, paths),
+            "exposure": False,
+        },
+        "",
+        "",
+    )
+    return Book(
+        file,
+        title,
+        contracts,
+        stresses,
+        (),
+        tasks,
+        parse(RunTable, {"seed": seed}, str(file), "training"),
+        design.axes,
+    )
+
+
+def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """The tables of the axes among some assignments, and the others."""
+    entries, fixed = list[dict[str, Any]](), list[str]()
+    for text in assignments:
+        key, _, written = (part.strip() for part in text.partition("="))
+        match = RANGE.fullmatch(written)
+        values: list[Any] = []
+        with suppress(tomllib.TOMLDecodeError):
+            values = tomllib.loads(f"values = [{written}]")["values"]
+        if match is not None and match[3] is None and sobol is not None:
+            entries.append({"key": key, "range": written, "sobol": sobol})
+        elif match is not None:
+            entries.append({"key": key, "values": written})
+        elif len(values) > 1:
+            entries.append({"key": key, "values": values})
+        else:
+            fixed.append(text)
+    if not entries:
+        message = "no key is swept; write a range (KEY=0:2000:5) or several values (KEY=1,2,5)"
+        raise CaseError(OPTION, "", fixed[0] if fixed else None, message)
+    if sobol is not None and not any("sobol" in entry for entry in entries):
+        message = "Sobol points need a range without a number of values: --set KEY=0:2000"
+        raise CaseError("--sobol", "", sobol, message)
+    return entries, fixed
+
+
+def _read_at(
+    domain: Domain, file: Path, tables: Mapping[str, Any], settings: Sequence[tuple[str, str]]
+) -> None:
+    """**Raises:** `CaseError` where the case cannot be read at a point."""
+    data, _ = assigned(tables, [f"{key}={text}" for key, text in settings])
+    try:
+        domain.read(file, with_other_numbers(domain, data))
+    except CaseError as error:
+        for item in (error, *error.others):
+            item.file = f"{item.file} with {OPTION}"
+        raise
 
 
 def check(path: Path) -> list[str]:
@@ -96,7 +243,9 @@ def summary(result: Mapping[str, Any]) -> str:
     orders = result["orders"]
     counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
     lines = [f"book: {result['status']}"]
-    if "sums" in result:
+    if result.get("points"):
+        lines += _table_of_points(result)
+    elif "sums" in result:
         cases = result["cases"]
         lines.append(f"{'contracts':<24}{cases['ok']:>16,}   {cases['failed']:,} failed")
         rows = result["sums"]
@@ -109,6 +258,7 @@ def summary(result: Mapping[str, Any]) -> str:
             line = f"{row['stress']:<24}{row['value']:>16,.2f}{_plus_minus(row['standard_error'])}"
             lines.append(line + (change if row is not rows[0] else ""))
         lines += [f"note: {note}" for note in result["notes"]]
+    if "sums" in result:
         lines += [f"{x['case']} under {x['stress']}: {x['note']}" for x in result["failures"][:5]]
     else:
         number, count = result["shard"]
@@ -117,6 +267,24 @@ def summary(result: Mapping[str, Any]) -> str:
     if "sums" in result:
         lines.append(f"report: {Path(result['run']) / REPORT}")
     return "\n".join(lines)
+
+
+def _table_of_points(result: Mapping[str, Any]) -> list[str]:
+    """A line for each point of the axes, the values of a column below one another."""
+    rows = result["points"][:MAX_LINES]
+    table = [[*rows[0]["at"], "value", "", "change"]]
+    for row in rows:
+        value = "none" if row["value"] is None else f"{row['value']:,.6g}"
+        change = "" if row["change"] is None else f"{row['change']:+,.6g}"
+        errors = _plus_minus(row["standard_error"]).strip(), _plus_minus(row["change_error"])
+        table.append([*row["at"].values(), value, errors[0], f"{change}{errors[1]}"])
+    if not any(row[-1] for row in table[1:]):
+        table = [row[:-1] for row in table]
+    widths = [max(map(len, column)) for column in zip(*table)]
+    lines = ["  ".join(map(str.rjust, row, widths)).rstrip() for row in table]
+    if len(result["points"]) > len(rows):
+        lines.append(f"… {len(result['points']) - len(rows):,} more")
+    return [*lines, f"all points: {Path(result['run']) / POINTS}"]
 
 
 def _plus_minus(error: float | None) -> str:

@@ -7,10 +7,9 @@ the book has markets, they replace the tables `[market]` and `[model]` of their 
 import datetime
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import isfinite
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -18,17 +17,33 @@ from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
+from snapo.case.toml import one_value
 from snapo.study.assign import assigned
 from snapo.study.domain import find
 from snapo.study.run_folder import case_files
+
+from .axes import MAX_POINTS, Axis, CaseKey, Design, read_design
 
 BASE = "base"  # the name of the unstressed point
 NAME = re.compile(r"[^\x00-\x1f/\\]{1,80}")
 PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 SHARED = ("market", "model")  # tables of a case that its market gives
-MAX_CONTRACTS = 100_000
-
-CaseKey = Annotated[str, Field(pattern=r"^[^.]+(\.[^.]+)*$")]
+RESERVED = (
+    "case",
+    "stress",
+    "status",
+    "note",
+    "value",
+    "standard_error",
+    "change",
+    "change_error",
+    "explained",
+    "unexplained",
+    "cpu_seconds",
+    "peak_mb",
+    "shape",
+    "worker",
+)  # columns of the results
 
 
 class CasesTable(CaseTable):
@@ -38,15 +53,6 @@ class CasesTable(CaseTable):
     files: str = Field("", description='cases by a pattern, "contracts/*/case.toml"')
     table: str = Field("", description='the CSV of the contracts, "contracts.csv"')
     by: list[str] = Field([], description="columns of the table to sum by")
-
-
-class AxisTable(CaseTable):
-    """`[[axis]]`"""
-
-    key: CaseKey = Field(description='a key of the cases, "contract.max_inventory"')
-    values: str | list[float] = Field(
-        description='numbers, or "5:35:7", seven of them from 5 to 35'
-    )
 
 
 class BookMarketTable(CaseTable):
@@ -63,6 +69,9 @@ class BookStressTable(CaseTable):
         {}, description='factors, { "market.forward_curve" = 1.10 }'
     )
     shift: dict[CaseKey, float] = Field({}, description='amounts, { "market.forward_curve" = 2.0 }')
+    set: dict[CaseKey, Any] = Field(
+        {}, description='other values of keys, { "contract.injection_cost" = 0.05 }'
+    )
     when: str = Field("", description='months or days, the last included: "2026-12/2027-02"')
     table: str = Field("", description="a file with a stress in each row")
 
@@ -81,6 +90,7 @@ class TasksTable(CaseTable):
         description="the share of contracts whose derivatives are tested by bumps, 0 to 1",
     )
     paths: int = Field(16384, ge=64, le=2**24, description="paths of every value, 64 or more")
+    exposure: bool = Field(True, description="the mean of every output by day, unstressed")
 
 
 class RunTable(CaseTable):
@@ -107,24 +117,28 @@ class BookTable(CaseTable):
 
 @dataclass(frozen=True)
 class StressMove:
-    """One input under a stress: `value * scale + shift`, on the dates of `when`.
+    """One input under a stress: `value * scale + shift`, on the dates of `when`; or a key of the
+    case with another value.
 
     - `key`: of the case, "market.forward_curve".
     - `when`: first and last day; None: everywhere.
+    - `value`: as TOML writes it; "": that of the case.
     """
 
     key: str
     scale: float = 1.0
     shift: float = 0.0
     when: tuple[datetime.date, datetime.date] | None = None
+    value: str = ""
 
 
 @dataclass(frozen=True)
 class BookStress:
-    """Other numbers for some inputs."""
+    """Other numbers for some inputs; `labels`: {label of an axis: the text of its value}."""
 
     name: str
     moves: tuple[StressMove, ...]
+    labels: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -155,6 +169,7 @@ class Book:
     by: tuple[str, ...]
     tasks: TasksTable
     run: RunTable
+    axes: tuple[Axis, ...] = ()
 
 
 def read_book(path: Path) -> Book:
@@ -172,12 +187,15 @@ def read_book(path: Path) -> Book:
     contracts = tuple(_contracts(context, cases, markets))
     if not contracts:
         raise context.error("table", cases.table or cases.files, "it has no contract")
-    for i, entry in enumerate(table.axis):
-        contracts = tuple(_along(file, f"axis[{i + 1}]", entry, contracts))
-        if not contracts:
-            raise CaseError(
-                str(file), f"axis[{i + 1}].values", [], "an axis has at least one value"
-            )
+    if taken := [column for column in contracts[0].labels if column in RESERVED]:
+        message = "the results have a column of this name; give that of the table another one"
+        raise context.error("table", taken[0], message)
+    design = read_design(file, table.axis, run.seed, (*RESERVED, *contracts[0].labels))
+    if len(contracts) * len(design.points) > MAX_POINTS:
+        message = f"{len(contracts):,} contracts at {len(design.points):,} points of the axes"
+        raise CaseError(str(file), "axis", None, f"{message}; allowed are {MAX_POINTS:,} together")
+    if design.axes:
+        contracts = tuple(along(design, contracts))
     _unique_names(file, "cases", [contract.name for contract in contracts])
     stresses = tuple(_stresses(file, table.stress))
     _unique_names(file, "stress", [BASE, *(stress.name for stress in stresses)])
@@ -185,7 +203,8 @@ def read_book(path: Path) -> Book:
         if column not in contracts[0].labels:
             names = ", ".join(contracts[0].labels) or "none"
             raise context.error("by", column, f"allowed is a column of the table: {names}")
-    return Book(file, table.title, contracts, stresses, tuple(cases.by), tasks, run)
+    by = tuple(cases.by)
+    return Book(file, table.title, contracts, stresses, by, tasks, run, design.axes)
 
 
 def _unique_names(file: Path, where: str, names: Sequence[str]) -> None:
@@ -208,7 +227,7 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
         raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
     if not tables:
         raise CaseError(str(path), "market", None, "this table is missing")
-    return tables, _contents(path.parent)
+    return tables, contents(path.parent)
 
 
 def _in_folder(file: Path, where: str, name: str) -> Path:
@@ -219,7 +238,7 @@ def _in_folder(file: Path, where: str, name: str) -> Path:
     return path
 
 
-def _contents(folder: Path) -> dict[str, bytes]:
+def contents(folder: Path) -> dict[str, bytes]:
     """{name: content} of the files that a case of this folder may name."""
     return {item.name: item.read_bytes() for item in case_files(folder) if item.suffix != ".toml"}
 
@@ -237,15 +256,15 @@ def _contracts(
             name = (
                 str(path.parent.relative_to(file.parent)) if path.name == "case.toml" else path.stem
             )
-            yield _contract(context, name, tables, _contents(path.parent), "", markets, 1.0, {})
+            yield _contract(context, name, tables, contents(path.parent), "", markets, 1.0, {})
         return
     _, tables = load(_in_folder(file, "cases.template", cases.template))
-    contents = _contents(_in_folder(file, "cases.template", cases.template))
+    files = contents(_in_folder(file, "cases.template", cases.template))
     if not cases.table:
-        yield _contract(context, cases.template, tables, contents, "", markets, 1.0, {})
+        yield _contract(context, cases.template, tables, files, "", markets, 1.0, {})
         return
     for row in read_rows(FileReference(context, "table", cases.table), ("name",)):
-        yield _of_row(context, row, tables, contents, markets)
+        yield _of_row(context, row, tables, files, markets)
 
 
 def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
@@ -286,36 +305,18 @@ def _contract(
     return BookContract(name, market, quantity, tables, contents, labels)
 
 
-def _along(
-    file: Path, where: str, entry: Mapping[str, Any], contracts: Sequence[BookContract]
-) -> Iterator[BookContract]:
-    """Every contract at every value of an axis, which is a label too."""
-    axis = parse(AxisTable, entry, str(file), where)
-    label = axis.key.rpartition(".")[2]
+def along(design: Design, contracts: Sequence[BookContract]) -> Iterator[BookContract]:
+    """Every contract at every point of the axes; their values are labels too."""
     for contract in contracts:
-        for value in _values(str(file), f"{where}.values", axis.values):
-            text = f"{value:.12g}"
-            tables, _ = assigned(contract.tables, [f"{axis.key}={text}"])
+        for point in design.points:
+            labels = design.labels(point)
+            settings = [f"{key}={text}" for key, text in design.settings(contract.tables, point)]
             yield replace(
                 contract,
-                name=f"{contract.name}, {label} {text}",
-                tables=tables,
-                labels={**contract.labels, label: text},
+                name=", ".join([contract.name, *map(" ".join, labels.items())]),
+                tables=assigned(contract.tables, settings)[0],
+                labels={**contract.labels, **labels},
             )
-
-
-def _values(file: str, where: str, values: str | list[float]) -> list[float]:
-    if isinstance(values, list):
-        return values
-    allowed = 'first, last and a number of values, 2 or more: "5:35:7"'
-    try:
-        first, last, count = values.split(":")
-        start, end, size = float(first), float(last), int(count)
-    except ValueError:
-        raise CaseError(file, where, values, allowed) from None
-    if not 2 <= size <= MAX_CONTRACTS or not isfinite(start) or not isfinite(end):
-        raise CaseError(file, where, values, allowed)
-    return [start + (end - start) * i / (size - 1) for i in range(size)]
 
 
 def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[BookStress]:
@@ -325,31 +326,48 @@ def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[Book
         if table.table:
             yield from _of_table(TableContext(file, where, []), table.table)
             continue
-        if not table.name or not (table.scale or table.shift):
-            message = "a stress has a name, and scale or shift; or a table"
+        if not table.name or not (table.scale or table.shift or table.set):
+            message = "a stress has a name, and scale, shift or set; or a table"
             raise CaseError(str(file), where, table.name or None, message)
         when = _period(str(file), f"{where}.when", table.when)
         keys = dict.fromkeys([*table.scale, *table.shift])
-        moves = (
-            StressMove(key, table.scale.get(key, 1.0), table.shift.get(key, 0.0), when)
-            for key in keys
+        if twice := [key for key in keys if key in table.set]:
+            message = "this key is set to a value; it cannot be scaled or shifted as well"
+            raise CaseError(str(file), f"{where}.set", twice[0], message)
+        yield BookStress(
+            table.name,
+            (
+                *(StressMove(key, value=one_value(value)) for key, value in table.set.items()),
+                *(
+                    StressMove(key, table.scale.get(key, 1.0), table.shift.get(key, 0.0), when)
+                    for key in keys
+                ),
+            ),
         )
-        yield BookStress(table.name, tuple(moves))
 
 
 def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
-    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, or `scale KEY@PERIOD`."""
+    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, or `scale KEY@PERIOD`;
+    `set KEY` has a value as `--set` takes it."""
     for row in read_rows(FileReference(context, "table", name), ("name",)):
         moves = []
         for column in row.cells:
             kind, _, rest = column.partition(" ")
-            if column == "name" or kind not in ("scale", "shift") or not row.cells[column]:
+            if kind not in ("scale", "shift", "set") or not rest or not row.cells[column]:
                 continue
             key, _, text = rest.strip().partition("@")
+            if kind == "set":
+                moves.append(StressMove(rest.strip(), value=row.label(column)))
+                continue
             when = _period(row.file, f"line {row.line}, column {column}", text)
-            moves.append(StressMove(key, when=when, **{kind: row.number(column)}))
+            number, move = row.number(column), StressMove(key, when=when)
+            moves.append(
+                replace(move, scale=number) if kind == "scale" else replace(move, shift=number)
+            )
         if not moves:
-            raise row.error("name", "a row with at least one of the columns scale KEY, shift KEY")
+            raise row.error(
+                "name", "a row with at least one of the columns scale KEY, shift KEY, set KEY"
+            )
         yield BookStress(row.label("name"), tuple(moves))
 
 

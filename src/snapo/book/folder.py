@@ -2,8 +2,9 @@
 
 book.json           the book: its contracts, stresses and tasks, and versions
 answers/            the answers by the hash of their orders, each written whole or not at all
-values/, deltas/, shares/     Parquet, a file for each contract (for 32 of them beyond 500)
+values/, deltas/, shares/, outputs/, exposure/   Parquet, a file for each contract, or for 32
 policies/           the trained policies, as `policy.save` writes them
+points.csv          the points of the axes with their values, where the book has axes
 result.json         sums, risk, failures and cost
 report.html
 """
@@ -23,7 +24,8 @@ from .order import Cost, OrderAnswer, opened
 
 BOOK, RESULT, REPORT = "book.json", "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
-TABLES = ("values", "deltas", "shares")
+TABLES = ("values", "deltas", "shares", "outputs", "exposure")
+POINTS = "points.csv"
 LAYOUT = 1
 
 
@@ -44,7 +46,7 @@ class BookFolder:
         if not keep:
             for name in (ANSWERS, POLICIES, *TABLES):
                 shutil.rmtree(self.path / name, ignore_errors=True)
-        for name in (RESULT, REPORT):
+        for name in (RESULT, REPORT, POINTS):
             (self.path / name).unlink(missing_ok=True)
         (self.path / ANSWERS).mkdir(parents=True, exist_ok=True)
         table = {"layout": LAYOUT, "kind": "book", **record}

@@ -111,9 +111,9 @@ def _plain(move: StressMove) -> dict[str, Any]:
 
 def _move(table: Mapping[str, Any]) -> StressMove:
     if table["when"] is None:
-        return StressMove(table["key"], table["scale"], table["shift"])
+        return StressMove(**table)
     first, last = map(datetime.date.fromisoformat, table["when"])
-    return StressMove(table["key"], table["scale"], table["shift"], (first, last))
+    return StressMove(**{**table, "when": (first, last)})
 
 
 class BookPoint(NamedTuple):
@@ -123,6 +123,7 @@ class BookPoint(NamedTuple):
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
     - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
+    - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """
 
     status: str
@@ -132,11 +133,32 @@ class BookPoint(NamedTuple):
     shares: np.ndarray
     changes: Mapping[str, np.ndarray]
     deltas: "tuple[Delta, ...]" = ()
+    outputs: "tuple[OutputFigures, ...]" = ()
+    exposure: "tuple[Exposure, ...]" = ()
 
     @classmethod
     def without_value(cls, status: str, note: str) -> "BookPoint":
         """A point that was not valued, and the reason."""
         return cls(status, note, np.nan, np.nan, np.full(1, np.nan), {})
+
+
+class OutputFigures(NamedTuple):
+    """An output of a simulator, or a quality attribute of a process, over the paths of a point.
+
+    - `value`, `standard_error`: of its mean; `deviation`, `p05`, `p95`: between paths.
+    - `nominal`: at the set point of a process; `within`: the share of its batches within the
+      limits; None of other outputs.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    deviation: float
+    p05: float
+    p95: float
+    nominal: float | None = None
+    within: float | None = None
 
 
 class Delta(NamedTuple):
@@ -151,6 +173,19 @@ class Delta(NamedTuple):
     unit: str
     blocks: np.ndarray
     trusted: bool | None = None
+
+
+class Exposure(NamedTuple):
+    """The mean of an output of every step.
+
+    - `days`: [T] dates, or the numbers of steps from 1 where a case has no dates.
+    - `blocks`: [32 or fewer, T] of independent blocks of paths.
+    """
+
+    output: str
+    unit: str
+    days: tuple[str, ...]
+    blocks: np.ndarray
 
 
 class OrderAnswer(NamedTuple):
@@ -174,10 +209,12 @@ class OrderAnswer(NamedTuple):
             arrays[f"shares.{i}"] = point.shares
             arrays |= {f"change.{i}.{j}": x for j, x in enumerate(point.changes.values())}
             arrays |= {f"blocks.{i}.{j}": x.blocks for j, x in enumerate(point.deltas)}
+            arrays |= {f"exposure.{i}.{j}": x.blocks for j, x in enumerate(point.exposure)}
             points.append(
                 point._asdict()
                 | {"shares": None, "changes": list(point.changes)}
                 | {"deltas": [x._replace(blocks=None)._asdict() for x in point.deltas]}  # pyright: ignore[reportArgumentType]
+                | {"exposure": [x[:-1] for x in point.exposure]}
             )
         if self.policy is not None:
             arrays["policy"] = np.frombuffer(self.policy, np.uint8)
@@ -207,9 +244,13 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
         for j, entry in enumerate(row["deltas"])
     )
     changes = {name: arrays[f"change.{i}.{j}"] for j, name in enumerate(row["changes"])}
-    return BookPoint(
-        **row | {"shares": arrays[f"shares.{i}"], "changes": changes, "deltas": deltas}
+    parts: dict[str, Any] = row | {"shares": arrays[f"shares.{i}"], "changes": changes}
+    outputs = tuple(OutputFigures(*entry) for entry in row["outputs"])
+    exposure = tuple(
+        Exposure(output, unit, tuple(days), arrays[f"exposure.{i}.{j}"])
+        for j, (output, unit, days) in enumerate(row["exposure"])
     )
+    return BookPoint(**parts | {"deltas": deltas, "outputs": outputs, "exposure": exposure})
 
 
 class Cost(NamedTuple):

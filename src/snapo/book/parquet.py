@@ -10,7 +10,7 @@ from .folder import TABLES
 TableRows = dict[str, list[Any]]  # {column: values}
 NUMBERS = (
     "value", "standard_error", "change", "change_error", "explained", "unexplained", "cpu_seconds",
-    "peak_mb", "held", "held_error", "share",
+    "peak_mb", "held", "held_error", "share", "deviation", "p05", "p95", "nominal", "within",
 )  # fmt: skip
 
 
@@ -76,7 +76,7 @@ def _pyarrow() -> tuple[Any, Any]:
 
 
 def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Columns and rows of a query on the tables of a book's folder: `values`, `deltas`, `shares`.
+    """Columns and rows of a query on the tables of a book's folder: those of `TABLES`.
 
     **Raises:** `CaseError` where DuckDB is missing, or refuses the query.
     """

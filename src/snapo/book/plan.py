@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from .axes import WITH_UNIT
 from .file import Book, BookContract
 from .order import STRESSES, BookOrder, OrderAnswer, name_of
 
@@ -28,7 +29,7 @@ def similarity_key(contract: BookContract) -> str:
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
     lines = {name: content.count(b"\n") for name, content in sorted(contract.files.items())}
-    return json.dumps([_kinds(contract.tables), str(days), lines], sort_keys=True)
+    return json.dumps([kinds_of(contract.tables), str(days), lines], sort_keys=True)
 
 
 def _days(start: Any, end: Any) -> Any:
@@ -38,11 +39,14 @@ def _days(start: Any, end: Any) -> Any:
         return None
 
 
-def _kinds(table: Any) -> Any:
+def kinds_of(table: Any) -> Any:
+    """The tables of a case with the kinds of its numbers in place of these."""
     if isinstance(table, Mapping):
-        return {key: _kinds(value) for key, value in table.items() if key != "title"}
+        return {key: kinds_of(value) for key, value in table.items() if key != "title"}
     if isinstance(table, list):
-        return [_kinds(value) for value in table]
+        return [kinds_of(value) for value in table]
+    if isinstance(table, str) and (quantity := WITH_UNIT.fullmatch(table)):
+        return f"a number in {quantity[2]}"
     return table if isinstance(table, str | bool) else type(table).__name__
 
 
@@ -146,15 +150,17 @@ class BookPlan:
             return order
         return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
-    def further(self, base: BookOrder, policy: bytes | None) -> Iterator[BookOrder]:
-        """The other orders of a contract, in the sequence of the stresses."""
+    def further(self, base: BookOrder, answer: OrderAnswer) -> Iterator[BookOrder]:
+        """The other orders of a contract, in the sequence of the stresses; none where its base
+        failed. `answer`: to the order `base`."""
+        if answer.points[0].status != "ok":
+            return
         moves = [stress.moves for stress in self.book.stresses]
         if self.book.tasks.policy == "stress":
             for one in moves:
                 yield replace(base, base=False, stresses=(one,), policy=None)
             return
-        if policy is None:
-            return
         for i in range(STRESSES, len(moves), STRESSES):
             stresses = tuple(moves[i : i + STRESSES])
-            yield replace(base, base=False, judged=False, stresses=stresses, policy=policy)
+            more = {"judged": False, "stresses": stresses, "policy": answer.policy}
+            yield replace(base, base=False, **more)

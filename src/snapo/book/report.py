@@ -3,13 +3,20 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from snapo.report import charts
+from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import decimals, measured, number, seconds
+from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
 from snapo.report.rows import Column, WithError, table
 
+from .axes import number_of
+
 BASE = "base"
+COLOURS = ("main", "withdraw", "inject", "limit", "good", "other")
+MAX_DRAWN = 8  # outputs that have a picture over the axes
 MAX_ROWS = 40  # rows of a table of stresses, and bars of a picture
 
 
@@ -26,20 +33,26 @@ class StressRow(NamedTuple):
 def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
     """The whole report."""
     sums = {row["stress"]: row for row in result["sums"]}
-    sections = [_headline(result, sums[BASE])]
-    if len(sums) > 1:
+    axes = record.get("axes", [])
+    sections = [_points(result, axes)] if axes else [_headline(result, sums[BASE])]
+    # The points of the axes are stresses where a policy is held at all of them.
+    held = any(point["change"] is not None for point in result.get("points", ()))
+    if len(sums) > 1 and not held:
         sections.append(_stresses(result))
     if result["by"]:
         sections.append(_groups(result))
+    if result.get("exposure"):
+        sections.append(_exposure(result["exposure"]))
     if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
     if result["failures"]:
         sections.append(_failures(result))
     sections.append(_cost(result))
     about = [
+        *([("Points of the axes", f"{len(result['points']):,}")] if axes else []),
         ("Contracts", f"{len(record['cases']):,}"),
-        ("Stresses", f"{len(record['stresses']):,}"),
-        ("Policy", _policy(record["tasks"])),
+        *([("Stresses", f"{len(record['stresses']):,}")] if not held and len(sums) > 1 else []),
+        *([("Policy", _policy(record["tasks"]))] if result.get("policies", 1) else []),
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
     version = record["versions"].get("snapo", "")
@@ -160,6 +173,143 @@ def _groups(result: Mapping[str, Any]) -> Section:
 def _worst(sums: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
     stored = [row for row in sums[1:] if row["change"] is not None]
     return min(stored, key=lambda row: row["change"], default=None)
+
+
+class PointRow(NamedTuple):
+    """A point of the axes in the report: the texts of its values, its value, and its outputs."""
+
+    at: Sequence[str]
+    value: WithError
+    change: WithError
+    outputs: Mapping[str, Mapping[str, Any]]
+    note: str
+
+    def of(self, output: str) -> WithError:
+        """The value of an output, "" for the value itself."""
+        if not output:
+            return self.value
+        entry = self.outputs.get(output, {})
+        return WithError(entry.get("value"), entry.get("standard_error"))
+
+
+def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Section:
+    """The value over the axes: as a line, or as a map; and every point in a table."""
+    rows = [
+        PointRow(
+            list(x["at"].values()),
+            WithError(x["value"], x["standard_error"]),
+            WithError(x["change"], x["change_error"]),
+            {entry["name"]: entry for entry in x["outputs"]},
+            x["note"],
+        )
+        for x in result["points"]
+    ]
+    names = [axis["label"] for axis in axes]
+    first = next((row.outputs for row in rows if row.outputs), {})
+    # A process has quality attributes, each as important as the share within all limits.
+    drawn = [name for name, x in first.items() if x["nominal"] is not None][:MAX_DRAWN]
+    value, blocks = "Share of batches within all limits" if drawn else "Value", list[Block]()
+    for output in ("", *drawn):
+        title = with_unit(output, first[output]["unit"]) if output else value
+        blocks += _picture(rows, names, output, title)
+    columns = [Column(name, lambda row, i=i: row.at[i]) for i, name in enumerate(names)]
+    columns.append(Column(value, "value"))
+    if any(row.change.value is not None for row in rows):
+        columns.append(Column("Change against the case", "change", sign=True))
+    columns += [
+        Column(with_unit(name, x["unit"]), lambda row, name=name: row.of(name))
+        for name, x in first.items()
+    ]
+    folded = "" if len(rows) <= MAX_ROWS else "all points"
+    keys = ", ".join(f"{axis['label']} is {axis['key']}" for axis in axes)
+    blocks.append(table(rows, columns, f"All points; {keys}; ± one standard error", folded=folded))
+    return Section("points", "Value over the axes", "Axes", blocks)
+
+
+def _picture(
+    rows: Sequence[PointRow], names: Sequence[str], output: str, title: str
+) -> list[Block]:
+    """A line over one axis, a map over two; of more axes, and of texts along a line, none."""
+    valued = [row for row in rows if row.of(output).value is not None]
+    positions = [[number_of(text) for text in row.at] for row in valued]
+    if not valued:
+        return [Missing(f"{title}: no point has a value.")]
+    name = f"points-{_identifier(output)}"
+    span = f"from {number(min(v))} to {number(max(v))}" if (v := _values(valued, output)) else ""
+    alt = f"{title} over {' and '.join(names)}, {span}"
+    if len(names) == 1 and all(x is not None for (x,) in positions):
+        line = sorted(zip((x or 0.0 for (x,) in positions), (row.of(output) for row in valued)))
+        svg = draw(name, alt, lambda axes: charts.swept_line(axes, line, names[0], title))
+        return [Chart(svg, f"{title} over {names[0]}, with its 95 % interval.")]
+    if len(names) == 2:
+        cells = {(row.at[0], row.at[1]): row.of(output).value for row in valued}
+        marks = [list(dict.fromkeys(row.at[i] for row in rows)) for i in (0, 1)]
+        height = 90.0 + 26 * min(len(marks[1]), 20)
+        if len(marks[0]) * len(marks[1]) == len(rows):
+            svg = draw(name, alt, lambda axes: charts.swept_map(axes, marks, cells, names), height)
+            return [Chart(svg, f"{title} over {names[0]} (across) and {names[1]} (up).")]
+        if all(x is not None for row in positions for x in row):
+            points = [
+                (x or 0.0, y or 0.0, row.of(output).value or 0.0)
+                for (x, y), row in zip(positions, valued)
+            ]
+            svg = draw(name, alt, lambda axes: charts.swept_points(axes, points, names), 330.0)
+            return [Chart(svg, f"{title} over {names[0]} and {names[1]}: deeper is more.")]
+    return []
+
+
+def _values(rows: Sequence[PointRow], output: str) -> list[float]:
+    return [x for row in rows if (x := row.of(output).value) is not None]
+
+
+def _identifier(text: str) -> str:
+    """The letters and digits of a text."""
+    return "".join(x if x.isascii() and x.isalnum() else "-" for x in text)
+
+
+def _exposure(rows: Sequence[Mapping[str, Any]]) -> Section:
+    """The mean of every output by day: of the book, and of its parts."""
+    parts = dict[tuple[str, str, str, str], list[Mapping[str, Any]]]()
+    for row in rows:
+        key = (row["output"], row["market"], row["unit"], row["by"])
+        parts.setdefault(key, []).append(row)
+    charts_of = [
+        _by_day(f"exposure-{i}", *key, members)
+        for i, (key, members) in enumerate(parts.items())
+        if any(len(row["days"]) > 1 for row in members)
+    ]
+    blocks: list[Block] = [*charts_of[:MAX_DRAWN]]
+    note = "Means over the paths of the unstressed points; errors are in result.json and exposure/."
+    return Section("exposure", "Exposure by day", "Exposure", [*blocks, Text(note, caveat=True)])
+
+
+def _by_day(
+    name: str,
+    output: str,
+    market: str,
+    unit: str,
+    column: str,
+    rows: Sequence[Mapping[str, Any]],
+) -> Chart:
+    displayed = rows[: len(COLOURS)]
+    days = sorted(
+        {day for row in displayed for day in row["days"]}, key=lambda day: (len(day), day)
+    )
+    dated = all(len(day) == 10 and day[4] == "-" for day in days)
+    when = date_numbers(days) if dated else np.arange(1.0, len(days) + 1)
+    lines = []
+    for row, colour in zip(displayed, COLOURS):
+        values = dict(zip(row["days"], row["value"]))
+        numbers = np.array([values.get(day, np.nan) for day in days])
+        lines.append(charts.Line(row["label"] or "book", numbers, colour))
+    title = readable(output) + (f", market {market}" if market else "")
+    title += f", by {column}" if column else ""
+    paint = charts.lines if dated else charts.trace
+    low, high = (number(float(of([x.values for x in lines]))) for of in (np.nanmin, np.nanmax))
+    alt = f"{title}, by day, from {low} to {high}"
+    svg = draw(name, alt, lambda axes: paint(axes, when, lines, unit))
+    more = f"; of {len(rows):,} the first {len(displayed)}" if len(rows) > len(displayed) else ""
+    return Chart(svg, f"{title}, mean of a day{more}.")
 
 
 class DeltaRow(NamedTuple):

@@ -59,7 +59,7 @@ class Driver:
                 return data
             self.reused += 1
             if contract is not None:
-                self._add_further(order, stored[0])
+                self.further_orders.extend(self.plan.further(order, stored[0]))
 
     def _next(self) -> tuple[BookOrder | None, BookContract | None]:
         if self.further_orders:
@@ -77,10 +77,6 @@ class Driver:
         entry = self.folder.read(name)
         return None if entry is None else entry[0]
 
-    def _add_further(self, base: BookOrder, answer: OrderAnswer) -> None:
-        if answer.points[0].status == "ok":
-            self.further_orders.extend(self.plan.further(base, answer.policy))
-
     def take(self, data: bytes, result: bytes | Lost) -> None:
         """Keeps an answer. **Raises:** `OSError` where the disk is full."""
         name = name_of(data)
@@ -97,7 +93,7 @@ class Driver:
         self.folder.write(name, result)
         self.computed += 1
         if contract is not None:
-            self._add_further(order, stored)
+            self.further_orders.extend(self.plan.further(order, stored))
 
 
 def run_book(
@@ -200,6 +196,7 @@ def _record(book: Book) -> dict[str, Any]:
         ],
         "stresses": [stress.name for stress in book.stresses],
         "by": list(book.by),
+        "axes": [axis._asdict() for axis in book.axes],
         "tasks": book.tasks.model_dump(),
         "seed": book.run.seed,
         "processor": book.run.processor,

@@ -5,9 +5,9 @@ their paths; markets are independent, so that their errors add in squares.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -142,6 +142,35 @@ class DeltaTotal:
         """The derivative, and its standard error."""
         result = statistics.of_shares(self.blocks[key])
         return result.value, result.standard_error
+
+
+ExposureKey = tuple[str, str, str, str, str]  # column, label, market, output, unit
+
+
+@dataclass
+class ExposureTotal:
+    """The sum of the exposures of positions, {key: {day: [blocks]}}."""
+
+    by_key: dict[ExposureKey, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    def add(self, key: ExposureKey, days: Sequence[str], blocks: np.ndarray) -> None:
+        """Adds that of a position, blocks [B, T]."""
+        by_day = self.by_key.setdefault(key, {})
+        for day, x in zip(days, blocks.T):
+            by_day[day] = _sum(by_day[day], x) if day in by_day else x
+
+    def table(self, is_common: Callable[[str], bool]) -> list[dict[str, Any]]:
+        """Its content in result.json: a row for each key, in the sequence of the days, with errors
+        in the markets whose positions have common paths."""
+        rows = []
+        for key, by_day in self.by_key.items():
+            days = sorted(by_day, key=lambda day: (len(day), day))
+            results = [statistics.of_shares(by_day[day]) for day in days]
+            names = dict(zip(("by", "label", "market", "output", "unit"), key))
+            errors = [x.standard_error for x in results] if is_common(key[2]) else None
+            values = [x.value for x in results]
+            rows.append({**names, "days": days, "value": values, "standard_error": errors})
+        return rows
 
 
 def _is_date(label: str) -> bool:

@@ -6,6 +6,7 @@ processors of one kind. Code compiled for one contract serves all of the same fo
 
 import gc
 import hashlib
+import json
 import os
 import platform
 import re
@@ -13,7 +14,7 @@ import resource
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -30,18 +31,33 @@ from snapo.live.positions import InputPositions
 from snapo.problem.form import form_of
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, load_policy
+from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
 from snapo.solver.derivatives.interval import HELD
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import Sensitivities, sensitivities
 from snapo.study.assign import assigned
+from snapo.study.chapters.profile import leaves
 from snapo.study.domain import Domain, Options, find
+from snapo.study.kind import with_other_numbers
 from snapo.study.prepare import use_every_core
-from snapo.study.study import Setup, Study
+from snapo.study.study import Recalculated, Setup, Study
 
 from .file import StressMove
-from .order import BATCHES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
+from .order import (
+    BATCHES,
+    BookOrder,
+    BookPoint,
+    Cost,
+    Delta,
+    Exposure,
+    OrderAnswer,
+    OutputFigures,
+    enclosed,
+)
+from .plan import kinds_of
 
+EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
@@ -53,7 +69,7 @@ def answer(data: bytes) -> bytes:
     use_every_core()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
-            result = _Contract(order, Path(folder)).answer()
+            result = _answer(_Contract(order, Path(folder)))
         except (CaseError, ValueError, ArithmeticError) as error:
             failed = BookPoint.without_value("failed", _sentence(error, folder))
             result = OrderAnswer((failed,) * (len(order.stresses) + order.base))
@@ -95,25 +111,66 @@ def _sentence(error: Exception, folder: str) -> str:
 
 
 class _Contract:
-    """The contract of an order, made ready."""
+    """The contract of an order: its case, and that under a stress."""
 
     def __init__(self, order: BookOrder, folder: Path):
-        self.order, self.paths = order, order.tasks.paths
+        self.order = order
         self.file = folder / "case.toml"
         tables, _ = assigned(tomllib.loads(order.case), _settings(order))
         for name, content in order.files.items():
             (folder / name).write_bytes(content)
         self.file.write_text(order.case, encoding="utf-8")
-        domain: Domain = find(tables["kind"], self.file.name)
-        case = domain.read(self.file, tables)
-        self.study: Study = domain.study(case, Options())
-        if self.study.setup is None or self.study.setup_at is None:
-            raise ValueError(f'a case of kind "{self.study.kind}" has no policy that a book values')
-        self.setup: Setup = self.study.setup()
-        self.inputs = self.setup.problem.inputs_by_name
-        self.positions = InputPositions(
-            domain.read, read_files(folder, tables), self.inputs, self.study.inputs, case
-        )
+        self.domain: Domain = find(tables["kind"], self.file.name)
+        self.tables = with_other_numbers(self.domain, tables)
+        self.case = self.domain.read(self.file, self.tables)
+        self.study: Study = self.domain.study(self.case, Options())
+
+    def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
+        """The case under a stress; `inputs`: of the unstressed one."""
+        settings = [f"{move.key}={move.value}" for move in moves if move.value]
+        tables, case = self.tables, self.case
+        if settings:
+            tables, _ = assigned(tables, settings)
+            case = self.domain.read(self.file, tables)
+        values = dict[str, np.ndarray]()
+        for move in moves:
+            if not move.value:
+                name = _input(move.key, inputs)
+                value = values.get(name, inputs[name].value)
+                values[name] = _moved(inputs[name], value, move)
+        if not values:
+            return case
+        files = read_files(self.file.parent, tables)
+        of = self.study.inputs
+        return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
+
+    def stressed(self, at: Callable[[tuple[StressMove, ...]], BookPoint]) -> Iterator[BookPoint]:
+        """The points of the stresses of the order, valued by `at`."""
+        for moves in self.order.stresses:
+            try:
+                yield at(moves)
+            except (CaseError, ValueError, ArithmeticError) as error:
+                yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
+
+
+def _answer(contract: _Contract) -> OrderAnswer:
+    """The points of an order, and the policy where it was trained."""
+    study = contract.study
+    if study.setup is not None and study.setup_at is not None:
+        return _Decided(contract, study.setup()).answer()
+    if study.recalculated is not None:
+        return _Calculated(contract, study.recalculated()).answer()
+    raise ValueError(
+        f'a case of kind "{study.kind}" has neither a policy nor a process that a book values'
+    )
+
+
+class _Decided:
+    """A contract whose value is that of a policy."""
+
+    def __init__(self, contract: _Contract, setup: Setup):
+        self.contract, self.order, self.setup = contract, contract.order, setup
+        self.inputs = setup.problem.inputs_by_name
 
     def answer(self) -> OrderAnswer:
         """The points of the order, and the policy where it was trained."""
@@ -121,58 +178,156 @@ class _Contract:
         labels = _shape(self.setup), repr(problem.sources.evaluation.world(problem.simulator))
         if order.policy is not None:
             policy = _policy(order.policy)
-            return OrderAnswer((*self._base(policy), *self._stressed(policy)), None, *labels)
+            base = [self._valued(self.setup, policy, {})] if order.base else []
+            return OrderAnswer((*base, *self._stressed(policy)), None, *labels)
         if not order.base:
             return OrderAnswer(tuple(self._stressed(None)), None, *labels)
         solution = self.setup.solve()
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
-        base = _point(self.setup, solution.totals, {}, deltas)
+        base = self._point(self.setup, solution.totals, {}, deltas)
+        if order.tasks.exposure and base.status == "ok":
+            base = base._replace(exposure=tuple(self._exposure(solution.policy)))
         points = (base, *self._stressed(solution.policy))
         return OrderAnswer(points, _file(solution.policy), *labels)
 
-    def _base(self, policy: Policy) -> Iterator[BookPoint]:
-        if self.order.base:
-            yield self._valued(self.setup, policy, {})
-
     def _stressed(self, policy: Policy | None) -> Iterator[BookPoint]:
         """The points of the stresses; None: each trains a policy."""
-        for moves in self.order.stresses:
-            try:
-                yield self._under(moves, policy)
-            except (CaseError, ValueError, ArithmeticError) as error:
-                yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
+        return self.contract.stressed(lambda moves: self._under(moves, policy))
 
     def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
         """The value under a stress, with guide and control variate of its numbers."""
-        values = dict[str, np.ndarray]()
-        for move in moves:
-            name = _input(move.key, self.inputs)
-            value = values.get(name, self.inputs[name].value)
-            values[name] = _moved(self.inputs[name], value, move)
-        assert self.study.setup_at is not None
-        setup = self.study.setup_at(self.setup, self.positions.case_at(values).case)
-        changes = {name: (x - self.inputs[name].value).ravel() for name, x in values.items()}
+        setup_at, case = self.contract.study.setup_at, self.contract.under(moves, self.inputs)
+        assert setup_at is not None
+        setup = setup_at(self.setup, case)
+        changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
             return self._valued(setup, policy, changes)
         solution = setup.solve()
         deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
-        return _point(setup, solution.totals, changes, deltas)
+        return self._point(setup, solution.totals, changes, deltas)
 
     def _valued(self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray]) -> BookPoint:
-        engine = setup.engines.evaluate
-        totals = path_totals(setup.problem, policy, self.paths, engine=engine)
+        engine, tasks = setup.engines.evaluate, self.order.tasks
+        totals = path_totals(setup.problem, policy, tasks.paths, engine=engine)
         deltas: tuple[Delta, ...] = ()
-        if self.order.tasks.deltas == "all":
+        if tasks.deltas == "all":
             paths = setup.evaluation.sensitivity_paths
             deltas = _deltas(sensitivities(setup.problem, policy, paths=paths, engine=engine))
-        return _point(setup, totals, changes, deltas)
+        return self._point(setup, totals, changes, deltas)
+
+    def _exposure(self, policy: Policy) -> Iterator[Exposure]:
+        """The mean of the outputs of every step, by block of paths."""
+        problem, about = self.setup.problem, self.contract.study.about
+        bound = self.setup.engines.evaluate.bind(problem, controls=False)
+        source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
+        paths = source.available(min(self.order.tasks.paths, EXPOSURE_PATHS))
+        for block in source.blocks(paths, EXPOSURE_BLOCKS):
+            draws = source.draws(block, problem.simulator)
+            outputs = bound.values(policy, draws, EXACT, record=("outputs",)).record["outputs"]
+            for name, values in leaves(outputs).items():
+                numbers = np.asarray(values, np.float64)
+                if numbers.ndim == 2:  # one number of a path and step
+                    means.setdefault(name, []).append(numbers.mean(1))
+        horizon = problem.simulator.horizon
+        days = about.get("days") or [str(i + 1) for i in range(horizon)]
+        for name, rows in means.items():
+            if np.isfinite(rows).all() and np.any(rows):
+                unit = about.get("units", {}).get(name, "")
+                yield Exposure(name, unit, tuple(days[:horizon]), np.array(rows))
+
+    def _point(
+        self,
+        setup: Setup,
+        totals: Mapping[str, Any],
+        changes: dict[str, np.ndarray],
+        deltas: tuple[Delta, ...] = (),
+    ) -> BookPoint:
+        """The value of these totals [paths], by batch of paths."""
+        problem = setup.problem
+        controls = problem.simulator.control_variates()
+        shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
+        if not np.isfinite(shares).all():
+            return BookPoint.without_value("failed", "too many paths are non-finite")
+        shares = batched(shares)
+        result = statistics.of_shares(shares)
+        groups = problem.sources.evaluation.groups(np.arange(len(next(iter(totals.values())))))
+        units = self.contract.study.about.get("units", {})
+        outputs = tuple(
+            _figures(name, units.get(name, ""), values, groups)
+            for name, values in totals.items()
+            if name not in controls
+        )
+        return BookPoint(
+            "ok", "", result.value, result.standard_error, shares, changes, deltas, outputs
+        )
+
+
+class _Calculated:
+    """A process without a policy: the share of batches within all limits, and its attributes."""
+
+    def __init__(self, contract: _Contract, calculation: Recalculated):
+        self.contract, self.calculation = contract, calculation
+        self.inputs = calculation.inputs_by_name
+
+    def answer(self) -> OrderAnswer:
+        """The points of the order."""
+        order, contract = self.contract.order, self.contract
+        base = [self._point(contract.case)] if order.base else []
+        stressed = contract.stressed(lambda moves: self._point(contract.under(moves, self.inputs)))
+        # Cases of one form draw the same batches.
+        form = _hash(json.dumps(kinds_of(contract.tables), sort_keys=True, default=str))
+        return OrderAnswer((*base, *stressed), None, form, f"{form} {order.seed}")
+
+    def _point(self, case: Any) -> BookPoint:
+        _, table = next(self.calculation.stages(case))
+        shares = batched(table["kept"])
+        outputs = tuple(
+            _figures(x.name, x.unit, x.values, None, x.nominal, x.within) for x in table["outputs"]
+        )
+        return BookPoint(
+            "ok", "", table["value"], table["standard_error"], shares, {}, outputs=outputs
+        )
+
+
+def _changes(
+    base: Mapping[str, Input], moved: Mapping[str, Input]
+) -> Iterator[tuple[str, np.ndarray]]:
+    """(input, [n] its numbers less those of the base) of the inputs that a stress moves."""
+    for name, entry in moved.items():
+        if name in base and entry.value.shape == base[name].value.shape:
+            change = (entry.value - base[name].value).ravel()
+            if change.any():
+                yield name, change
+
+
+def _figures(
+    name: str,
+    unit: str,
+    values: np.ndarray,
+    groups: np.ndarray | None,
+    nominal: float | None = None,
+    within: float | None = None,
+) -> OutputFigures:
+    """An output over the paths [N] that are finite."""
+    finite = np.isfinite(values)
+    values, groups = values[finite], None if groups is None else groups[finite]
+    if len(values) < 2:
+        none = np.nan, np.nan, np.nan, np.nan, np.nan
+        return OutputFigures(name, unit, *none, nominal, within)
+    mean = statistics.mean(values, groups)
+    p05, p95 = np.quantile(values, [0.05, 0.95])
+    spread = float(values.std(ddof=1)), float(p05), float(p95)
+    return OutputFigures(name, unit, mean.value, mean.standard_error, *spread, nominal, within)
 
 
 def _shape(setup: Setup) -> str:
     """The hash of the form of simulator and policy, and of the engine that runs them."""
     form = (form_of(setup.problem.simulator), form_of(setup.policy), setup.engines.name)
-    text = re.sub(r"0x[0-9a-f]+", "", repr(form))
+    return _hash(re.sub(r"0x[0-9a-f]+", "", repr(form)))
+
+
+def _hash(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
@@ -183,9 +338,11 @@ def _settings(order: BookOrder) -> list[str]:
 
 
 def _input(key: str, inputs: Mapping[str, Input]) -> str:
-    """The input of a key of the case: "market.forward_curve" is `forward_curve`."""
-    for name in (key, key.rpartition(".")[2]):
-        if name in inputs:
+    """The input of a key of the case: "market.forward_curve" is `forward_curve`, and
+    "units.dryer.temperature" is `dryer.temperature`."""
+    parts = key.split(".")
+    for i in range(len(parts)):
+        if (name := ".".join(parts[i:])) in inputs:
             return name
     raise CaseError("stress", key, None, f"allowed is one of {', '.join(inputs)}")
 
@@ -200,23 +357,6 @@ def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
     if not inside.any():
         raise CaseError("stress", move.key, None, f"none of its numbers lies in {first}/{last}")
     return np.where(inside, value * move.scale + move.shift, value)
-
-
-def _point(
-    setup: Setup,
-    totals: Mapping[str, Any],
-    changes: dict[str, np.ndarray],
-    deltas: tuple[Delta, ...] = (),
-) -> BookPoint:
-    """The value of these totals [paths], by batch of paths."""
-    problem = setup.problem
-    controls = problem.simulator.control_variates()
-    shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
-    if not np.isfinite(shares).all():
-        return BookPoint.without_value("failed", "too many paths are non-finite")
-    shares = batched(shares)
-    result = statistics.of_shares(shares)
-    return BookPoint("ok", "", result.value, result.standard_error, shares, changes, deltas)
 
 
 def batched(shares: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
         "check": _check,
         "solve": _solve,
         "book": _book,
+        "sweep": _sweep,
         "certify": _certify,
         "report": _report,
         "open": _open,
@@ -157,6 +158,23 @@ def _book(options: argparse.Namespace) -> Answer:
         on=options.on,
         trust_network=options.trust_network,
         shard=options.shard,
+        resume=options.resume,
+    )
+    return result, book.summary(result), OK if result["status"] == "ok" else FAILED
+
+
+def _sweep(options: argparse.Namespace) -> Answer:
+    from snapo.book import commands as book
+
+    seed = [] if options.seed is None else [f"training.seed={options.seed}"]
+    result = book.sweep(
+        options.case,
+        (*options.assignments, *seed),
+        say,
+        sobol=options.sobol,
+        train=options.train,
+        out=options.out,
+        workers=options.workers,
         resume=options.resume,
     )
     return result, book.summary(result), OK if result["status"] == "ok" else FAILED

@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_check,
         _add_solve,
         _add_book,
+        _add_sweep,
         _add_certify,
         _add_report,
         _add_open,
@@ -143,6 +144,49 @@ def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
         "--trust-network",
         action="store_true",
         help="join a scheduler without TLS or token that is not on this machine",
+    )
+
+
+def _add_sweep(commands) -> None:
+    sweep = commands.add_parser(
+        "sweep",
+        help="value a case over ranges of its numbers, with a table and a picture",
+        epilog="snapo sweep mystore --set contract.injection_cost=0:0.1:5 "
+        "--set contract.max_inventory=4000:8000:3",
+    )
+    sweep.add_argument("case", metavar="CASE", type=Path, help="a TOML file or its folder")
+    sweep.add_argument(
+        "--set",
+        metavar="KEY=FIRST:LAST:N",
+        dest="assignments",
+        action="append",
+        default=[],
+        help="a key of the case and its N values from FIRST to LAST, a list of them (1,2,5), or "
+        "one value; repeatable: all combinations are valued",
+    )
+    sweep.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
+    sweep.add_argument(
+        "--train",
+        action="store_true",
+        help="train a policy at every point; else that of the case decides at all of them",
+    )
+    sweep.add_argument(
+        "--sobol",
+        metavar="N",
+        type=_count,
+        help="this number of Sobol points in the ranges FIRST:LAST instead of a grid",
+    )
+    sweep.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the results (default: sweep, next to the case)",
+    )
+    sweep.add_argument(
+        "--workers", metavar="N", type=_count, help="processes of this machine (default: its cores)"
+    )
+    sweep.add_argument(
+        "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
     )
 
 

@@ -313,6 +313,7 @@ class Recalculation(WhatIf):
     def _value(self, table: dict[str, Any], changed: bool) -> dict[str, Any]:
         """The value, and how it differs from the run's on the same paths."""
         selected = np.asarray(table.pop("kept"))
+        table.pop("outputs", None)  # the page has them as a section
         self._base = selected if self._base is None else self._base
         self.paths = table["paths"]
         change = statistics.mean(selected - self._base)

@@ -1,6 +1,6 @@
 """The charts of a report, each painted into given axes; numbers in, no knowledge of a domain."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ import numpy as np
 from snapo.solver.statistics import critical
 
 from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
-from .quantity import number
+from .quantity import decimals, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -269,3 +269,69 @@ def regions(axes: "Axes", level, below, above, here, names, units: tuple[str, st
     axes.set_xlabel(units[0])
     unit_above(axes, units[1])
     legend_above(axes)
+
+
+def swept_line(axes: "Axes", points: Sequence[tuple], name: str, unit: str) -> None:
+    """A value over a number, with its 95 % band; `points`: (number, (value, standard error))."""
+    x = np.array([at for at, _ in points])
+    y = np.array([value for _, (value, _) in points])
+    half = INTERVAL * np.array([error or 0.0 for _, (_, error) in points])
+    axes.fill_between(x, y - half, y + half, color=LIGHT["main-soft"], linewidth=0)
+    axes.plot(x, y, color=LIGHT["main"], marker="o", markersize=3.2, linewidth=1.8)
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis)
+    axes.set_xlabel(name)
+    unit_above(axes, unit)
+
+
+def swept_map(
+    axes: "Axes",
+    marks: Sequence[Sequence[str]],
+    cells: Mapping[tuple[str, str], float | None],
+    names: Sequence[str],
+) -> None:
+    """A value over two axes, one cell for each pair of their `marks`: deeper is more."""
+    from matplotlib.patches import Rectangle
+
+    depth, few = _depth(cells.values()), len(marks[0]) <= 10
+    digits = decimals(cells.values(), 4)
+    for i, across in enumerate(marks[0]):
+        for j, up in enumerate(marks[1]):
+            value = cells.get((across, up))
+            if value is None:
+                continue
+            face = {"facecolor": LIGHT["main"], "alpha": depth(value), "linewidth": 0}
+            axes.add_patch(Rectangle((i, j), 1, 1, **face))
+            if few:
+                text = number(value, digits)
+                axes.text(i + 0.5, j + 0.5, text, ha="center", va="center", color=LIGHT["ink"])
+    step = -(-len(marks[0]) // 12)
+    axes.set_xticks([i + 0.5 for i in range(0, len(marks[0]), step)], marks[0][::step])
+    step = -(-len(marks[1]) // 20)
+    axes.set_yticks([j + 0.5 for j in range(0, len(marks[1]), step)], marks[1][::step])
+    axes.set_xlim(0, len(marks[0]))
+    axes.set_ylim(0, len(marks[1]))
+    axes.grid(False)
+    axes.set_xlabel(names[0])
+    unit_above(axes, names[1])
+
+
+def swept_points(
+    axes: "Axes", points: Sequence[tuple[float, float, float]], names: Sequence[str]
+) -> None:
+    """A value at points (across, up, value): deeper is more."""
+    depth = _depth([value for _, _, value in points])
+    for across, up, value in points:
+        face = {"color": LIGHT["main"], "alpha": depth(value), "markersize": 11.0}
+        axes.plot(across, up, "o", markeredgewidth=0, **face)
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis, 8)
+    axes.set_xlabel(names[0])
+    unit_above(axes, names[1])
+
+
+def _depth(values: Iterable[float | None]) -> Callable[[float], float]:
+    """How deep the colour of a value is, 0.08 for the least and 0.62 for the largest one."""
+    finite = [value for value in values if value is not None]
+    low, high = min(finite), max(finite)
+    return lambda value: 0.08 + 0.54 * (value - low) / ((high - low) or 1.0)

@@ -61,6 +61,17 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
     position[_index(position, last, path)] = value
 
 
+def value_at(data: Mapping[str, Any], path: str) -> Any:
+    """The value of a key of a case; None where the case does not have it."""
+    position: Any = data
+    for key in path.split("."):
+        try:
+            position = position[_index(position, key, path)]
+        except (CaseError, KeyError, TypeError, AttributeError):
+            return None
+    return position
+
+
 def _index(position: dict | list, key: str, path: str) -> Any:
     """The key of a table; of an array the number of the element that `key` means."""
     if isinstance(position, dict):

@@ -31,6 +31,8 @@ class Kind:
       without a timer, nothing of the kind is timed separately.
     - `tables`: the same of the `Formats` of its tables, or of a function that returns them; the
       schema that `snapo schema` prints is made of them.
+    - `relaxed`: the same of a function of a case's tables that returns them without what must hold
+      at its own numbers only, for a case with others; "": there is nothing of the kind.
     """
 
     kind: str
@@ -43,6 +45,7 @@ class Kind:
     page: str = "report:REPORT"
     timer: str = ""
     tables: str = "read.case:FORMATS"
+    relaxed: str = ""
 
     @cached_property
     def templates(self) -> "dict[str, Traversable]":
@@ -73,7 +76,16 @@ class Kind:
             raise CaseError("KIND", "", self.kind, allowed)
         return self.loaded(self.timer)(engine, progress)
 
+    def with_other_numbers(self, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The tables of a case whose numbers are moved, without checks of its own ones."""
+        return self.loaded(self.relaxed)(data) if self.relaxed else data
+
     def loaded(self, name: str) -> Any:
         """The object "MODULE:NAME" of the package."""
         module, _, attribute = name.partition(":")
         return getattr(import_module(f"{self.package}.{module}"), attribute)
+
+
+def with_other_numbers(domain: Any, data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """`Kind.with_other_numbers`; of a domain that is no `Kind`, the tables themselves."""
+    return domain.with_other_numbers(data) if isinstance(domain, Kind) else data

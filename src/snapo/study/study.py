@@ -115,6 +115,20 @@ class PathTotals(NamedTuple):
         return ratio.value, ratio.standard_error
 
 
+class CalculatedOutput(NamedTuple):
+    """An output of a study without a policy.
+
+    - `values`: [N] by path; `nominal`: without anything random; `within`: the share of paths within
+      its limits.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    nominal: float
+    within: float
+
+
 class Recalculated(Protocol):
     """A study without a policy, calculated at other inputs for the live page.
 
@@ -125,9 +139,14 @@ class Recalculated(Protocol):
     def inputs_by_name(self) -> Mapping[str, Input]: ...
 
     def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another: "value" ("value", "standard_error", "paths", and
-        "kept" [N] by path), "sections" (a list of `LiveTable` as tables), "deltas" (rows with "of",
-        the output that is differentiated, "input", "effect", "standard_error", "rows")."""
+        """(name, table) one after another.
+
+        - "value": "value", "standard_error", "paths", "kept" [N] by path, and "outputs", each a
+          `CalculatedOutput`.
+        - "sections": a list of `LiveTable` as tables.
+        - "deltas": rows with "of", the output that is differentiated, "input", "effect",
+          "standard_error", "rows".
+        """
         ...
 
 

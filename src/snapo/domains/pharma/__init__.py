@@ -9,4 +9,5 @@ DOMAIN = Kind(
     {"standard": "template"},
     reader="read.case:resolve",
     timer="bench:bench",
+    relaxed="read.case:without_checks",
 )

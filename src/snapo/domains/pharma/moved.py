@@ -13,14 +13,14 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.inputs import Input
 from snapo.report.quantity import unit_words
-from snapo.study.study import LiveTable
+from snapo.study.study import CalculatedOutput, LiveTable
 
 from .chapters.capability import BATCHES
 from .derivatives.jacobian import matrix
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .flowsheet.process import Process
-from .flowsheet.stiffness import with_stiff_steps
+from .flowsheet.stiffness import with_steps
 from .given import Form, every_entry
 from .quality import batches
 from .quality.capability import Capability, from_values
@@ -33,11 +33,6 @@ PARTS = (
 )  # fmt: skip
 
 
-def same_form(one: PharmaCase, other: PharmaCase) -> bool:
-    """Whether the cases differ only in numbers of their inputs."""
-    return _form(one) == _form(other)
-
-
 def _form(case: PharmaCase) -> Form:
     return Form.of(tuple(getattr(case, name) for name in PARTS), case.held)
 
@@ -46,6 +41,22 @@ COLUMNS = (
     ("attribute", ""), ("limits", ""), ("at the set point", ""), ("mean of batches", ""),
     ("standard deviation", ""), ("within limits", "%"), ("± standard error", "%"),
 )  # fmt: skip
+
+
+FORMS = 8  # whose compiled functions a process of the machine has at most
+_compiled: dict[Form, Process] = {}
+
+
+def process_of(case: PharmaCase) -> Process:
+    """The process of a case, with the functions that were compiled for an earlier one of its
+    form, if any: the same numbers to the bits."""
+    case = with_steps(case)
+    form = _form(case)
+    if form not in _compiled:
+        if len(_compiled) == FORMS:
+            del _compiled[next(iter(_compiled))]
+        _compiled[form] = Process(case)
+    return _with(_compiled[form], case)
 
 
 class RecipeCalculation:
@@ -60,12 +71,7 @@ class RecipeCalculation:
 
     @cached_property
     def _process(self) -> Process:
-        return Process(self.case)
-
-    @cached_property
-    def _meshes(self) -> dict[int, Process]:
-        """The processes for statistics by their steps: they differ in nothing else."""
-        return {}
+        return process_of(self.case)
 
     def stages(self, case: PharmaCase) -> Iterator[tuple[str, Any]]:
         """ "value", "sections" and "deltas"; see `snapo.study.study.Recalculated`.
@@ -82,6 +88,12 @@ class RecipeCalculation:
         values = batches.attributes(sampled, rows)
         result = from_values(sampled.case, values)
         selected = AttributeLimits.of(case).hold(values).all(-1).astype(float)
+        at = np.array([one.attributes[attribute.name] for attribute in case.attributes])
+        within = 1 - result.outside
+        outputs = [
+            CalculatedOutput(x.name, x.unit, values[:, i], float(at[i]), float(within[i]))
+            for i, x in enumerate(case.attributes)
+        ]
         yield (
             "value",
             {
@@ -89,32 +101,26 @@ class RecipeCalculation:
                 "standard_error": result.joint_error,
                 "paths": result.batches,
                 "kept": selected,
+                "outputs": outputs,
             },
         )
-        at = np.array([one.attributes[attribute.name] for attribute in case.attributes])
         yield "sections", [attributes(case, result, at)._asdict()]
         yield "deltas", list(_deltas(process))
 
     def _at(self, case: PharmaCase) -> Process:
-        """The process of a case, with the code of the first one where they are one program."""
-        first = self._process
-        numerics = replace(case.numerics, steps=first.case.numerics.steps, open=False)
-        case = with_stiff_steps(replace(case, numerics=numerics))
-        return _with(first, case) if same_form(first.case, case) else Process(case)
+        """The process of a case, on as many steps as the first one."""
+        steps = self._process.case.numerics.steps
+        return process_of(replace(case, numerics=replace(case.numerics, steps=steps, open=False)))
 
     def _sampled(self, process: Process) -> Process:
-        """On the mesh for statistics; its code is kept where the process's is."""
-        coarse, _ = sampler(process, self._coarser if self._shares(process) else None)
+        """On the mesh for statistics."""
+        coarse, _ = sampler(process, _on_steps)
         return coarse
 
-    def _shares(self, process: Process) -> bool:
-        return process._compiled is self._process._compiled
 
-    def _coarser(self, process: Process, steps: int) -> Process:
-        numerics = replace(process.case.numerics, steps=steps)
-        case = with_stiff_steps(replace(process.case, numerics=numerics))
-        available = self._meshes.setdefault(steps, Process(case))
-        return _with(available, case) if same_form(available.case, case) else Process(case)
+def _on_steps(process: Process, steps: int) -> Process:
+    numerics = replace(process.case.numerics, steps=steps)
+    return process_of(replace(process.case, numerics=numerics))
 
 
 def _with(process: Process, case: PharmaCase) -> Process:
