@@ -10,6 +10,7 @@ from snapo import __version__
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 SHELLS = ("bash", "zsh", "fish")
+RUN = "a run folder, or a case, which stands for its latest run"
 CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
 
@@ -47,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_report,
         _add_open,
         _add_compare,
+        _add_runs,
         _add_bench,
         _add_schema,
     ):
@@ -80,7 +82,11 @@ def _add_solve(commands) -> None:
     solve = commands.add_parser("solve", help="train, evaluate and report")
     _add_case(solve)
     solve.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder of the run (default: run, next to the case)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the run, which replaces one that is there (default: a new one in runs, "
+        "next to the case, to which run leads)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto")
     solve.add_argument(
@@ -139,7 +145,7 @@ def _add_book(commands) -> None:
 
 def _add_certify(commands) -> None:
     certify = commands.add_parser("certify", help="bound the value of a run from both sides")
-    certify.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    certify.add_argument("run", metavar="RUN", type=Path, help=RUN)
     certify.add_argument("--paths", metavar="N", type=_paths, help="to bound on (default: 1024)")
     certify.add_argument(
         "--penalty",
@@ -153,7 +159,7 @@ def _add_certify(commands) -> None:
 
 def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
-    report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    report.add_argument("run", metavar="RUN", type=Path, help=RUN)
     report.add_argument(
         "--pdf", action="store_true", help="also print it as report.pdf, with a local browser"
     )
@@ -164,7 +170,7 @@ def _add_report(commands) -> None:
 
 def _add_open(commands) -> None:
     page = commands.add_parser("open", help="move the inputs of a run and see its value, live")
-    page.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    page.add_argument("run", metavar="RUN", type=Path, help=RUN)
     page.add_argument(
         "--port", metavar="N", type=_port, default=0, help="of this machine (default: a free one)"
     )
@@ -175,9 +181,19 @@ def _add_open(commands) -> None:
 
 
 def _add_compare(commands) -> None:
-    compare = commands.add_parser("compare", help="say how two runs differ")
-    compare.add_argument("first", metavar="RUN", type=Path)
-    compare.add_argument("second", metavar="RUN", type=Path)
+    compare = commands.add_parser("compare", help="say how runs differ from the first of them")
+    compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
+
+
+def _add_runs(commands) -> None:
+    runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
+    runs.add_argument("case", metavar="CASE", type=Path, help="its folder, or its file")
+    runs.add_argument(
+        "--remove", metavar="RUN", nargs="+", default=[], help="remove these: names, or their ends"
+    )
+    runs.add_argument(
+        "--keep", metavar="N", type=_count, help="remove all but the last N, and the latest"
+    )
 
 
 def _add_bench(commands) -> None:

@@ -21,6 +21,7 @@ from . import run_folder
 from .chapters.bound import BOUND, measure
 from .domain import GOOD, Domain
 from .run_folder import REPORT
+from .runs.store import home_of, lead_to
 from .study import Part, ProgressCallback, Study, StudyRun
 from .training import TRAINING, no_policy
 
@@ -83,15 +84,28 @@ def carry_out(
     run.results |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
     record["beside"] |= adjacent or {}
+    _guarded(run, lambda: lead_to(out))
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:
             _do(part, run, record)
             writer.part_done()
     except KeyboardInterrupt:
-        writer.write()
+        _finish(writer)
         raise
-    return writer.write()
+    return _finish(writer)
+
+
+def _finish(writer: "_Writer") -> dict[str, Any]:
+    """Writes a run that ends, and says where `run` leads if it leads elsewhere."""
+    result, run = writer.write(), writer.run
+
+    def lead() -> None:
+        if home_of(run.folder) is not None and not lead_to(run.folder):
+            run.progress(f"`run` stays with an earlier run; this one: {result['status']}")
+
+    _guarded(run, lead)
+    return result
 
 
 def certify(

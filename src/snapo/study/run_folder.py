@@ -238,6 +238,12 @@ class Difference(NamedTuple):
     first: Any
     second: Any
 
+    def describe(self) -> str:
+        """In a line, "training.steps: 240, 300"; a file has its name only."""
+        if self.name.startswith("files."):
+            return f"another {self.name.removeprefix('files.')}"
+        return f"{self.name}: {in_words(self.first)}, {in_words(self.second)}"
+
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
     """All settings that differ between two tables of settings that decide a run."""
@@ -255,7 +261,7 @@ def changed(old: Any, new: Any) -> str:
     if difference is None:
         return ""
     if difference.name.startswith("files."):
-        return f"another {difference.name.removeprefix('files.')}"
+        return difference.describe()
     first, second = in_words(difference.first), in_words(difference.second)
     return f"{difference.name} = {first}, and now it is {second}"
 
