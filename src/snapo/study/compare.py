@@ -221,6 +221,18 @@ def compare_all(runs: Sequence[Path]) -> Comparison | Comparisons:
     return pairs[0] if len(pairs) == 1 else Comparisons(pairs)
 
 
+def difference(first: Path, second: Path) -> tuple[float | None, float | None, bool]:
+    """The value of the second run less that of the first, its standard error, and whether the two
+    have the same scenarios.
+
+    **Raises:** `CaseError` where one of them has no result.
+    """
+    results = [_result(run) for run in (first, second)]
+    groups, _ = _groups(first, second)
+    error = _difference_error(groups, [result.standard_error for result in results])
+    return _less(results[1].value, results[0].value), error, groups is not None
+
+
 def _less(value: float | None, other: float | None) -> float | None:
     return None if value is None or other is None else value - other
 

@@ -19,6 +19,7 @@ from snapo.case.load import load
 from . import run_folder
 from .domain import Domain, Loaded, Options, RunsCode
 from .run_folder import CASE, differences
+from .runs.origin import origin
 
 if TYPE_CHECKING:
     from .initial_policy import SuppliedPolicy
@@ -168,9 +169,10 @@ def carried_out(
     """
     from .carry_out import carry_out
 
-    run_folder.copy_case(prepared.loaded.file, prepared.out)
+    loaded, out, decides = prepared.loaded, prepared.out, prepared.decides
+    run_folder.copy_case(loaded.file, out, loaded.data.get("report", {}).get("logo"))
+    source = origin(loaded.file, loaded.assignments, out, decides)
     spent = time.perf_counter() - began
-    domain = prepared.loaded.domain
     return carry_out(
-        domain, prepared.study, prepared.out, prepared.decides, resume, progress, spent, adjacent
+        loaded.domain, prepared.study, out, decides, resume, progress, spent, adjacent, source
     )

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.report import TEXTS
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.report.folder import RESULT, read_table
 from snapo.solver.provenance import versions
@@ -45,6 +46,7 @@ WRITTEN = (
     VERDICTS, GROWTH, START, SEEDS, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
+APART = ("parts", *TEXTS)  # keys of [report] on which no number depends
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
@@ -72,11 +74,12 @@ def case_files(folder: Path) -> list[Path]:
     return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in CASE_FILES)
 
 
-def copy_case(file: Path, out: Path) -> None:
-    """A copy of the case next to its results, with the files that may belong to it."""
+def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
+    """A copy of the case next to its results, with the files that may belong to it, and its
+    `logo`."""
     target = out / CASE
     target.mkdir(parents=True, exist_ok=True)
-    for case_file in case_files(file.parent):
+    for case_file in [*case_files(file.parent), *([file.parent / logo] if logo else [])]:
         if case_file.parent.resolve() != target.resolve():
             shutil.copyfile(case_file, target / case_file.name)
 
@@ -197,10 +200,11 @@ def mark(decides: Mapping[str, Any]) -> str:
 
 
 def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the list of requested parts: a run of few parts can be continued with more."""
+    """Without the list of requested parts, so that a run of few parts can be continued with more;
+    and without the texts of its page, on which no number depends."""
     case = dict(decides.get("case", {}))
     if isinstance(case.get("report"), dict):
-        case["report"] = {key: item for key, item in case["report"].items() if key != "parts"}
+        case["report"] = {key: item for key, item in case["report"].items() if key not in APART}
         case = {key: entry for key, entry in case.items() if (key, entry) != ("report", {})}
     return {**decides, "case": case}
 
