@@ -11,7 +11,7 @@ from snapo.case.error import CaseError
 from snapo.case.report import logo
 from snapo.problem.code.version import reading_once
 from snapo.report.checksums import changed_files, checksum, stamps, written_since
-from snapo.report.evidence import seeds
+from snapo.report.evidence import seeds, with_verdicts
 from snapo.report.folder import RunResult, lookup
 from snapo.report.page import Page, Text, render
 from snapo.report.provenance import date, provenance
@@ -40,6 +40,7 @@ def write_report(domain: Domain, folder: Path) -> Path:
     record = run_folder.read_table(folder / run_folder.RUN) or {}
     texts = lookup(record, "decides.case.report", {})
     sections = [section(run) for section in summary.sections]
+    sections[0] = with_verdicts(sections[0], run)
     if run.get("by_seed"):
         sections.insert(1, seeds(run))
     if note := texts.get("note"):

@@ -27,6 +27,7 @@ from .tables import (
     HorizonTable,
     InventoryTable,
     ItemName,
+    ItemReportTable,
     ItemTable,
     lead_time,
 )
