@@ -92,7 +92,7 @@ def _inputs(record: Mapping[str, Any], folder: Path) -> Iterator[Block]:
     case = record["decides"].get("case", {})
     rows = [(key, _text(value)) for key, value, _ in lines(case)]
     caption = f"All {len(rows)} keys of the case, with the changes of --set"
-    yield Table([("Key", ""), ("Value", "")], rows, caption, 2, folded=caption)
+    yield Table([("Key", ""), ("Value", "")], rows, "", 2, folded=caption)
     names = {str(value) for _, value, _ in lines(case)} | {str(x) for x in _texts(case)}
     for file in sorted((folder / "case").glob("*.csv")):
         if file.name in names:
@@ -122,7 +122,7 @@ def _file(file: Path) -> Table:
     more = f", the first {MAX_ROWS:,} of {len(rows):,} rows" if len(rows) > MAX_ROWS else ""
     caption = f"{file.name}{more}"
     names = [(name, "") for name in head]
-    return Table(names, rows[:MAX_ROWS], caption, len(head), folded=caption)
+    return Table(names, rows[:MAX_ROWS], "", len(head), folded=caption)
 
 
 def _text(value: Any) -> str:

@@ -143,7 +143,7 @@ def compare(first: Path, second: Path) -> Comparison:
         None if difference is None else error,
         groups is not None,
         why,
-        tuple(differences(records[0]["decides"], records[1]["decides"])),
+        tuple(differences(*(run_folder.decisive_settings(x["decides"]) for x in records))),
         tuple(_sensitivities(first, second, groups is not None)),
     )
 

@@ -128,7 +128,7 @@ def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
     old = read(out)
-    if difference := changed(_numbers(old["decides"]), _numbers(decides)):
+    if difference := changed(decisive_settings(old["decides"]), decisive_settings(decides)):
         message = f"this run was started with {difference}; resume with the same, or solve into "
         raise CaseError(str(out / RUN), "", None, message + "another folder")
     return old | {"decides": plain_json(decides)}
@@ -196,12 +196,12 @@ def _check_record(record: Mapping[str, Any]) -> None:
 
 def mark(decides: Mapping[str, Any]) -> str:
     """A text that is the same for runs with the same numbers, which may share checkpoints."""
-    return checksum(json.dumps(_numbers(decides), sort_keys=True).encode())
+    return checksum(json.dumps(decisive_settings(decides), sort_keys=True).encode())
 
 
-def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the list of requested parts, so that a run of few parts can be continued with more;
-    and without the texts of its page, on which no number depends."""
+def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings on which numbers depend: without the list of requested parts, so that a run of
+    few parts can be continued with more, and without the texts of its page."""
     case = dict(decides.get("case", {}))
     if isinstance(case.get("report"), dict):
         case["report"] = {key: item for key, item in case["report"].items() if key not in APART}

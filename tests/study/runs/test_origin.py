@@ -91,3 +91,13 @@ def test_a_drawing_and_a_picture_are_taken(tmp_path):
     (tmp_path / "x.png").write_bytes(PNG + b"1")
     assert logo(tmp_path, "x.svg").startswith("data:image/svg+xml;base64,")
     assert logo(tmp_path, "x.png").startswith("data:image/png;base64,")
+
+
+def test_texts_of_the_page_are_no_setting_that_differs(fake, case, monkeypatch, capsys):
+    monkeypatch.setattr("tests.study.fake.Fake.read", reading_report)
+    for title in ("one", "two"):
+        assert main(["solve", str(case), "--set", f'report.title="{title}"']) == 0
+    assert "All settings are those of the last run" in (case / "run" / "report.html").read_text()
+    capsys.readouterr()
+    assert main(["runs", str(case)]) == 0
+    assert "report" not in capsys.readouterr().out

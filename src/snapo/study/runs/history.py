@@ -78,7 +78,7 @@ def _row(
         record = run_folder.read(folder)
     except CaseError as error:
         status, record = error.allowed, {}
-    decides = record.get("decides")
+    decides = run_folder.decisive_settings(record["decides"]) if record else None
     known = before is not None and decides is not None
     changes = tuple(differences(before, decides)) if known else ()
     low, high = _interval(result)

@@ -26,7 +26,7 @@ def origin(
         "run": out.name,
         "began": now.isoformat(timespec="seconds"),
         "began_utc": now.astimezone(datetime.UTC).isoformat(timespec="milliseconds"),
-        "case": file.name,
+        "case": f"{file.parent.resolve().name}/{file.name}",
         "sha256": checksum(file.read_bytes()),
         "assignments": list(assignments),
         "machine": f"{platform.platform()}, {os.cpu_count()} processors",
@@ -46,7 +46,8 @@ def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, An
     if old.get("case", {}).get("kind") != decides.get("case", {}).get("kind"):
         return None
     result = RunResult.read(folder)
-    changes = differences(old, run_folder.plain_json(decides))
+    new = run_folder.plain_json(decides)
+    changes = differences(*map(run_folder.decisive_settings, (old, new)))
     return {
         "run": folder.name,
         "value": result.value,
