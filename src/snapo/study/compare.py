@@ -131,6 +131,7 @@ def compare(first: Path, second: Path) -> Comparison:
     results = [_result(run) for run in (first, second)]
     values = [result.value for result in results]
     errors = [result.standard_error for result in results]
+    settings = [run_folder.decisive_settings(record["decides"]) for record in records]
     groups, why = _groups(first, second)
     error = _difference_error(groups, errors)
     difference = _less(values[1], values[0])
@@ -143,7 +144,7 @@ def compare(first: Path, second: Path) -> Comparison:
         None if difference is None else error,
         groups is not None,
         why,
-        tuple(differences(*(run_folder.decisive_settings(x["decides"]) for x in records))),
+        tuple(differences(settings[0], settings[1])),
         tuple(_sensitivities(first, second, groups is not None)),
     )
 

@@ -47,7 +47,8 @@ def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, An
         return None
     result = RunResult.read(folder)
     new = run_folder.plain_json(decides)
-    changes = differences(*map(run_folder.decisive_settings, (old, new)))
+    old, new = run_folder.decisive_settings(old), run_folder.decisive_settings(new)
+    changes = differences(old, new)
     return {
         "run": folder.name,
         "value": result.value,
