@@ -22,12 +22,9 @@ from .run_folder import CASE, differences
 from .runs.origin import origin
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
-    from .initial_policy import SuppliedPolicy
-=======
     from snapo.engine import Workers
 
->>>>>>> main
+    from .initial_policy import SuppliedPolicy
     from .study import ProgressCallback, Study
 
 
