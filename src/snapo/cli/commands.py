@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
         "report": _report,
         "open": _open,
         "compare": _compare,
+        "runs": _runs,
         "bench": _bench,
         "schema": _schema,
     }
@@ -225,8 +226,10 @@ def _known(value: float | None, error: float | None = None) -> str:
 
 
 def _certify(options: argparse.Namespace) -> Answer:
+    from snapo.study.runs.store import located
+
     result = commands.certify(
-        options.run,
+        located(options.run),
         say,
         paths=options.paths,
         penalty=options.penalty,
@@ -239,24 +242,29 @@ def _certify(options: argparse.Namespace) -> Answer:
 
 
 def _report(options: argparse.Namespace) -> Answer:
-    if (options.run / "book.json").is_file():
+    from snapo.study.runs.store import located, shown
+
+    run = located(options.run)
+    if (run / "book.json").is_file():
         from snapo.book import commands as book
 
-        file = book.report(options.run)
+        file = book.report(run)
         return {"status": "ok", "report": file}, str(file), OK
-    tables = {"report": commands.report(options.run)}
+    tables = {"report": commands.report(run)}
     if options.pdf:
-        tables["pdf"] = commands.printed(options.run)
+        tables["pdf"] = commands.printed(run)
     if options.xlsx:
-        tables["xlsx"] = commands.tables(options.run)
+        tables["xlsx"] = commands.tables(run)
+    tables = {name: shown(file.parent) / file.name for name, file in tables.items()}
     return {"status": "ok", **tables}, "\n".join(map(str, tables.values())), OK
 
 
 def _open(options: argparse.Namespace) -> Answer:
     from snapo.live.open import open_page
+    from snapo.study.runs.store import located
 
     open_page(
-        options.run,
+        located(options.run),
         say,
         simulator=options.simulator,
         port=options.port,
@@ -268,10 +276,22 @@ def _open(options: argparse.Namespace) -> Answer:
 
 
 def _compare(options: argparse.Namespace) -> Answer:
-    from snapo.study.compare import compare
+    from snapo.study.compare import compare_all
+    from snapo.study.runs.store import located
 
-    result = compare(options.first, options.second)
+    result = compare_all([located(run) for run in options.runs])
     return {"status": "ok", **result.table()}, str(result), OK
+
+
+def _runs(options: argparse.Namespace) -> Answer:
+    from snapo.study.runs.history import described, listed, removed
+
+    if options.remove or options.keep is not None:
+        names = removed(options.case, options.remove, options.keep)
+        return {"status": "ok", "removed": names}, "\n".join(names) or "nothing to remove", OK
+    rows = listed(options.case)
+    answer = {"status": "ok", "runs": [row.table() for row in rows]}
+    return answer, "\n".join(described(rows)), OK
 
 
 def _bench(options: argparse.Namespace) -> Answer:
@@ -313,8 +333,15 @@ def summary(result: Mapping[str, Any]) -> str:
     if result.get("verdict"):
         lines.append(result["verdict"])
     if result.get("run"):
-        lines.append(f"report: {Path(result['run']) / 'report.html'}")
+        lines.append(f"report: {_report_of(result)}")
     return "\n".join(lines)
+
+
+def _report_of(result: Mapping[str, Any]) -> Path:
+    """The report, by the shortest name of its run."""
+    from snapo.study.runs.store import shown
+
+    return shown(Path(result["run"])) / "report.html"
 
 
 def bounds(result: Mapping[str, Any]) -> str:
@@ -328,7 +355,7 @@ def bounds(result: Mapping[str, Any]) -> str:
             lines.append(f"{name:<8}{_figure(item['value']):>16}   {low} to {high}")
     if results.get("says_little"):
         lines.append(f"this bound {results['says_little']}")
-    lines.append(f"report: {Path(result['run']) / 'report.html'}")
+    lines.append(f"report: {_report_of(result)}")
     return "\n".join(lines)
 
 

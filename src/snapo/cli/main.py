@@ -11,6 +11,7 @@ ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
 SHELLS = ("bash", "zsh", "fish")
+RUN = "a run folder, or a case, which stands for its latest run"
 CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
 
@@ -49,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_report,
         _add_open,
         _add_compare,
+        _add_runs,
         _add_bench,
         _add_schema,
     ):
@@ -88,7 +90,11 @@ def _add_solve(commands) -> None:
     solve = commands.add_parser("solve", help="train, evaluate and report")
     _add_case(solve)
     solve.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder of the run (default: run, next to the case)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the run, which replaces one that is there (default: a new one in runs, "
+        "next to the case, to which run leads)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
@@ -192,7 +198,7 @@ def _add_sweep(commands) -> None:
 
 def _add_certify(commands) -> None:
     certify = commands.add_parser("certify", help="bound the value of a run from both sides")
-    certify.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    certify.add_argument("run", metavar="RUN", type=Path, help=RUN)
     certify.add_argument(
         "--paths", metavar="N", type=_paths, help="number of paths for the bound (default: 1024)"
     )
@@ -208,7 +214,7 @@ def _add_certify(commands) -> None:
 
 def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
-    report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    report.add_argument("run", metavar="RUN", type=Path, help=RUN)
     report.add_argument(
         "--pdf",
         action="store_true",
@@ -221,7 +227,7 @@ def _add_report(commands) -> None:
 
 def _add_open(commands) -> None:
     page = commands.add_parser("open", help="move the inputs of a run and see its value, live")
-    page.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    page.add_argument("run", metavar="RUN", type=Path, help=RUN)
     page.add_argument(
         "--port",
         metavar="N",
@@ -241,9 +247,19 @@ def _add_open(commands) -> None:
 
 
 def _add_compare(commands) -> None:
-    compare = commands.add_parser("compare", help="compare two runs")
-    compare.add_argument("first", metavar="RUN", type=Path)
-    compare.add_argument("second", metavar="RUN", type=Path)
+    compare = commands.add_parser("compare", help="compare runs with the first of them")
+    compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
+
+
+def _add_runs(commands) -> None:
+    runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
+    runs.add_argument("case", metavar="CASE", type=Path, help="its folder, or its file")
+    runs.add_argument(
+        "--remove", metavar="RUN", nargs="+", default=[], help="remove these: names, or their ends"
+    )
+    runs.add_argument(
+        "--keep", metavar="N", type=_count, help="remove all but the last N, and the latest"
+    )
 
 
 def _add_bench(commands) -> None:

@@ -11,7 +11,7 @@ from snapo.solver.learning.conditioning import PATHS, Growth
 from . import charts
 from .drawing import LIGHT, draw, unit_above
 from .folder import RunFiles
-from .page import Block, Chart, Facts, Mark, Missing, Section, Table, Text
+from .page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
 from .quantity import MINUS, decimals, finite, measured, number, readable, seconds
 
 HISTORY = (
@@ -23,6 +23,7 @@ BELOW = (
     ("gradient_norm", "Gradient norm", "inject", "-"),
     ("temperature", "Temperature", "limit", "--"),
 )
+BETTER = " does better"  # in a sentence on two rules, of which one should be taken
 TOTAL = "of all parts, before this page"
 
 
@@ -68,6 +69,24 @@ def notes(run: RunFiles) -> list[Text]:
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
         for item in run.result.notes
     ]
+
+
+def with_verdicts(first: Section, run: RunFiles) -> Section:
+    """The first section with each verdict on which rule does better among its marks, and not only
+    as a note further down."""
+    texts = (str(item) for item in (run.result.verdict, *run.result.notes))
+    sentences = list(dict.fromkeys(x for x in texts if BETTER in x))
+    marks = [Mark(x.startswith("The policy"), x) for x in sentences]
+    shown = {(item.text, item.caveat) for item in notes(run) if BETTER in item.text}
+    blocks: list[Block] = []
+    for block in first.blocks:
+        if isinstance(block, Headline):
+            block = replace(block, marks=[*block.marks, *marks])
+        if not (isinstance(block, Text) and (block.text, block.caveat) in shown):
+            blocks.append(block)
+    if not any(isinstance(block, Headline) for block in blocks):
+        return first
+    return replace(first, blocks=blocks)
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:

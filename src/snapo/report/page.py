@@ -146,12 +146,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report; `about` are (name, value) pairs under the title."""
+    """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
+    image that holds all of it."""
 
     title: str
     about: Sequence[tuple[str, str]]
     sections: Sequence[Section]
     footer: str = ""
+    logo: str = ""
 
 
 def render(page: Page) -> str:

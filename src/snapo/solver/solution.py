@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from snapo.problem.carry.latest import followed
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -243,7 +244,7 @@ class Solution:
         **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
         policy: of another shape, with another activation, with another set of actions.
         """
-        folder = Path(folder)
+        folder = followed(Path(folder))
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.case.report import logo
 from snapo.problem.code.version import reading_once
 from snapo.report.checksums import changed_files, checksum, stamps, written_since
-from snapo.report.evidence import seeds
-from snapo.report.folder import RunResult
-from snapo.report.page import Page, render
+from snapo.report.evidence import seeds, with_verdicts
+from snapo.report.folder import RunResult, lookup
+from snapo.report.page import Page, Text, render
+from snapo.report.provenance import date, provenance
 from snapo.solver.bound import Penalty
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.solver.tables import write_text
@@ -21,6 +23,8 @@ from . import run_folder
 from .chapters.bound import BOUND, measure
 from .domain import GOOD, Domain
 from .run_folder import REPORT
+from .runs.origin import add_difference
+from .runs.store import home_of, lead_to
 from .study import Part, ProgressCallback, Study, StudyRun
 from .training import TRAINING, no_policy
 
@@ -33,17 +37,32 @@ def write_report(domain: Domain, folder: Path) -> Path:
     """
     summary = domain.report()
     run = summary.folder.read(folder)
+    record = run_folder.read_table(folder / run_folder.RUN) or {}
+    texts = lookup(record, "decides.case.report", {})
     sections = [section(run) for section in summary.sections]
+    sections[0] = with_verdicts(sections[0], run)
     if run.get("by_seed"):
         sections.insert(1, seeds(run))
+    if note := texts.get("note"):
+        sections[0] = replace(sections[0], blocks=[Text(note), *sections[0].blocks])
+    made = ("Author", texts.get("author")), ("Date", date(record.get("provenance", {})))
     page = Page(
-        title=str(run.get("title") or summary.title),
-        about=[(name, value) for name, value in summary.about(run) if value],
-        sections=sections,
+        title=str(texts.get("title") or run.get("title") or summary.title),
+        about=[(name, value) for name, value in (*summary.about(run), *made) if value],
+        sections=[*sections, provenance(run, record, folder)],
         footer=_footer(run.get("versions.snapo")),
+        logo=_logo(folder, texts.get("logo")),
     )
     write_text(folder / REPORT, render(page))
     return folder / REPORT
+
+
+def _logo(folder: Path, name: str | None) -> str:
+    """The picture that the case names, from its copy; nothing where it is gone."""
+    try:
+        return logo(folder / run_folder.CASE, name) if name else ""
+    except (OSError, ValueError):
+        return ""
 
 
 def _footer(version: str | None) -> str:
@@ -69,13 +88,14 @@ def carry_out(
     progress: ProgressCallback,
     preparing: float = 0.0,
     adjacent: Mapping[str, float] | None = None,
+    origin: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Does the parts of a study one after another; returns the content of result.json.
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
-    other work for this run, by name. A part that fails leaves a note and a status; parts that need
-    it are skipped. On Ctrl-C the completed parts are reported, and the interrupt is passed on to
-    the caller.
+    other work for this run, by name; `origin`: of a new run, for its report. A part that fails
+    leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts are
+    reported, and the interrupt is passed on to the caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
@@ -83,15 +103,32 @@ def carry_out(
     run.results |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
     record["beside"] |= adjacent or {}
+    if origin is not None and lookup(record, "provenance.run") != origin["run"]:
+        record["provenance"] = run_folder.plain_json(origin)
+    _guarded(run, lambda: lead_to(out))
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:
             _do(part, run, record)
             writer.part_done()
     except KeyboardInterrupt:
-        writer.write()
+        _finish(writer)
         raise
-    return writer.write()
+    return _finish(writer)
+
+
+def _finish(writer: "_Writer") -> dict[str, Any]:
+    """Writes a run that ends, and says where `run` leads if it leads elsewhere."""
+    _keep(writer.run, writer.record)
+    add_difference(writer.record, writer.run.folder)
+    result, run = writer.write(), writer.run
+
+    def lead() -> None:
+        if home_of(run.folder) is not None and not lead_to(run.folder):
+            run.progress(f"`run` stays with an earlier run; this one: {result['status']}")
+
+    _guarded(run, lead)
+    return result
 
 
 def certify(

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,7 +111,8 @@ def solve(
     seeds: int | Sequence[int] | None = None,
     workers: "Workers | None" = None,
 ) -> dict[str, Any]:
-    """Carries out the study of a case into the folder `out`, by default `run` next to the case.
+    """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
+    to the case; `run` leads to the latest of them.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
@@ -120,7 +122,8 @@ def solve(
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
-    from .prepare import Wanted, carried_out, made_ready, output_folder
+    from .prepare import Wanted, carried_out, is_same, made_ready
+    from .runs.reserve import reserved
 
     requested = Wanted(engine, reference, resume, policy, workers=workers)
     began = time.perf_counter()
@@ -130,10 +133,11 @@ def solve(
         return solve_seeds(request, progress, out, requested, seeds)
     loaded = load(request)
     remarks(loaded.case.notes, progress)
-    out = output_folder(loaded, out)
-    ready = made_ready(loaded, out, requested)
-    remarks(ready.study.about["notes"], progress, ignored=loaded.case.notes)
-    return carried_out(ready, resume, progress, began)
+    same = partial(is_same, loaded, requested=requested) if resume else None
+    with reserved(loaded.file.parent, out, same) as folder:
+        ready = made_ready(loaded, folder, requested)
+        remarks(ready.study.about["notes"], progress, ignored=loaded.case.notes)
+        return carried_out(ready, resume, progress, began)
 
 
 def certify(

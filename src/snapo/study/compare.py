@@ -1,6 +1,6 @@
-"""Two runs of one kind side by side: values, settings, and sensitivities that differ."""
+"""Runs of one kind side by side: values, settings, and sensitivities that differ."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,7 +84,7 @@ class Comparison:
         return "\n".join([*self._values(), "", *self._settings(), "", *self._sensitivities()])
 
     def _values(self) -> Iterator[str]:
-        yield f"{self.kind}: {self.runs[0]} and {self.runs[1]}"
+        yield f"{self.kind}: {self.runs[0]} and {self.runs[1]}; ± is half of a 95 % interval"
         for name, value, error in zip(("first", "second"), self.values, self.errors):
             yield f"{name:<12}{_figure(value) or 'no value':>16} {_error(error)}".rstrip()
         if self.difference is not None:
@@ -93,9 +93,8 @@ class Comparison:
 
     def _settings(self) -> Iterator[str]:
         yield "settings that differ:" if self.settings else "the settings are the same"
-        for name, first, second in self.settings:
-            same = name.startswith("files.")
-            yield f"  {name}" if same else f"  {name}: {in_words(first)}, {in_words(second)}"
+        for setting in self.settings:
+            yield f"  {setting.describe()}"
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
@@ -132,6 +131,7 @@ def compare(first: Path, second: Path) -> Comparison:
     results = [_result(run) for run in (first, second)]
     values = [result.value for result in results]
     errors = [result.standard_error for result in results]
+    settings = [run_folder.decisive_settings(record["decides"]) for record in records]
     groups, why = _groups(first, second)
     error = _difference_error(groups, errors)
     difference = _less(values[1], values[0])
@@ -144,9 +144,94 @@ def compare(first: Path, second: Path) -> Comparison:
         None if difference is None else error,
         groups is not None,
         why,
-        tuple(differences(records[0]["decides"], records[1]["decides"])),
+        tuple(differences(settings[0], settings[1])),
         tuple(_sensitivities(first, second, groups is not None)),
     )
+
+
+class Comparisons(NamedTuple):
+    """Three runs or more: every other one as it differs from the first."""
+
+    pairs: tuple[Comparison, ...]
+
+    def table(self) -> dict[str, Any]:
+        """The comparison as plain data; "comparisons": of each other run with the first."""
+        first, *others = [pair.table() for pair in self.pairs]
+        every = [first, *others]
+        columns = {name: [first[name][0]] for name in ("runs", "values", "standard_errors")}
+        for name, column in columns.items():
+            column += [pair[name][1] for pair in every]
+        return {"kind": first["kind"], **columns, "comparisons": every}
+
+    def __str__(self) -> str:
+        return "\n".join([*self._values(), "", *self._settings(), "", *self._sensitivities()])
+
+    def _values(self) -> Iterator[str]:
+        first = self.pairs[0]
+        yield f"{first.kind}: ± is half of a 95 % interval"
+        yield f"{'':<4}{'value':>16}{'':>12}{'less the first':>18}{'':>12}  run"
+        yield _line(1, (first.values[0], first.errors[0]), (None, None), f"{first.runs[0]}")
+        for number, pair in enumerate(self.pairs, 2):
+            change = pair.difference, pair.standard_error
+            text = str(pair.runs[1]) if pair.paired else f"{pair.runs[1]} (other scenarios)"
+            yield _line(number, (pair.values[1], pair.errors[1]), change, text)
+
+    def _settings(self) -> Iterator[str]:
+        names = dict.fromkeys(x.name for pair in self.pairs for x in pair.settings)
+        yield "settings that differ (in the order of the runs):" if names else "same settings"
+        for name in names:
+            settings = [{x.name: x for x in pair.settings}.get(name) for pair in self.pairs]
+            first = next(x.first for x in settings if x is not None)
+            values = [first, *(first if x is None else x.second for x in settings)]
+            if name.startswith("files."):
+                order = list(dict.fromkeys(values))
+                yield f"  {name}: version {', '.join(str(1 + order.index(x)) for x in values)}"
+            else:
+                yield f"  {name}: {', '.join(map(in_words, values))}"
+
+    def _sensitivities(self) -> Iterator[str]:
+        """Those that differ most in any of the runs; what no pair has differs in none."""
+        table: dict[tuple[str, str], dict[int, DerivativePair]] = {}
+        for position, pair in enumerate(self.pairs):
+            for item in pair.sensitivities:
+                table.setdefault((item.input, item.label), {})[position] = item
+        ranked = sorted(table.items(), key=lambda x: -max(abs(y.effect) for y in x[1].values()))
+        yield "sensitivities that differ most:" if ranked else "no sensitivity differs"
+        for (name, label), items in ranked[:MAXIMUM]:
+            one = next(iter(items.values()))
+            values = [items[i].second if i in items else None for i in range(len(self.pairs))]
+            cells = "".join(f"{_figure(value) or 'the same':>14}" for value in values)
+            text = f"{name} {label}".strip()
+            yield f"  {text:<32}{_figure(one.first):>14}{cells} per {one.unit or '1'}"
+
+
+def _line(number: int, value: Sequence[float | None], change: Sequence[float | None], run: str):
+    cells = f"{_figure(value[0]) or 'no value':>16} {_error(value[1]):<11}"
+    return f"{number:<4}{cells}{_figure(change[0]):>18} {_error(change[1]):<11}  {run}"
+
+
+def compare_all(runs: Sequence[Path]) -> Comparison | Comparisons:
+    """The second run against the first, or each of several others against it.
+
+    **Raises:** `CaseError` as `compare` does, and for a single run.
+    """
+    if len(runs) < 2:
+        message = "name two runs or more; `snapo runs CASE` lists those of a case"
+        raise CaseError("RUN", "", str(runs[0]), message)
+    pairs = tuple(compare(runs[0], other) for other in runs[1:])
+    return pairs[0] if len(pairs) == 1 else Comparisons(pairs)
+
+
+def difference(first: Path, second: Path) -> tuple[float | None, float | None, bool]:
+    """The value of the second run less that of the first, its standard error, and whether the two
+    have the same scenarios.
+
+    **Raises:** `CaseError` where one of them has no result.
+    """
+    results = [_result(run) for run in (first, second)]
+    groups, _ = _groups(first, second)
+    error = _difference_error(groups, [result.standard_error for result in results])
+    return _less(results[1].value, results[0].value), error, groups is not None
 
 
 def _less(value: float | None, other: float | None) -> float | None:
@@ -230,4 +315,7 @@ def _figure(number: float | None) -> str:
 
 
 def _error(number: float | None) -> str:
-    return "" if number is None or not np.isfinite(number) else f"± {number:,.2g}"
+    """A standard error as half of a 95 % interval."""
+    if number is None or not np.isfinite(number):
+        return ""
+    return f"± {statistics.critical() * number:,.2g}"

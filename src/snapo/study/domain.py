@@ -177,12 +177,14 @@ class CaseRequest(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """A case that was read: its domain, its file, its tables as they count, and its records."""
+    """A case that was read: its domain, its file, its tables as they count, its records, and the
+    `assignments` that changed the tables."""
 
     domain: Domain
     file: Path
     data: Mapping[str, Any]
     case: Any
+    assignments: tuple[str, ...] = ()
 
 
 def load(request: CaseRequest) -> Loaded:
@@ -203,7 +205,7 @@ def load(request: CaseRequest) -> Loaded:
             raise CaseError("--simulator", "", got, message + '"own"')
         domain = domain.with_simulator(*request.simulator)
     try:
-        return Loaded(domain, file, data, domain.read(file, data))
+        return Loaded(domain, file, data, domain.read(file, data), request.assignments)
     except CaseError as error:
         for item in (error, *error.others):
             if item.where in paths:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.carry.latest import followed
 from snapo.problem.carry.save import PolicyFileError, described, read_arrays
 from snapo.problem.policy import Policy, load_policy, trainable
 from snapo.report.folder import RunResult
@@ -94,6 +95,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
 
     **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
     """
+    source = followed(source)
     value, file = None, source
     if source.is_dir():
         if resume and (out / run_folder.START).exists() and source.resolve() == out.resolve():

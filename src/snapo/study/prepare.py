@@ -13,16 +13,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from snapo.case.error import CaseError, Unquoted
+from snapo.case.error import CaseError
 from snapo.case.load import load
 
 from . import run_folder
 from .domain import Domain, Loaded, Options, RunsCode
 from .run_folder import CASE, differences
+from .runs.origin import origin
 
 if TYPE_CHECKING:
     from snapo.engine import Workers
 
+    from .initial_policy import SuppliedPolicy
     from .study import ProgressCallback, Study
 
 
@@ -107,31 +109,10 @@ class Prepared:
     study: "Study"
 
 
-def output_folder(loaded: Loaded, out: Path | None) -> Path:
-    """The folder of the run, which can be written.
-
-    **Raises:** `CaseError` where it cannot, or is that of the case.
-    """
-    out = out or loaded.file.parent / "run"
-    try:
-        same = out.resolve() == loaded.file.parent.resolve()
-    except (OSError, RuntimeError):  # links in a circle
-        message = "this cannot be the name of a folder: its links go in a circle"
-        raise CaseError(str(out), "", None, message) from None
-    if same:
-        message = "this is the folder of the case; a run needs a separate folder"
-        raise CaseError("--out", "", Unquoted(str(out)), message)
-    run_folder.check_writable(out)
-    return out
-
-
-def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
-    """The study of a case, beginning with the named policy, if any.
-
-    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one;
-    nothing is written before.
-    """
-    use_every_core()
+def decided(
+    loaded: Loaded, out: Path, requested: Wanted
+) -> "tuple[dict[str, Any], SuppliedPolicy | None]":
+    """The settings that decide a run in the folder `out`, and the policy with which it begins."""
     options: dict[str, Any] = {"engine": requested.engine}
     if isinstance(loaded.domain, RunsCode):
         options |= loaded.domain.decides(loaded.case)
@@ -141,7 +122,26 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
 
         values = read(requested.policy, loaded.domain.kind, out, requested.resume)
         options["policy"] = values.checksum
-    decides = run_folder.decisive(loaded.file, loaded.data, options)
+    return run_folder.decisive(loaded.file, loaded.data, options), values
+
+
+def is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
+    """Whether the folder `out` has the run to resume; False where it has none.
+
+    **Raises:** `CaseError` where it has another one.
+    """
+    decides, _ = decided(loaded, out, requested)
+    return run_folder.check_same(out, decides) is not None
+
+
+def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
+    """The study of a case, beginning with the named policy, if any.
+
+    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one;
+    nothing is written before.
+    """
+    use_every_core()
+    decides, values = decided(loaded, out, requested)
     before = run_folder.check_same(out, decides) if requested.resume else None
     about = before.get("about") if before else requested.about
     request = Options(requested.engine, requested.reference, about)
@@ -197,9 +197,10 @@ def carried_out(
     """
     from .carry_out import carry_out
 
-    run_folder.copy_case(prepared.loaded.file, prepared.out)
+    loaded, out, decides = prepared.loaded, prepared.out, prepared.decides
+    run_folder.copy_case(loaded.file, out, loaded.data.get("report", {}).get("logo"))
+    source = origin(loaded.file, loaded.assignments, out, decides)
     spent = time.perf_counter() - began
-    domain = prepared.loaded.domain
     return carry_out(
-        domain, prepared.study, prepared.out, prepared.decides, resume, progress, spent, adjacent
+        loaded.domain, prepared.study, out, decides, resume, progress, spent, adjacent, source
     )

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.report import TEXTS
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.report.folder import RESULT, read_table
 from snapo.solver.provenance import versions
@@ -45,6 +46,7 @@ WRITTEN = (
     VERDICTS, GROWTH, START, SEEDS, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
+APART = ("parts", *TEXTS)  # keys of [report] on which no number depends
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
@@ -72,11 +74,12 @@ def case_files(folder: Path) -> list[Path]:
     return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in CASE_FILES)
 
 
-def copy_case(file: Path, out: Path) -> None:
-    """A copy of the case next to its results, with the files that may belong to it."""
+def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
+    """A copy of the case next to its results, with the files that may belong to it, and its
+    `logo`."""
     target = out / CASE
     target.mkdir(parents=True, exist_ok=True)
-    for case_file in case_files(file.parent):
+    for case_file in [*case_files(file.parent), *([file.parent / logo] if logo else [])]:
         if case_file.parent.resolve() != target.resolve():
             shutil.copyfile(case_file, target / case_file.name)
 
@@ -125,7 +128,7 @@ def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
     old = read(out)
-    if difference := changed(_numbers(old["decides"]), _numbers(decides)):
+    if difference := changed(decisive_settings(old["decides"]), decisive_settings(decides)):
         message = f"this run was started with {difference}; resume with the same, or solve into "
         raise CaseError(str(out / RUN), "", None, message + "another folder")
     return old | {"decides": plain_json(decides)}
@@ -193,14 +196,15 @@ def _check_record(record: Mapping[str, Any]) -> None:
 
 def mark(decides: Mapping[str, Any]) -> str:
     """A text that is the same for runs with the same numbers, which may share checkpoints."""
-    return checksum(json.dumps(_numbers(decides), sort_keys=True).encode())
+    return checksum(json.dumps(decisive_settings(decides), sort_keys=True).encode())
 
 
-def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the list of requested parts: a run of few parts can be continued with more."""
+def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings on which numbers depend: without the list of requested parts, so that a run of
+    few parts can be continued with more, and without the texts of its page."""
     case = dict(decides.get("case", {}))
     if isinstance(case.get("report"), dict):
-        case["report"] = {key: item for key, item in case["report"].items() if key != "parts"}
+        case["report"] = {key: item for key, item in case["report"].items() if key not in APART}
         case = {key: entry for key, entry in case.items() if (key, entry) != ("report", {})}
     return {**decides, "case": case}
 
@@ -238,6 +242,12 @@ class Difference(NamedTuple):
     first: Any
     second: Any
 
+    def describe(self) -> str:
+        """In a line, "training.steps: 240, 300"; a file has its name only."""
+        if self.name.startswith("files."):
+            return f"another {self.name.removeprefix('files.')}"
+        return f"{self.name}: {in_words(self.first)}, {in_words(self.second)}"
+
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
     """All settings that differ between two tables of settings that decide a run."""
@@ -255,7 +265,7 @@ def changed(old: Any, new: Any) -> str:
     if difference is None:
         return ""
     if difference.name.startswith("files."):
-        return f"another {difference.name.removeprefix('files.')}"
+        return difference.describe()
     first, second = in_words(difference.first), in_words(difference.second)
     return f"{difference.name} = {first}, and now it is {second}"
 

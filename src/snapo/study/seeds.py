@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,8 +23,9 @@ from snapo.solver.tables import write_csv
 from . import run_folder
 from .domain import CaseRequest, Loaded, load, remarks
 from .initial_policy import KEPT
-from .prepare import Prepared, Wanted, carried_out, made_ready, output_folder
+from .prepare import Prepared, Wanted, carried_out, decided, made_ready
 from .run_folder import SEEDS
+from .runs.reserve import reserved
 from .study import Part, Setup, Study, StudyRun
 from .training import TRAINING, with_needs
 
@@ -225,27 +227,32 @@ def solve_seeds(
     began = time.perf_counter()
     loaded = load(request)
     remarks(loaded.case.notes, progress)
-    out = output_folder(loaded, out)
     numbers = _numbers(loaded, seeds)
-    trained, ready = [], {}
-    for seed in numbers:
-        local = request._replace(assignments=(*request.assignments, f"training.seed={seed}"))
-        one = _ready(load(local), out, seed, requested)
-        if seed == numbers[0]:
-            remarks(one.study.about["notes"], progress, ignored=loaded.case.notes)
-            if requested.resume:
-                _check_same(out, one)
-        ready[seed] = one
-        requested = requested._replace(about=one.study.about)  # the checks are those of the case
-        trained.append(_trained(one, seed, requested, progress, began))
-        began = time.perf_counter()
-    progress(f"comparing {len(numbers)} seeds")
-    result = compared(trained)
-    adjacent = {"other seeds": _spent(result), "comparison": time.perf_counter() - began}
-    best = replace(ready[result.best], out=out)
-    _adopt(best, out / TABLE / str(result.best), requested.resume)
-    best = replace(best, study=_with_table(best.study, result))
-    return carried_out(best, True, progress, time.perf_counter(), adjacent)
+    first = load(_with_seed(request, numbers[0]))
+    same = partial(_is_same, first, requested=requested) if requested.resume else None
+    with reserved(loaded.file.parent, out, same) as folder:
+        trained, ready = [], {}
+        for seed in numbers:
+            one = _ready(load(_with_seed(request, seed)), folder, seed, requested)
+            if seed == numbers[0]:
+                remarks(one.study.about["notes"], progress, ignored=loaded.case.notes)
+                if requested.resume:
+                    _check_same(folder, one.decides)
+            ready[seed] = one
+            requested = requested._replace(about=one.study.about)  # checks are those of the case
+            trained.append(_trained(one, seed, requested, progress, began))
+            began = time.perf_counter()
+        progress(f"comparing {len(numbers)} seeds")
+        result = compared(trained)
+        adjacent = {"other seeds": _spent(result), "comparison": time.perf_counter() - began}
+        best = replace(ready[result.best], out=folder)
+        _adopt(best, folder / TABLE / str(result.best), requested.resume)
+        best = replace(best, study=_with_table(best.study, result))
+        return carried_out(best, True, progress, time.perf_counter(), adjacent)
+
+
+def _with_seed(request: CaseRequest, seed: int) -> CaseRequest:
+    return request._replace(assignments=(*request.assignments, f"training.seed={seed}"))
 
 
 def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
@@ -287,11 +294,24 @@ def _trained(
     return Trained(seed, one.study, one.out, RunResult.of(result))
 
 
-def _check_same(out: Path, one: Prepared) -> None:
+def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
+    """Whether a folder has such a run of several seeds, or some of its trainings.
+
+    **Raises:** `CaseError` where it has one that differs by more than its seed.
+    """
+    decides, _ = decided(loaded, out, requested)
+    records = [out / run_folder.RUN, *sorted(out.glob(f"{TABLE}/*/{run_folder.RUN}"))]
+    folder = next((file.parent for file in records if file.exists()), None)
+    if folder is not None:
+        _check_same(folder, decides)
+    return folder is not None
+
+
+def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
     """**Raises:** `CaseError` where RUN holds a run that differs by more than its seed."""
     if not (out / run_folder.RUN).exists():
         return
-    seeded = json.loads(json.dumps(one.decides))
+    seeded = json.loads(json.dumps(decides))
     old = run_folder.read(out)["decides"].get("case", {}).get("training", {})
     seeded["case"].setdefault("training", {})["seed"] = old.get("seed")
     if "seed" not in old:

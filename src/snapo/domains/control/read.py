@@ -10,6 +10,7 @@ from snapo.case.error import CaseError, nearest
 from snapo.case.given import positions
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
+from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
     FollowingTable,
@@ -62,6 +63,7 @@ def formats() -> dict[str, Any]:
         "cost": [cost_table(plant) for plant in plants],
         "start.*": (At, UniformStart, NormalStart),
         "policy": ControlPolicyTable,
+        "report": ReportTable,
         "training": FollowingTable,
         "evaluation": EvaluationTable,
     }
@@ -77,6 +79,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     evaluation = read_evaluation(table.evaluation, name)
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
+    parse(ReportTable, table.report, name, "report")
     recipe = _recipe(parse(ControlPolicyTable, table.policy, name, "policy"), name)
     parameters = {key: getattr(selected, key) for key in plant.parameters}
     weights = {key: getattr(cost, key) for key in plant.weights}

@@ -33,6 +33,7 @@ class ControlFile(CaseTable):
     noise: dict[str, Any] = Field({}, description="a table, [noise]")
     measurement: dict[str, Any] = Field({}, description="a table, [measurement]")
     policy: dict[str, Any] = Field({}, description="a table, [policy]")
+    report: dict[str, Any] = Field({}, description="a table, [report]")
     objective: dict[str, Any] = Field({}, description="a table, [objective]")
     training: dict[str, Any] = Field({}, description="a table, [training]")
     evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")

@@ -14,6 +14,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import FilePosition, positions
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
+from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
     FollowingTable,
@@ -50,6 +51,7 @@ class OwnTable(CaseTable):
     units: dict[str, str] = Field(
         {}, description="a table of units by name of a state, of the action or of an output"
     )
+    report: dict[str, Any] = Field({}, description="a table, [report]")
     training: dict[str, Any] = Field({}, description="a table, [training]")
     evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
     simulator: dict[str, Any] = Field({}, description="a table, [simulator]")
@@ -228,6 +230,7 @@ def _aim(data: Any, name: str, file: str) -> Aim:
 FORMATS = {
     "": OwnTable,
     "inputs.*": InputTable,
+    "report": ReportTable,
     "training": FollowingTable,
     "evaluation": EvaluationTable,
 }
@@ -236,6 +239,7 @@ FORMATS = {
 def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) -> OwnCase:
     """Reads all tables, then the code, so that a mistake in the file is found first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
+    parse(ReportTable, table.report, name, "report")
     notes: list[str] = []
     training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..smooth import Exact
+from .latest import followed
 
 
 def described(tree: Any) -> dict[str, str]:
@@ -288,7 +289,7 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
     weights whose sizes do not fit each other.
     """
     try:
-        arrays, header = read_arrays(Path(file))
+        arrays, header = read_arrays(followed(Path(file)))
     except ValueError as error:
         raise PolicyFileError(str(error)) from None
     if not isinstance(header, dict) or "snapo policy" not in header:

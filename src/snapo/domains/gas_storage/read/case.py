@@ -15,6 +15,7 @@ from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, NoPosition, SheetCell
 from snapo.case.plausible import CaseFiles, Plausible, implausible
+from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
     ObjectiveTable,
@@ -222,6 +223,7 @@ FORMATS = {
     "contract": ContractTable,
     "market": MarketTable,
     "model": [process.table for process in kinds().values()],
+    "report": ReportTable,
     "objective": ObjectiveTable,
     "training": TrainingTable,
     "evaluation": EvaluationTable,
@@ -235,6 +237,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     is wrong, or where the contract cannot be met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")
+    parse(ReportTable, top.report, str(file), "report")
     notes: list[str] = []
     contract_table, market_table = _parse_both(top, str(file), notes)
     valuation, end = market_table.valuation_date, contract_table.end

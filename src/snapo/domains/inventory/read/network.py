@@ -10,6 +10,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import CaseFiles, checked_numbers
+from snapo.case.report import ReportTable
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 
@@ -26,6 +27,7 @@ from .tables import (
     HorizonTable,
     InventoryTable,
     ItemName,
+    ItemReportTable,
     ItemTable,
     lead_time,
 )
@@ -61,7 +63,7 @@ class PlaceTable(CaseTable):
     season: dict[str, Any] | None = Field(None, description="a table, as [season]")
 
 
-class NetworkReportTable(CaseTable):
+class NetworkReportTable(ReportTable):
     """`[report]` of a case with places."""
 
     lead_time: bool = Field(False, description="true or false")
@@ -102,6 +104,7 @@ FORMATS = {
     "place[].demand": [demand.table for demand in kinds().values()],
     "transshipment[]": TransshipmentTable,
     "horizon": HorizonTable,
+    "report": [ItemReportTable, NetworkReportTable],
     "objective": ObjectiveTable,
     "training": TrainingTable,
     "evaluation": EvaluationTable,

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput, positions
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, KeyContext, Quantity, Range, custom
+from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Title
 
 ItemName = Annotated[str, Field(min_length=1, max_length=40)]
@@ -98,7 +99,7 @@ class SeasonTable(CaseTable):
     file: ItemName = Field(description="the name of a CSV file with columns period,factor")
 
 
-class ItemReportTable(CaseTable):
+class ItemReportTable(ReportTable):
     """`[report]`"""
 
     lead_time: bool = Field(True, description="true or false")

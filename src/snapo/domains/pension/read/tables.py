@@ -13,6 +13,7 @@ from snapo.case.given import CaseInput
 from snapo.case.meaning import Only
 from snapo.case.parts import PartNames, names_of_parts
 from snapo.case.quantity import FRACTION, NOT_NEGATIVE, POSITIVE, Range
+from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Title
 
 from ..quantities import (
@@ -241,8 +242,8 @@ class StressTable(CaseTable):
     file: Name = csv("scenario,input,label,kind,size")
 
 
-class FundReportTable(CaseTable):
-    """`[report]`: the parts of a run that are wanted."""
+class FundReportTable(ReportTable):
+    """`[report]`: the parts of a run that are wanted, and texts of its page."""
 
     parts: PartNames = names_of_parts("sensitivities")
 

@@ -42,9 +42,9 @@ from .tables import (
     GoalTable,
     NumericsTable,
     ParameterTable,
+    PharmaReportTable,
     PharmaTable,
     ReactionTable,
-    ReportTable,
     SpeciesTable,
     UncertaintyTable,
 )
@@ -82,7 +82,7 @@ FORMATS = {
     "goal": GoalTable,
     "design_space": DesignSpaceTable,
     "optimise": OptimiseTable,
-    "report": ReportTable,
+    "report": PharmaReportTable,
     "numerics": NumericsTable,
     "training": TrainingTable,
     "evaluation": EvaluationTable,
@@ -129,6 +129,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
     notes += unusual(CaseFiles(file, data), feeds, units, network)
     parameters = read_parameters(file, top.parameters, numbers, notes)
     attributes = read_attributes(file, top.attributes, network, feeds, units, notes)
+    report = parse(PharmaReportTable, top.report, str(file), "report")
     case = PharmaCase(
         file=file,
         title=top.title,
@@ -151,7 +152,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
         evaluation=read_evaluation({**EVALUATION, **top.evaluation}, str(file)),
         assumptions=tuple(top.assumptions),
         notes=tuple(notes),
-        parts=known_parts(file, parse(ReportTable, top.report, str(file), "report").parts, PARTS),
+        parts=known_parts(file, report.parts, PARTS),
         optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
     spans = [(item.input, item.low, item.high) for item in parameters]

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from snapo.case.parts import PartNames, names_of_parts
 from snapo.case.quantity import Range
+from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Title
 
 from .fields import PROBABILITY, TextKey, pair, quantity, tables, whole, within, word
@@ -193,8 +194,8 @@ class NumericsTable(CaseTable):
     loop_rounds: int = whole(1, 1000, default=50)
 
 
-class ReportTable(CaseTable):
-    """`[report]`"""
+class PharmaReportTable(ReportTable):
+    """`[report]`: the parts of a run that are wanted, and texts of its page."""
 
     parts: PartNames = names_of_parts("capability")
 

@@ -1,0 +1,97 @@
+"""`[report]` of every kind of case: texts and a picture of the user on the page of a run."""
+
+import base64
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field, ValidationInfo
+
+from .table import CaseTable
+
+PNG = b"\x89PNG\r\n\x1a\n"
+LARGEST_LOGO = 1_000_000  # bytes, which a page holds in full
+TEXTS = ("title", "author", "note", "logo")  # keys that no number depends on
+ALLOWED = "the name of a PNG or SVG file next to the case, of at most 1 MB"
+# Elements that run, load or contain something else; an attribute that begins with "on" does too.
+ACTIVE = (
+    "script", "foreignobject", "iframe", "object", "embed", "audio", "video", "handler", "listener",
+    "animate", "set", "animatetransform", "animatemotion", "a",
+)  # fmt: skip
+FORBIDDEN = ("javascript:", "@import", "expression(")
+
+
+def _checked(name: str, info: ValidationInfo) -> str:
+    table: Any = info.context
+    try:
+        logo(table.file.parent, name)
+    except (OSError, ValueError) as error:
+        raise table.error("logo", name, f"{error}; allowed is {ALLOWED}") from None
+    return name
+
+
+class ReportTable(CaseTable):
+    """`[report]`: title, author, note and logo of the page."""
+
+    title: str | None = Field(None, max_length=200, description="a text of at most 200 characters")
+    author: str | None = Field(None, max_length=200, description="a text of at most 200 characters")
+    note: str | None = Field(
+        None, max_length=2_000, description="a text of at most 2,000 characters, for the first page"
+    )
+    logo: Annotated[str, AfterValidator(_checked)] | None = Field(None, description=ALLOWED)
+
+
+def logo(folder: Path, name: str) -> str:
+    """A picture next to a case as the address of an image, which holds all of it.
+
+    **Raises:** `OSError`, and `ValueError` where it is no picture, too large, or not only a
+    picture.
+    """
+    if not name or Path(name).name != name or "\\" in name:
+        raise ValueError("a path is not a file next to the case")
+    file = folder / name
+    if not file.is_file():
+        raise ValueError("there is no such file")
+    content = file.read_bytes()
+    if len(content) > LARGEST_LOGO:
+        raise ValueError(f"the file has {len(content):,} bytes")
+    if content.startswith(PNG):
+        kind = "png"
+    elif file.suffix.lower() == ".svg":
+        _check_svg(content)
+        kind = "svg+xml"
+    else:
+        raise ValueError("this is neither a PNG nor an SVG file")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _check_svg(content: bytes) -> None:
+    """**Raises:** `ValueError` where a drawing has scripts, or would load something."""
+    before = content.partition(b"<svg")[0]
+    if b"<!ENTITY" in content or (b"<!DOCTYPE" in before and b"[" in before):
+        raise ValueError("an SVG file with entities is not taken")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ValueError(f"this is no SVG file ({error})") from None
+    if _local(root.tag) != "svg":
+        raise ValueError("this is no SVG file")
+    for element in root.iter():
+        tag = _local(element.tag)
+        if tag in ACTIVE or "xhtml" in str(element.tag):
+            raise ValueError(f"an SVG file with <{tag}> is not taken")
+        texts = [element.text or ""] if tag == "style" else []
+        for key, value in element.attrib.items():
+            if _local(key).startswith("on"):
+                raise ValueError(f"an SVG file with {_local(key)}= is not taken")
+            if _local(key) in ("href", "src") and not value.startswith(("#", "data:image/")):
+                raise ValueError(f"an SVG file that loads {value[:60]} is not taken")
+            texts += [value] if _local(key) not in ("href", "src") else []
+        joined = " ".join(texts).lower()
+        if "url(" in joined.replace("url(#", "") or any(word in joined for word in FORBIDDEN):
+            raise ValueError("an SVG file that loads other files is not taken")
+
+
+def _local(tag: Any) -> str:
+    """The name without its namespace, in small letters; "" of a comment."""
+    return tag.rpartition("}")[2].lower() if isinstance(tag, str) else ""

@@ -1,0 +1,130 @@
+"""Where a report comes from: its case with all inputs, its making, and the run before it."""
+
+import csv
+import datetime
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from snapo.case.workbook import lines
+from snapo.solver.statistics import critical
+
+from .folder import RunFiles
+from .page import Block, Section, Table, Text
+from .quantity import decimals, finite, long_date, measured
+
+MAX_ROWS = 400  # of a file of the case; the file itself is next to the report
+MAX_LETTERS = 200  # of a value
+
+
+def provenance(run: RunFiles, record: Mapping[str, Any], folder: Path) -> Section:
+    """The section on a run with this `record` (run.json) in `folder`; empty of an older run."""
+    origin = record.get("provenance")
+    if not isinstance(origin, Mapping):
+        return Section("provenance", "", "", [])
+    blocks: list[Block] = [_making(run, record, origin, folder), *_changes(run, origin)]
+    blocks += _inputs(record, folder)
+    return Section("provenance", "Provenance and inputs", "Inputs", blocks)
+
+
+def _making(
+    run: RunFiles, record: Mapping[str, Any], origin: Mapping[str, Any], folder: Path
+) -> Table:
+    seed = run.get("seed", run.result.seed)
+    versions = record["decides"].get("versions", {})
+    rows = [
+        ("Run", str(origin.get("run", folder.name))),
+        ("Date", date(origin)),
+        ("Case file", str(origin.get("case", ""))),
+        ("SHA-256 of the case file", str(origin.get("sha256", ""))),
+        *(("Changed with --set", text) for text in origin.get("assignments", ())),
+        ("Version", f"snapo {versions.get('snapo', '')}, Python {versions.get('python', '')}"),
+        ("Seed", "" if seed is None else str(seed)),
+        ("Machine", str(origin.get("machine", ""))),
+    ]
+    return Table([], [row for row in rows if row[1]], "Origin of this report", 2)
+
+
+def date(origin: Mapping[str, Any]) -> str:
+    """The day and the minute in which a run began, with its time zone."""
+    try:
+        moment = datetime.datetime.fromisoformat(origin["began"])
+    except (KeyError, TypeError, ValueError):
+        return ""
+    return f"{long_date(moment.date())}, {moment:%H:%M} (UTC{moment:%z})"
+
+
+def _changes(run: RunFiles, origin: Mapping[str, Any]) -> Iterator[Block]:
+    """The value and the settings next to those of the run before."""
+    previous = origin.get("previous")
+    if not isinstance(previous, Mapping):
+        yield Text("No earlier run of this case was there to compare with.")
+        return
+    error, old = run.result.standard_error, previous.get("standard_error")
+    digits = decimals([x for x in (error, old) if x] or [run.result.value], 2)
+    change = previous.get("difference"), previous.get("difference_error")
+    rows = [
+        ("Value of this run", *_with_interval(run.result.value, error, digits)),
+        (f"Value of {previous.get('run')}", *_with_interval(previous.get("value"), old, digits)),
+    ]
+    if finite(change[0]) is not None:
+        name = "Difference, on the same paths" if previous.get("paired") else "Difference"
+        rows.append((name, *_with_interval(*change, digits, sign=True)))
+    yield Table([], rows, "Changed against the last run; ± is half of a 95 % interval", 1)
+    settings = [
+        (str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous["changes"]
+    ]
+    if settings:
+        head = [("Setting", ""), ("Last run", ""), ("This run", "")]
+        yield Table(head, settings, "Settings that differ from the last run", 3)
+    else:
+        yield Text("All settings are those of the last run.")
+
+
+def _with_interval(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
+    half = finite(error)
+    half = None if half is None else critical() * half
+    return measured(value, half, digits, sign=sign)
+
+
+def _inputs(record: Mapping[str, Any], folder: Path) -> Iterator[Block]:
+    """All keys of the case as they were used, and the files that it names."""
+    case = record["decides"].get("case", {})
+    rows = [(key, _text(value)) for key, value, _ in lines(case)]
+    caption = f"All {len(rows)} keys of the case, with the changes of --set"
+    yield Table([("Key", ""), ("Value", "")], rows, "", 2, folded=caption)
+    names = {str(value) for _, value, _ in lines(case)} | {str(x) for x in _texts(case)}
+    for file in sorted((folder / "case").glob("*.csv")):
+        if file.name in names:
+            yield _file(file)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in nested data."""
+    if isinstance(value, Mapping):
+        for item in value.values():
+            yield from _texts(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _texts(item)
+    elif isinstance(value, str):
+        yield value
+
+
+def _file(file: Path) -> Table:
+    """A CSV file of the case, cell by cell as it was read."""
+    text = file.read_text(encoding="utf-8-sig", errors="replace")
+    rows_of_text = [line for line in text.splitlines() if line.strip() and line[0] != "#"]
+    separator = next((x for x in ";\t" if rows_of_text and x in rows_of_text[0]), ",")
+    cells = list(csv.reader(rows_of_text, delimiter=separator))
+    head, rows = (cells[0], cells[1:]) if cells else ([], [])
+    rows = [row for row in rows if len(row) == len(head)]
+    more = f", the first {MAX_ROWS:,} of {len(rows):,} rows" if len(rows) > MAX_ROWS else ""
+    caption = f"{file.name}{more}"
+    names = [(name, "") for name in head]
+    return Table(names, rows[:MAX_ROWS], "", len(head), folded=caption)
+
+
+def _text(value: Any) -> str:
+    text = "not given" if value is None else str(value)
+    return text if len(text) <= MAX_LETTERS else text[: MAX_LETTERS - 3] + "..."

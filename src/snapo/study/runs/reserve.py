@@ -1,0 +1,80 @@
+"""The folder into which a case is solved: a new one, or that of the run to resume."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from snapo.case.error import CaseError, Unquoted
+from snapo.problem.carry.latest import LATEST, RUNS
+
+from .. import run_folder
+from .store import adopt, folders, home_of, new_folder, working_in
+
+
+@contextmanager
+def reserved(home: Path, out: Path | None, same: Callable[[Path], bool] | None) -> Iterator[Path]:
+    """The folder of a run of the case in `home`, into which no other process writes.
+
+    - `out`: as the command names it; None, or `run` in `home`: a new one in `runs`.
+    - `same`: None for a new run; to resume one, whether a folder has the run that the command
+      describes, or `CaseError` with the difference. The latest such run is resumed.
+
+    A folder into which nothing was written is removed again.
+
+    **Raises:** `CaseError` where the folder cannot be written, is that of the case, or has a run
+    that no other one may replace.
+    """
+    _check_links(home, out)
+    if out is not None and not (out.name == LATEST and out.parent.resolve() == home.resolve()):
+        folder = _explicit(home, out, same is not None)
+    else:
+        run_folder.check_writable(home / RUNS)
+        adopt(home)
+        folder = (_to_resume(home, same) if same is not None else None) or new_folder(home)
+    try:
+        with working_in(folder):
+            yield folder
+    finally:
+        if home_of(folder) is not None:
+            with suppress(OSError):
+                folder.rmdir()
+                folder.parent.rmdir()
+
+
+def _check_links(home: Path, out: Path | None) -> None:
+    try:
+        same = out is not None and out.resolve() == home.resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        message = "this cannot be the name of a folder: its links go in a circle"
+        raise CaseError(str(out), "", None, message) from None
+    if same:
+        message = "this is the folder of the case; a run needs a separate folder"
+        raise CaseError("--out", "", Unquoted(str(out)), message)
+
+
+def _explicit(home: Path, out: Path, resume: bool) -> Path:
+    run_folder.check_writable(out)
+    if not resume and home_of(out.resolve()) is not None and (out / run_folder.RUN).exists():
+        message = (
+            "a run that is kept is there, and no other one replaces it: leave out --out, or name "
+            "another folder"
+        )
+        raise CaseError("--out", "", Unquoted(str(out)), message)
+    return out
+
+
+def _to_resume(home: Path, same: Callable[[Path], bool]) -> Path | None:
+    """The latest run that the command describes; None where there is no run at all.
+
+    **Raises:** `CaseError` where all runs are of another description, or it is being worked on.
+    """
+    errors: list[CaseError] = []
+    for folder in reversed(folders(home)):
+        try:
+            if same(folder):
+                return folder
+        except CaseError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+    return None

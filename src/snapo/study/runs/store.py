@@ -1,0 +1,204 @@
+"""The folders of the runs of a case, and `run`, which leads to the latest of them.
+
+mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
+mine/run                           a symbolic link to the latest one (a text file without links)
+
+The latest is the last that came to its end with its numbers in order; while there is none, the last
+that began.
+"""
+
+import datetime
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from snapo.case.error import CaseError
+from snapo.problem.carry.latest import LATEST, NAME, RUNS, followed, target
+
+from .. import run_folder
+from ..domain import GOOD
+from .lock import is_locked, locked
+
+LOCK = ".lock"  # in a run folder while a process writes it; in `runs` while `run` is set
+PATIENCE = 30.0  # seconds to wait for another process that sets `run`, which takes milliseconds
+
+
+def new_folder(home: Path) -> Path:
+    """Makes an empty folder for a run of the case in `home`; no other process gets the same."""
+    while True:
+        name = f"{datetime.datetime.now():%Y-%m-%dT%H%M}-{secrets.token_hex(2)}"
+        try:
+            (home / RUNS / name).mkdir(parents=True)
+        except (FileExistsError, FileNotFoundError):  # of the same name; `runs` was just removed
+            continue
+        return home / RUNS / name
+
+
+def home_of(folder: Path) -> Path | None:
+    """The folder of the case of which `folder` is one of the runs in `runs`; None of any other."""
+    is_run = folder.parent.name == RUNS and NAME.fullmatch(folder.name)
+    return folder.parent.parent if is_run else None
+
+
+def folders(home: Path) -> list[Path]:
+    """The runs of the case in `home`, the oldest first; one that has written nothing is left out.
+
+    A run of an earlier version of snapo, in a plain folder `run`, is the oldest.
+    """
+    runs = home / RUNS
+    names = [file for file in runs.iterdir() if NAME.fullmatch(file.name)] if runs.is_dir() else []
+    began = sorted((_began(file), file.name, file) for file in names if file.is_dir())
+    plain = home / LATEST
+    older = [plain] if not plain.is_symlink() and _is_run(plain) else []
+    return [*older, *(file for when, _, file in began if when)]
+
+
+def _began(folder: Path) -> str:
+    """When a run began, as text that sorts; empty where nothing was written."""
+    record = run_folder.read_table(folder / run_folder.RUN) or {}
+    provenance = record.get("provenance")
+    exact = provenance.get("began_utc") if isinstance(provenance, dict) else None
+    if isinstance(exact, str):
+        return exact
+    files = [file for file in folder.iterdir() if file.name != LOCK]
+    times = [file.stat().st_mtime for file in files]
+    return _utc(min(times)) if times else ""
+
+
+def _utc(seconds: float) -> str:
+    moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    return moment.isoformat(timespec="milliseconds")
+
+
+def _is_run(folder: Path) -> bool:
+    names = (run_folder.RUN, run_folder.RESULT, run_folder.CHECKPOINT)
+    return any((folder / name).is_file() for name in names)
+
+
+def is_good(folder: Path) -> bool:
+    """Whether a run came to its end with its numbers in order."""
+    result = run_folder.read_table(folder / run_folder.RESULT) or {}
+    return result.get("status") in GOOD
+
+
+def lead_to(folder: Path) -> bool:
+    """Makes `run` lead to a run in `runs`, unless a better one is there; whether it does now."""
+    home = home_of(folder)
+    if home is None:
+        return False
+    with only_one(home):
+        now = target(home / LATEST)
+        better = now is None or is_good(folder) or not is_good(now)
+        if better:
+            set_link(home, folder)
+        return better or now == folder
+
+
+def set_link(home: Path, folder: Path) -> None:
+    """Replaces `run` at once, so that at no moment it is missing or leads elsewhere."""
+    made = home / f".{LATEST}-{secrets.token_hex(4)}"
+    text = f"{RUNS}/{folder.name}"
+    try:
+        if os.name == "nt":  # where a link to a folder cannot be replaced at once
+            raise NotImplementedError
+        made.symlink_to(text, target_is_directory=True)
+    except (OSError, NotImplementedError):
+        made.write_text(text + "\n", encoding="utf-8")
+    try:
+        made.replace(home / LATEST)
+    except OSError:
+        made.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def only_one(home: Path) -> Iterator[None]:
+    """One process at a time sets `run` or removes runs."""
+    (home / RUNS).mkdir(exist_ok=True)
+    with locked(home / RUNS / LOCK, PATIENCE):
+        yield
+
+
+def adopt(home: Path) -> None:
+    """Moves a run of an earlier version, in a plain folder `run`, to the others, and leads to it.
+
+    **Raises:** `CaseError` where `run` is something else, which must stay as it is.
+    """
+    plain = home / LATEST
+    if target(plain) is not None or not os.path.lexists(plain):
+        return
+    with only_one(home):
+        if target(plain) is not None or not os.path.lexists(plain):
+            return
+        is_folder = plain.is_dir() and not plain.is_symlink()
+        if is_folder and _is_run(plain):
+            began = datetime.datetime.fromtimestamp((plain / _marker(plain)).stat().st_mtime)
+            folder = home / RUNS / f"{began:%Y-%m-%dT%H%M}-{secrets.token_hex(2)}"
+            plain.rename(folder)
+            set_link(home, folder)
+            return
+        if is_folder and not any(plain.iterdir()):
+            plain.rmdir()
+            return
+    with suppress(OSError):
+        (home / RUNS).rmdir()
+    message = (
+        "this is no run, and its name is that of the latest run: rename it, or name a folder "
+        "with --out"
+    )
+    raise CaseError(str(plain), "", None, message)
+
+
+def _marker(folder: Path) -> str:
+    names = (run_folder.RUN, run_folder.RESULT, run_folder.CHECKPOINT)
+    return next(name for name in names if (folder / name).is_file())
+
+
+def located(path: Path) -> Path:
+    """The folder of the run that a command means: a run folder, or the latest run of a case."""
+    if (path / run_folder.RUN).is_file() or (path / "book.json").is_file():
+        return followed(path)
+    latest = case_folder(path) / LATEST
+    return followed(latest if path != latest and os.path.lexists(latest) else path)
+
+
+def case_folder(path: Path) -> Path:
+    """The folder of the case that a command names by its folder, its file or one of its runs."""
+    if path.suffix.lower() == ".xlsx":
+        return path.with_suffix("")
+    if path.is_file() and target(path) is None:
+        return path.parent
+    return home_of(followed(path)) or path
+
+
+def shown(folder: Path) -> Path:
+    """The shortest name of a run folder: `run` where it leads there."""
+    home = home_of(folder)
+    return home / LATEST if home and target(home / LATEST) == folder else folder
+
+
+def is_busy(folder: Path) -> bool:
+    """Whether a process writes into a run folder."""
+    return is_locked(folder / LOCK)
+
+
+@contextmanager
+def working_in(folder: Path) -> Iterator[None]:
+    """Only this process writes into a run folder.
+
+    **Raises:** `CaseError` where another one does.
+    """
+    missing = [item for item in (folder, *folder.parents) if not item.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with locked(folder / LOCK):
+            yield
+    except BlockingIOError:
+        message = "another process works on this run: wait for it, or solve into another folder"
+        raise CaseError(str(folder), "", None, message) from None
+    finally:
+        for item in missing:  # where nothing was written
+            with suppress(OSError):
+                item.rmdir()

@@ -1,0 +1,66 @@
+"""kill -9 of a run at any moment leaves the others and `run` whole."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from snapo.cli.main import main
+from snapo.problem.carry.latest import target
+from snapo.study.runs import store
+from snapo.study.runs.lock import is_locked
+
+SOLVING = Path(__file__).parent / "solving.py"
+
+
+def begin(case: Path, seconds: float) -> subprocess.Popen:
+    command = [sys.executable, str(SOLVING), str(case), str(seconds)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*.*")}
+
+
+@pytest.mark.prove
+def test_killed_runs_leave_the_others_whole(fake, case, capsys):
+    """Twenty processes, four at a time, of which every other one is killed at random."""
+    chance, ended = random.Random(7), 0
+    assert main(["solve", str(case)]) == 0
+    first = store.folders(case)[0]
+    before = contents(first)
+    for batch in range(5):
+        several = [begin(case, 0.1) for _ in range(4)]
+        try:
+            count = len(store.folders(case))
+            deadline = time.monotonic() + 120
+            while len(store.folders(case)) == count and time.monotonic() < deadline:
+                time.sleep(0.01)
+            for process in several[::2]:
+                time.sleep(chance.uniform(0, 0.4))
+                process.send_signal(signal.SIGKILL)
+            codes = [process.wait(120) for process in several]
+        finally:
+            for process in several:
+                process.kill()
+        assert codes[1] == codes[3] == 0, batch
+        ended += 2
+    good = [run for run in store.folders(case) if store.is_good(run)]
+    assert len(good) >= 1 + ended
+    assert target(case / "run") in good
+    assert contents(first) == before
+    for run in good:
+        assert json.loads((run / "result.json").read_text())["value"] == 7
+        assert (run / "report.html").exists() and not is_locked(run / store.LOCK)
+    killed = [run for run in store.folders(case) if run not in good]
+    assert killed, "none was killed in the middle"
+    capsys.readouterr()
+    assert main(["runs", str(case)]) == 0
+    assert "stopped" in capsys.readouterr().out
+    assert main(["solve", str(case), "--resume"]) == 0
+    assert main(["runs", str(case), "--remove", *(run.name for run in killed)]) == 0
