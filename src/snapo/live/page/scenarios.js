@@ -5,11 +5,6 @@ import { error, shown, signed } from "./numbers.js";
 
 const at = (id) => document.getElementById(id);
 
-// Whether the numbers on the page can be kept now: they are valued, and not the run's.
-export function offer(possible) {
-  at("keep").querySelector("button").disabled = !possible;
-}
-
 export function scenarios(found, { load, keep, forget, called }) {
   at("keep").onsubmit = (event) => {
     event.preventDefault();
