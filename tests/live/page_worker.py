@@ -87,7 +87,7 @@ def answer(order):
     if order["do"] == "train":
         steps = {"step": 0, "of": 9}
         result = {"value": 1.0, "standard_error": 0.5, "gain": 7.0, "gain_error": 0.1,
-                  "steps": 9, "status": "trained"}  # fmt: skip
+                  "steps": 9, "status": "trained", "policy": 1}  # fmt: skip
         return [{**address, "stage": "training", "table": steps},
                 {**address, "stage": "trained", "table": result}]  # fmt: skip
     if values.get("cost", [0])[0] > 100:

@@ -233,3 +233,49 @@ def test_a_download_that_fails_says_why(page):
     assert waiting.value.suggested_filename.endswith(".csv")
     assert "1055" in Path(waiting.value.path()).read_text()
     assert page.inner_text("#download-trouble") == ""
+
+
+def test_the_policy_that_training_found_is_adopted_and_kept(page, server):
+    enter(page, "cost", "6")
+    settled(page)
+    assert page.locator("#adopt").is_hidden()
+    page.click("#train")
+    page.locator("#trained", has_text="a gain of 7").wait_for()
+    page.click("#adopt")
+    assert settled(page) == "463" and "trained again here" in page.inner_text("#changes")
+    page.fill("#keep-name", "Better")
+    page.press("#keep-name", "Enter")
+    page.locator("#kept tr", has_text="Better").locator("a", has_text="Case").wait_for()
+    page.click("#run-policy")
+    assert settled(page) == "456" and page.locator("#run-policy").is_hidden()
+    page.click("#kept button >> text=Show")
+    assert settled(page) == "463" and "that of the scenario" in page.inner_text("#changes")
+    # A number of a policy ends with its worker, that of a scenario is in its file.
+    server.workers.process.kill()
+    page.locator("#status", has_text="revalued in").wait_for()
+    assert settled(page) == "463"
+
+
+def test_a_server_that_starts_again_offers_the_inputs_of_before(browser, tmp_path, held):
+    with serving(tmp_path, held) as server, opened(browser, server) as page:
+        assert page.locator("#offer").is_hidden()
+        enter(page, "cost", "6")
+        settled(page)
+        running = server.address
+    with serving(tmp_path, held) as server, opened(browser, server) as page:
+        assert "one input or choice" in page.inner_text("#offer")
+        page.click("#offer-take")
+        assert settled(page) == "456" and page.locator("#offer").is_hidden()
+        page.goto(server.address.rstrip("/"))  # an address without its last slash
+        page.locator("#deltas").wait_for()
+        page.goto(f"http://127.0.0.1:{server.port}/{running.split('/')[3]}/")
+        assert "Ask `snapo open RUN` again" in page.inner_text("body")
+
+
+def test_a_page_whose_server_has_ended_says_what_to_do(browser, tmp_path, held):
+    with serving(tmp_path, held) as server:
+        page = opened(browser, server)
+    page.page.locator("#trouble", has_text="snapo open mine/run").wait_for()
+    assert page.page.locator("#keep-now").is_disabled()
+    assert "starting" in page.page.inner_text("#keep-why")
+    page.context.close()

@@ -18,7 +18,7 @@ export function rest() {
 // No calculation is going on beside the moves; `words` say what the last one gave.
 export function idle(words) {
   page.busy = "";
-  at("cancel").hidden = at("progress").hidden = true;
+  at("cancel").hidden = at("progress").hidden = at("adopt").hidden = true;
   at("trained").textContent = words;
 }
 
@@ -31,7 +31,9 @@ export function training({ table }) {
 
 export function trained({ table }) {
   const after = `${shown(table.value, 6)} ${error(table.standard_error)}, a gain of ${shown(table.gain, 4)} ${error(table.gain_error)}`;
-  idle(`After ${table.steps} more steps the value is ${after}. To have that policy, keep the scenario and solve its case.`);
+  idle(`After ${table.steps} more steps the value is ${after}.`);
+  page.trained = table.policy;
+  at("adopt").hidden = false;
 }
 
 export function cancelled() {

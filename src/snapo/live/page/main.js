@@ -17,7 +17,7 @@ const STAGES = ["value", "health", "today", "sections", "deltas", "fans"];
 
 const steps = new Steps();
 const stale = new Set(); // stages whose numbers are not of the inputs shown
-let [socket, timer, sent, refusal, tries] = [null, null, 0, "", 0];
+let [socket, timer, sent, refusal, tries, lost] = [null, null, 0, "", 0, ""];
 let compiled = new Set(); // choices for which the worker has code
 
 function connect() {
@@ -81,7 +81,9 @@ function starting(message) {
   compiled = new Set();
   idle("");
   status("starting", "busy");
-  trouble(message.message);
+  lost = typeof page.policy === "number" && page.policy > 0 ? " The policy that was trained here ended with it; the run's is used." : "";
+  if (lost) page.policy = 0;
+  trouble(message.message && message.message + lost);
   expect();
 }
 
@@ -111,8 +113,20 @@ function ready(message) {
   }
   at("reset").disabled = false;
   at("take").hidden = false;
+  offered(first);
   if (anything()) moved(true);
   else home();
+  if (lost) trouble(lost);
+}
+
+// A server that was started again offers the inputs that stood on the last page of the one before.
+function offered(first) {
+  const last = page.about.last;
+  if (!first || !last || anything()) return;
+  const count = Object.keys({ ...last.values, ...last.chosen }).length;
+  at("offer").hidden = !count;
+  at("offer-words").textContent = `When this page was last open, ${count === 1 ? "one input or choice" : `${count} inputs or choices`} had other values.`;
+  at("offer-take").onclick = () => load(last.values, last.chosen);
 }
 
 // Back at the run's own numbers: nothing to compute.
@@ -134,6 +148,7 @@ function moved(done) {
   page.n += 1; // what is on its way is of other inputs
   refusal = "";
   trouble("");
+  at("offer").hidden = true;
   clearTimeout(timer);
   if (done) {
     steps.record(written());
@@ -157,7 +172,7 @@ function ask() {
   if (!anything()) return home();
   page.n += 1;
   sent = performance.now();
-  send({ do: "move", n: page.n, values: values(), chosen: chosen() });
+  send({ do: "move", n: page.n, values: values(), chosen: chosen(), policy: page.policy });
   expect();
 }
 
@@ -201,6 +216,7 @@ function buttons() {
     : page.valued !== page.n ? "These inputs are being valued; then this works." : "";
   at("again").hidden = !page.about?.trains || !anything();
   at("bound").hidden = !page.bounded;
+  at("run-policy").hidden = !page.policy;
   withhold(why || page.busy || "", [at("train"), at("bound")], at("again-why"));
   withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
   at("undo").disabled = !steps.past.length;
@@ -245,6 +261,7 @@ function facts(by, found, none = "…") {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
   } else rows.push(fact("paths", shown(page.paths, 6)));
+  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "that of the scenario" : "trained again here"));
   at("changes").replaceChildren(...rows);
 }
 
@@ -272,7 +289,8 @@ function value(found) {
   idle("");
 }
 
-function load(numbers, choices = {}) {
+function load(numbers, choices = {}, policy = 0) {
+  page.policy = policy;
   for (const menu of page.menus) menu.set(menu.name in choices ? choices[menu.name] : menu.value);
   for (const input of page.inputs) {
     const found = numbers[input.name];
@@ -280,6 +298,12 @@ function load(numbers, choices = {}) {
     input.refuse("");
     input.show();
   }
+  moved(true);
+}
+
+// Another policy at the same inputs.
+function use(policy) {
+  page.policy = policy;
   moved(true);
 }
 
@@ -311,6 +335,8 @@ const work = (id, order, words) => at(id).addEventListener("click", () => {
 work("train", "train", "training starts");
 work("bound", "bound", "bounding; this takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
+at("adopt").addEventListener("click", () => use(page.trained));
+at("run-policy").addEventListener("click", () => use(0));
 at("reset").addEventListener("click", () => load({}));
 at("undo").addEventListener("click", () => jump(steps.back()));
 at("redo").addEventListener("click", () => jump(steps.forth()));

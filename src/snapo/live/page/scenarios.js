@@ -23,7 +23,7 @@ export function scenarios(found, { load, keep, forget, called }) {
 function row(each, load, forget, called) {
   const value = each.value ?? {}, names = [...Object.keys(each.values), ...Object.keys(each.chosen ?? {})].map(called);
   const tools = element("td", {},
-    element("button", { type: "button", onclick: () => load(each.values, each.chosen ?? {}), ariaLabel: `Show ${each.name}` }, "Show"), " ",
+    element("button", { type: "button", onclick: () => load(each.values, each.chosen ?? {}, each.policy ? each.id : 0), ariaLabel: `Show ${each.name}` }, "Show"), " ",
     element("a", { href: `scenario/${each.id}.csv`, download: "" }, "CSV"), " ",
     each.case ? element("a", { href: `scenario/${each.id}.zip`, download: "" }, "Case") : "", " ",
     element("button", { type: "button", onclick: () => forget(each.id), ariaLabel: `Forget ${each.name}` }, "Forget"));
