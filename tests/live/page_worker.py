@@ -90,6 +90,10 @@ def answer(order):
                   "steps": 9, "status": "trained", "policy": 1}  # fmt: skip
         return [{**address, "stage": "training", "table": steps},
                 {**address, "stage": "trained", "table": result}]  # fmt: skip
+    if order["do"] == "explain":
+        rows = [{"names": ["price"], "change": 600.0, "error": 20.0},
+                {"names": ["cost"], "change": -2.0, "error": 0.0}]  # fmt: skip
+        return [{**address, "stage": "explained", "table": rows}]
     if values.get("cost", [0])[0] > 100:
         return [{**address, "stage": "refused", "message": "cost: the limits allow 0 to 100"}]
     tables = stages(values, order.get("chosen", {}), order.get("policy", 0))

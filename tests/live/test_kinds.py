@@ -113,6 +113,10 @@ def test_the_page_shows_what_solve_finds(kind, values, solved, tmp_path):
     else:
         assert rows["reward"][1] == found["value"]["value"]
     assert shown(valuation, {})["value"] == base["value"]
+    rows = valuation.explained(moved)
+    assert [row["names"] for row in rows] == [[name] for name in values]
+    change = sum(row["change"] for row in rows)
+    assert change == pytest.approx(found["value"]["change"], rel=1e-9)
 
 
 @pytest.mark.prove

@@ -279,3 +279,42 @@ def test_a_page_whose_server_has_ended_says_what_to_do(browser, tmp_path, held):
     assert page.page.locator("#keep-now").is_disabled()
     assert "starting" in page.page.inner_text("#keep-why")
     page.context.close()
+
+
+def test_a_change_is_explained_by_input(page):
+    enter(page, "price", "20")
+    settled(page)
+    enter(page, "cost", "3")
+    settled(page)
+    page.click("#explain")
+    page.locator("#explained").wait_for()
+    texts = page.locator("#explained-chart text").all_text_contents()
+    assert texts == ["The run", "455", "Price", "+600", "Cost", "−2", "Here", "1,053"]
+    assert page.locator("#explained-chart rect.fall").count() == 1
+    for width in (1440, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    enter(page, "cost", "4")
+    assert page.locator("#explained").is_hidden()  # it is of other inputs
+
+
+def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):
+    def keep(name):
+        settled(page)
+        page.fill("#keep-name", name)
+        page.press("#keep-name", "Enter")
+        page.locator("#kept tr", has_text=name).wait_for()
+
+    enter(page, "cost", "6")
+    keep("Dear")
+    page.fill("[data-input=price] .short", "1.5")
+    page.press("[data-input=price] .short", "Enter")
+    keep("All")
+    enter(page, "price", "14")
+    keep("Some")
+    assert "Price all +1.5 EUR/t; Cost 5 to 6 EUR/t" in page.inner_text("#kept tr >> nth=2")
+    page.locator("#beside summary").click()
+    rows = [row.inner_text().split("\t") for row in page.locator("#beside-table tr").all()]
+    assert rows[0] == ["", "Dear", "All", "Some"]
+    assert rows[1][1].startswith("456 ±") and rows[2][1].startswith("+1 ±")
+    assert ["Price", "as the run", "all +1.5 EUR/t", "3 of 3: +1.5 to +4 EUR/t"] in rows

@@ -280,7 +280,7 @@ class Server:
                     await self.workers.ask({"do": "move", "page": page, "n": n, **request})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
-                case "train" | "bound":
+                case "train" | "bound" | "explain":
                     result = self._last.get((page, n))
                     if result is None or "value" not in result:
                         raise Refused("these numbers are not valued yet")

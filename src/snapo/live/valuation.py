@@ -31,7 +31,7 @@ from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
 from snapo.study.run_folder import POLICY
 from snapo.study.study import PathTotals, Setup, Study
 
-from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
+from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
 from .positions import InputPositions
 from .rollout import PathCounts, Simulated, simulate, totals_of
 from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
@@ -190,6 +190,23 @@ class Valuation(WhatIf):
         return bound(
             setup.problem, policy, relaxation=relaxation(), paths=BOUND_PATHS, engine=engine
         ).row()
+
+    def shares(self, values: InputValues, selected: SelectedChoices = NONE) -> np.ndarray:
+        return self._totals_worth(self._at(values, selected)[1])[0]
+
+    def explained(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> list[dict[str, Any]]:
+        """With the run's policy; one that was trained here comes last."""
+        adopted, self.policy = self.policy, self._policies[0]
+        try:
+            rows = super().explained(values, selected)
+            before = self.shares(values, selected)
+        finally:
+            self.policy = adopted
+        if self.is_adopted:
+            rows.append(explained_by(["policy"], before, self.shares(values, selected)))
+        return rows
 
     def _at(self, values: InputValues, selected: SelectedChoices = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""

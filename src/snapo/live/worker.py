@@ -133,6 +133,9 @@ def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) 
             elif order["do"] == "bound" and isinstance(valuation, Valuation):
                 result = valuation.bound_here(order["values"], order.get("chosen") or {})
                 post(page=order["page"], n=order["n"], stage="bounded", table=result)
+            elif order["do"] == "explain":
+                rows = valuation.explained(order["values"], order.get("chosen") or {})
+                post(page=order["page"], n=order["n"], stage="explained", table=rows)
             elif order["do"] == "write":
                 _write(valuation, order)
                 if isinstance(valuation, Valuation):

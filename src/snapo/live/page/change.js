@@ -1,6 +1,16 @@
-// A change of the value: to first order while the hand moves.
+// A change of the value: to first order while the hand moves, and explained by input.
 
-import { page } from "./page.js";
+import { drawn, waterfall } from "./draw.js";
+import { shown, signed } from "./numbers.js";
+import { at, page } from "./page.js";
+
+// The steps from the run's value to that shown, an input at a time; `called` names it for people.
+export function explained(steps, called) {
+  at("explained").hidden = false;
+  const rows = steps.map(({ names, change, error }) => ({ name: names.map(called).join(", "), change, error, shown: signed(change, 4) }));
+  const start = page.base.value.value;
+  drawn(at("explained-chart"), (width) => waterfall(width, start, rows, (value) => shown(value, 6)));
+}
 
 // By how much the inputs shown differ to first order from the point `last` that was valued, with
 // the derivatives there: at once, without asking anybody. Null where they are not known, or where

@@ -1,9 +1,9 @@
 // The page: what the server says is shown, and what the hand moves is sent.
 
 import { bounded, cancelled, health, idle, rest, trained, training } from "./best.js";
-import { firstOrder } from "./change.js";
+import { explained, firstOrder } from "./change.js";
 import { downloads } from "./downloads.js";
-import { controls } from "./inputs.js";
+import { capital, controls } from "./inputs.js";
 import { menus } from "./menus.js";
 import { error, shown, signed } from "./numbers.js";
 import { anything, at, chosen, dim, page, values, withhold } from "./page.js";
@@ -51,7 +51,7 @@ function heard(message) {
   const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {} };
   if (stages[message.stage]) return stages[message.stage](message);
   if (message.n !== page.n) return;
-  const answers = { training, trained, cancelled, bounded };
+  const answers = { training, trained, cancelled, bounded, explained: ({ table }) => { idle(""); explained(table, called); } };
   if (answers[message.stage]) {
     answers[message.stage](message);
     return buttons();
@@ -148,7 +148,7 @@ function moved(done) {
   page.n += 1; // what is on its way is of other inputs
   refusal = "";
   trouble("");
-  at("offer").hidden = true;
+  at("offer").hidden = at("explained").hidden = true;
   clearTimeout(timer);
   if (done) {
     steps.record(written());
@@ -214,10 +214,11 @@ function buttons() {
   const why = refusal ? "These inputs are refused: there is nothing to work on."
     : !page.ready ? "The calculation is starting."
     : page.valued !== page.n ? "These inputs are being valued; then this works." : "";
-  at("again").hidden = !page.about?.trains || !anything();
+  at("again").hidden = !page.about || !anything();
+  at("train").hidden = !page.about?.trains;
   at("bound").hidden = !page.bounded;
   at("run-policy").hidden = !page.policy;
-  withhold(why || page.busy || "", [at("train"), at("bound")], at("again-why"));
+  withhold(why || page.busy || "", [at("train"), at("bound"), at("explain")], at("again-why"));
   withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
   at("undo").disabled = !steps.past.length;
   at("redo").disabled = !steps.future.length;
@@ -315,13 +316,15 @@ function jump(text) {
   moved(true);
 }
 
+const called = (name) => page.menus.find((menu) => menu.name === name)?.title ?? capital(name.replaceAll(/[_.]/g, " "));
+
 function kept(message) {
   page.kept = message;
   scenarios(message.scenarios, {
     load,
     keep: (name) => page.valued === page.n && send({ do: "keep", n: page.n, name }),
     forget: (id) => send({ do: "forget", id }),
-    called: (name) => page.menus.find((menu) => menu.name === name)?.title ?? name.replaceAll(/[_.]/g, " "),
+    called,
   });
 }
 
@@ -333,6 +336,7 @@ const work = (id, order, words) => at(id).addEventListener("click", () => {
   buttons();
 });
 work("train", "train", "training starts");
+work("explain", "explain", "one input after another is valued");
 work("bound", "bound", "bounding; this takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("adopt").addEventListener("click", () => use(page.trained));
