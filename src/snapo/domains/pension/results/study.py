@@ -70,10 +70,10 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     if TRAINING not in selected:  # which records them
         available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    shown = {} if case.pots is not None else {"today": live.today}
+    today = None if case.pots is not None else live.today
     return Study(
         "pension", available, selected, result, setup, bounded, at_case, checks,
-        live_tables=live.outcome, **shown,
+        today=today, live_tables=live.outcome,
     )  # fmt: skip
 
 
