@@ -69,11 +69,17 @@ async ([at, key, places]) => {
 
 @contextmanager
 def served(run: Path, simulator: tuple[str, str] | None = None, **about: Any) -> Iterator[Server]:
-    """The page's server, in a thread of its own; `about`: entries in place of the run's."""
+    """The page's server of a run; `about`: entries in place of the run's."""
     command = [sys.executable, "-m", "snapo.live.worker", str(run)]
     if simulator is not None:
         command += ["--simulator", ":".join(simulator)]
-    server = Server(run, about_run(run, simulator) | about, command)
+    with running(Server(run, about_run(run, simulator) | about, command)) as server:
+        yield server
+
+
+@contextmanager
+def running(server: Server) -> Iterator[Server]:
+    """A server, in a thread of its own."""
     loop, up = asyncio.new_event_loop(), threading.Event()
 
     async def start() -> None:

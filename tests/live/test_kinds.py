@@ -113,6 +113,10 @@ def test_the_page_shows_what_solve_finds(kind, values, solved, tmp_path):
     else:
         assert rows["reward"][1] == found["value"]["value"]
     assert shown(valuation, {})["value"] == base["value"]
+    rows = valuation.explained(moved)
+    assert [row["names"] for row in rows] == [[name] for name in values]
+    change = sum(row["change"] for row in rows)
+    assert change == pytest.approx(found["value"]["change"], rel=1e-9)
 
 
 @pytest.mark.prove
@@ -140,7 +144,7 @@ def test_a_process_without_a_policy_is_calculated_as_solve_does(solved, tmp_path
         for each in row["rows"]:
             assert each["value"] == slopes[row["of"], row["input"], each["label"]]
     section = found["sections"][0]
-    assert section["rows"][0][:2] == ["product", "at least 0.11\u00a0mol/L"]
+    assert section["rows"][0][:3] == ["product", "at least 0.11\u00a0mol/L", "mol/L"]
     assert valuation.settings() == {} and valuation.units()["unit"] == ""
 
 
@@ -158,6 +162,32 @@ def test_a_process_in_closed_loop_is_valued_as_solve_does(tmp_path):
     (section,) = found["sections"]
     assert [row[0] for row in section["rows"]] == ["product", "impurity"]
     assert "keep all limits" in section["description"]
+
+
+@pytest.mark.prove
+def test_a_fund_shows_todays_trades_and_its_outcome_in_ratios(solved):
+    valuation = open_run(solved("pension") / "run")
+    assert isinstance(valuation, Valuation) and valuation.study.today is not None
+    result = valuation.study.today(valuation.setup, valuation.policy)
+    part = json.loads((solved("pension") / "run" / "parts" / "today.json").read_text())
+    for row, trade in zip(result.rows, part["trades"]["classes"], strict=True):
+        assert row[0] == trade["name"]
+        targets = 100 * trade["target"], trade["trade"] * 1e-6
+        assert (row[3], row[6]) == pytest.approx(targets, rel=1e-4, abs=1e-3)
+    largest = max(part["trades"]["classes"], key=lambda trade: abs(trade["trade"]))
+    side = "buy" if largest["trade"] > 0 else "sell"
+    assert result.description.startswith(side) and largest["name"] in result.description
+    stages = valuation.stages({})
+    value, (table,) = next(stages)[1]["value"], next(stages)[1]
+    rows = {row[0]: row[1] for row in table["rows"]}
+    certain = json.loads((solved("pension") / "run" / "parts" / "objective.json").read_text())[
+        "objective"
+    ]
+    assert certain["value"] == pytest.approx(value, rel=1e-12)
+    assert rows["Certainty equivalent of the value, %"] == pytest.approx(
+        100 * certain["equivalent"], rel=1e-9
+    )
+    assert rows["Funding ratio, mean of the worst 5 %, %"] < rows["Mean funding ratio, %"]
 
 
 @pytest.mark.prove

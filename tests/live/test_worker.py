@@ -132,7 +132,7 @@ def test_back_at_the_run_everything_is_the_run(worker):
     assert found == base and found["value"]["change"] == 0
 
 
-def test_training_again_starts_from_the_policy_and_can_be_cancelled(kind, worker):
+def test_training_again_starts_from_the_policy_and_can_be_cancelled(kind, worker, tmp_path):
     if kind != "gas-storage":
         pytest.skip("one kind is enough")
     curve = next(each for each in worker.ready["inputs"] if each["name"] == "forward_curve")
@@ -142,6 +142,18 @@ def test_training_again_starts_from_the_policy_and_can_be_cancelled(kind, worker
     assert worker.hear("training", "refused")["table"]["step"] == 0
     after = worker.hear("trained", "refused", "cancelled")["table"]
     assert after["value"] - after["gain"] == pytest.approx(found["value"], rel=1e-9)
+    worker.ask(do="move", n=21, values=moved, policy=after["policy"])
+    adopted = worker.hear("value", "refused")["table"]
+    assert adopted["value"] == after["value"]
+    assert adopted["change"] == pytest.approx(found["change"] + after["gain"], rel=1e-9)
+    folder = tmp_path / "case"
+    worker.ask(do="write", n=21, values=moved, policy=after["policy"], folder=str(folder))
+    assert worker.hear("written", "refused")["stage"] == "written"
+    worker.ask(do="move", n=22, values=moved, policy=str(folder / "policy.npz"))
+    assert worker.hear("value", "refused")["table"]["value"] == after["value"]
+    for policy in (7, str(folder / "none.npz")):
+        worker.ask(do="move", n=23, values=moved, policy=policy)
+        assert "this policy" in worker.hear("value", "refused")["message"]
     worker.ask(do="train", n=20, values=moved)
     worker.ask(do="cancel", n=-1)
     assert worker.hear("trained", "cancelled")["stage"] == "cancelled"

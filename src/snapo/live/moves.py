@@ -214,6 +214,33 @@ class WhatIf:
         return self.positions.case_at(self.changed(values), files)
 
     @abstractmethod
+    def shares(self, values: InputValues, selected: SelectedChoices = NONE) -> np.ndarray:
+        """The shares of independent groups of paths in the value."""
+
+    def explained(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> list[dict[str, Any]]:
+        """The change of the value, an input after another on the same paths, each on top of those
+        before; choices come first, together.
+
+        Inputs that the case refuses without the next one are moved together with it.
+        """
+        moves = [(list(selected), {})] if selected else []
+        moves += [([name], {name: new}) for name, new in self.changed(values).items()]
+        rows, names, moved, before = [], [], {}, self.shares({})
+        for k, (labels, new) in enumerate(moves):
+            names, moved = [*names, *labels], moved | new
+            try:
+                now = self.shares(moved, selected)
+            except CaseError:
+                if k + 1 == len(moves):
+                    raise
+                continue
+            rows.append(explained_by(names, before, now))
+            names, before = [], now
+        return rows
+
+    @abstractmethod
     def counted(self) -> dict[str, int]:
         """Numbers of paths: of the "value", and of other tables."""
 
@@ -264,6 +291,12 @@ class WhatIf:
         return files.with_value(("evaluation",), table)
 
 
+def explained_by(names: Sequence[str], before: np.ndarray, now: np.ndarray) -> dict[str, Any]:
+    """A step of a change: the names that moved, and by how much the value did."""
+    change = statistics.of_shares(now - before)
+    return {"names": list(names), "change": change.value, "error": change.standard_error}
+
+
 EXACT = {"low": None, "high": None}  # a derivative without noise has no interval
 
 
@@ -298,6 +331,11 @@ class Recalculation(WhatIf):
                 yield name, [self._by_handle(row) for row in table]
             else:
                 yield name, table
+
+    def shares(self, values: InputValues, selected: SelectedChoices = NONE) -> np.ndarray:
+        case = self.case_at(values, selected).case
+        table = next(self._of(case, selected).stages(case))[1]
+        return statistics.shares(np.asarray(table["kept"]), None)
 
     def _of(self, case: Any, selected: SelectedChoices) -> Recalculated:
         """What calculates at these choices: made once for each."""

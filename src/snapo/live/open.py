@@ -29,7 +29,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         raise no_policy(run, record)
     about = record.get("about", {})
     step = about.get("step")
-    keys = ("value", "standard_error", "status", "bound", "paths")
+    keys = ("value", "standard_error", "status", "convergence", "verdict", "bound", "paths")
     return {
         "title": about.get("title", run.name),
         "kind": record["kind"],

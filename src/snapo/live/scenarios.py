@@ -1,7 +1,9 @@
 """Named scenarios, kept in the run folder, and their export as CSV, TOML or a workbook.
 
 scenarios/NAME/scenario.json    the moved inputs, and their values
-scenarios/NAME/case/            the case, as `snapo solve` takes it
+scenarios/NAME/case/            the case, as `snapo solve` takes it, and policy.npz where the policy
+                                was trained on the page
+page.json                       the inputs that a page showed last
 """
 
 import csv
@@ -13,6 +15,7 @@ import shutil
 import unicodedata
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -93,9 +96,9 @@ def zipped(folder: Path, name: str) -> bytes:
     return out.getvalue()
 
 
-FOLDER, FILE, CASE = "scenarios", "scenario.json", "case"
+FOLDER, FILE, CASE, LAST = "scenarios", "scenario.json", "case", "page.json"
 LONGEST, MAXIMUM = 60, 200  # letters of a name; scenarios of a run
-KEPT = ("chosen", "value", "sections", "deltas", "today", "fans")
+KEPT = ("chosen", "policy", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
@@ -130,6 +133,20 @@ class SavedScenarios:
         (self.folder / result).mkdir(parents=True, exist_ok=True)
         write_text(self.folder / result / FILE, json.dumps(record, allow_nan=False))
         return result
+
+    def remember(self, shown: Mapping[str, Any]) -> None:
+        """Saves the inputs that a page shows, for the next start of the server."""
+        with suppress(OSError):  # a run that cannot be written is looked at all the same
+            write_text(self.folder.parent / LAST, json.dumps(shown, allow_nan=False))
+
+    def last(self) -> dict[str, Any] | None:
+        """The inputs of the last page of an earlier server; None without any."""
+        try:
+            shown = json.loads((self.folder.parent / LAST).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        parts = isinstance(shown, dict) and [shown.get("values"), shown.get("chosen")]
+        return shown if parts and all(isinstance(item, dict) for item in parts) else None
 
     def forget(self, result: str) -> None:
         """Removes a scenario and its case."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from snapo.study.run_folder import REPORT
+from snapo.study import run_folder
 
 from .process import WorkerProcess
 from .scenarios import CASE, Refused, SavedScenarios, csv_of, page_rows, zipped
@@ -68,10 +68,10 @@ class Downloads:
         return _download(body, "text/csv", f"{result}.csv")
 
     async def report(self, request: web.Request) -> web.Response:
-        file = self.run / REPORT
+        file = self.run / run_folder.REPORT
         if not file.is_file() or file.is_symlink():
             raise web.HTTPNotFound(text="This run has no report: snapo report makes one.")
-        return _download(file.read_bytes(), "text/html", REPORT)
+        return _download(file.read_bytes(), "text/html", run_folder.REPORT)
 
     async def shown(self, request: web.Request) -> web.Response:
         """Everything that a page shows, as CSV."""
@@ -84,6 +84,7 @@ class Downloads:
         book = request.match_info["kind"] == "xlsx"
         order = {"do": "write", "page": "", "n": next(self._numbers), "workbook": book}
         order |= {"values": tables.get("values", {}), "chosen": tables.get("chosen", {})}
+        order["policy"] = tables.get("policy", 0)
         done = asyncio.get_running_loop().create_future()
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
             self._writing[order["n"]] = done
@@ -125,6 +126,10 @@ POLICY = (
     "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
+STRANDED = (
+    "The address has no token, or one of an earlier start. Ask `snapo open RUN` again, and use the "
+    "address that it prints: its page offers the inputs that stood on the last one."
+)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -143,7 +148,7 @@ def guard(token: str, port: Callable[[], int]):
             raise web.HTTPForbidden(text="This server is for this machine only.")
         first = request.path.lstrip("/").partition("/")[0]
         if not hmac.compare_digest(first.encode(), token.encode()):
-            raise web.HTTPForbidden(text="The address has no token, or a wrong one.")
+            raise web.HTTPForbidden(text=STRANDED)
         origin = request.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in names]:
             raise web.HTTPForbidden(text="Another page asks for this one.")
@@ -168,7 +173,7 @@ PAGE = files("snapo.live") / "page"
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 LONGEST = 4 << 20  # bytes of a message from a page
 MAX_NUMBERS, MAX_CHOICES = 100_000, 100  # of a move
-ASKED = ("values", "chosen")
+ASKED = ("values", "chosen", "policy")
 
 
 class Server:
@@ -179,7 +184,8 @@ class Server:
 
     def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
         self.token, self.port = new_token(), 0
-        self.about, self.scenarios = dict(about), SavedScenarios(run)
+        self.scenarios = SavedScenarios(run)
+        self.about = dict(about) | {"last": self.scenarios.last()}
         self.workers = WorkerProcess(worker, self.hear)
         self.pages: dict[str, web.WebSocketResponse] = {}
         self._numbers = count(1)
@@ -197,6 +203,7 @@ class Server:
         checked, harden = guard(self.token, lambda: self.port)
         app = web.Application(middlewares=[checked], client_max_size=LONGEST)
         app.on_response_prepare.append(harden)
+        app.router.add_get("/{token}", self.ended)
         app.router.add_get("/{token}/", self.page)
         app.router.add_get("/{token}/socket", self.socket)
         self.downloads.route(app)
@@ -219,6 +226,9 @@ class Server:
 
     async def page(self, request: web.Request) -> web.Response:
         return _sent("index.html")
+
+    async def ended(self, request: web.Request) -> web.Response:
+        raise web.HTTPFound(f"/{self.token}/")  # the address without its last slash
 
     async def file(self, request: web.Request) -> web.Response:
         return _sent(request.match_info["name"])
@@ -263,13 +273,14 @@ class Server:
             match order.get("do"):
                 case "move":
                     request = {"values": _values(order.get("values")),
-                             "chosen": _chosen(order.get("chosen", {}))}  # fmt: skip
+                             "chosen": _chosen(order.get("chosen", {})),
+                             "policy": self._policy(order.get("policy", 0))}  # fmt: skip
                     self._last = {k: v for k, v in self._last.items() if k[0] != page}
                     self._last[page, n] = dict(request)
                     await self.workers.ask({"do": "move", "page": page, "n": n, **request})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
-                case "train" | "bound":
+                case "train" | "bound" | "explain":
                     result = self._last.get((page, n))
                     if result is None or "value" not in result:
                         raise Refused("these numbers are not valued yet")
@@ -288,6 +299,14 @@ class Server:
         except OSError as error:
             label = f"the run folder cannot be written ({error.strerror})"
             await self._send(page, {"stage": "refused", "n": n, "message": label})
+
+    def _policy(self, label: Any) -> int | str:
+        """The policy of a move: a number of one trained here, 0 is the run's; or a scenario's."""
+        if isinstance(label, str):
+            return str(self.scenarios.folder_of(label) / CASE / run_folder.POLICY)
+        if isinstance(label, bool) or not isinstance(label, int) or not 0 <= label < MAX_NUMBERS:
+            raise Refused("a policy is called by its number, or by its scenario")
+        return label
 
     async def _keep(self, page: str, n: int, name: str) -> None:
         """A scenario as it was valued, with its case; every page learns of it."""
@@ -312,6 +331,8 @@ class Server:
         tables = self._last.get((page, message["n"]))
         if tables is not None and "table" in message:
             tables[message["stage"]] = message["table"]
+            if message["stage"] == "value" and not tables["policy"]:
+                self.scenarios.remember({key: tables[key] for key in ("values", "chosen")})
         if message["stage"] == "written":
             await self._tell_all(self._kept())
         await self._send(page, message)

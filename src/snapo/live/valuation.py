@@ -7,14 +7,16 @@ new case. The derivatives are those of the run plus the change of the held ones.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.objective import Totals
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, load_policy
 from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.adjoint import finite
@@ -26,9 +28,10 @@ from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
+from snapo.study.run_folder import POLICY
 from snapo.study.study import PathTotals, Setup, Study
 
-from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf
+from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
 from .positions import InputPositions
 from .rollout import PathCounts, Simulated, simulate, totals_of
 from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
@@ -52,12 +55,51 @@ class Valuation(WhatIf):
         self.setup = study.setup()
         super().__init__(study, self.setup.problem.inputs_by_name, positions, rebuilt)
         self.solution, self.counts = solution, counts
+        assert solution.policy is not None
+        self.policy: Policy = solution.policy  # that is valued: the run's, or one trained here
+        self._policies: list[Policy] = [self.policy]
         self.slopes = slopes(solution.sensitivities, self.inputs_by_name)
         self._base: np.ndarray | None = None
         self._held: dict[str, Estimate] | None = None
         self._trained: tuple[float, float] | None = None
         self._variants: dict[str, tuple[Study, Setup]] = {}
         self._last = self.setup
+
+    def use(self, policy: int | str) -> None:
+        """From here on values one of the policies trained here, 0 is the run's; or that in a file.
+
+        **Raises:** `CaseError` for one that ended with the calculation that trained it, or a file
+        of another policy.
+        """
+        if isinstance(policy, str):
+            try:
+                loaded = load_policy(policy)
+            except PolicyFileError as error:
+                raise CaseError("this policy", "", None, str(error)) from None
+            if not _alike(loaded, self._policies[0]):
+                raise CaseError("this policy", "", None, "it decides something else than the run's")
+            self.policy = loaded
+            return
+        if not 0 <= policy < len(self._policies):
+            message = "it ended with the calculation that trained it; the run's is there"
+            raise CaseError("this policy", "", None, message)
+        self.policy = self._policies[policy]
+
+    @property
+    def is_adopted(self) -> bool:
+        """Whether the policy that is valued is not the run's."""
+        return self.policy is not self.solution.policy
+
+    def save_policy(self, folder: Path) -> None:
+        """Saves a policy trained here beside a case; that of the run is in the run.
+
+        **Raises:** `CaseError` for one of a class of the user's that no file can hold.
+        """
+        if self.is_adopted:
+            try:
+                self.policy.save(folder / POLICY)
+            except PolicyFileError as error:
+                raise CaseError(POLICY, "", None, str(error)) from None
 
     def source(self, name: str) -> str:
         table = self.solution.sensitivities
@@ -75,18 +117,17 @@ class Valuation(WhatIf):
         """Value, the sections of the domain, deltas, today, fans."""
         changed = self.changed(values)
         study, setup = self._at(values, selected)
-        policy = self.solution.policy
-        assert policy is not None
+        policy, differs = self.policy, bool(changed or selected or self.is_adopted)
         rollout = simulate(setup, policy, self.counts)
-        if (changed or selected) and (invalid := _too_many(setup, rollout.totals)):
+        if differs and (invalid := _too_many(setup, rollout.totals)):
             raise self._no_value(changed, selected, invalid)
-        yield "value", self._value(setup, rollout, changed, bool(changed or selected))
+        yield "value", self._value(setup, rollout, changed, differs)
         if study.live_tables is not None:
             source = setup.problem.sources.evaluation
             groups = source.groups(np.arange(source.available(self.counts.value)))
             result = study.live_tables(PathTotals(setup, rollout.totals, groups))
             yield "sections", [item._asdict() for item in result]
-        yield "deltas", self._deltas(setup, rollout, bool(changed or selected))
+        yield "deltas", self._deltas(setup, rollout, differs)
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
         yield "fans", fans(rollout.tables)
@@ -104,11 +145,11 @@ class Valuation(WhatIf):
     ) -> dict[str, Any]:
         """The policy trained on at these inputs, and its gain on the same paths.
 
-        It starts from the run's policy, which the page continues to value. `summary` hears
-        of the steps done and of all; an exception in it ends the training.
+        It starts from the policy in use, which the page continues to value until it asks for
+        the new one by its number, "policy". `summary` hears of the steps done and of all; an
+        exception in it ends the training.
         """
-        setup, policy = self._at(values, selected)[1], self.solution.policy
-        assert policy is not None
+        setup, policy = self._at(values, selected)[1], self.policy
         steps = setup.training.steps
         training = replace(setup.training, validation_every=max(1, steps // TOLD))
         state = initial_progress(policy, training)
@@ -120,7 +161,9 @@ class Valuation(WhatIf):
         before, _ = self._totals_worth(setup)
         after, result = self._totals_worth(setup, state.best)
         gain = statistics.of_shares(after - before)
+        self._policies.append(state.best)
         return {
+            "policy": len(self._policies) - 1,
             "value": result.value,
             "standard_error": result.standard_error,
             "gain": gain.value,
@@ -139,8 +182,7 @@ class Valuation(WhatIf):
 
         **Raises:** `CaseError` where the domain has no bound here, with the reason.
         """
-        policy, (_, setup) = self.solution.policy, self._at(values, selected)
-        assert policy is not None
+        policy, (_, setup) = self.policy, self._at(values, selected)
         relaxation = self.rebuild(self.case_at(values, selected).case).relaxation
         if isinstance(relaxation, str):
             raise CaseError("the bound", "", None, relaxation)
@@ -148,6 +190,23 @@ class Valuation(WhatIf):
         return bound(
             setup.problem, policy, relaxation=relaxation(), paths=BOUND_PATHS, engine=engine
         ).row()
+
+    def shares(self, values: InputValues, selected: SelectedChoices = NONE) -> np.ndarray:
+        return self._totals_worth(self._at(values, selected)[1])[0]
+
+    def explained(
+        self, values: InputValues, selected: SelectedChoices = NONE
+    ) -> list[dict[str, Any]]:
+        """With the run's policy; one that was trained here comes last."""
+        adopted, self.policy = self.policy, self._policies[0]
+        try:
+            rows = super().explained(values, selected)
+            before = self.shares(values, selected)
+        finally:
+            self.policy = adopted
+        if self.is_adopted:
+            rows.append(explained_by(["policy"], before, self.shares(values, selected)))
+        return rows
 
     def _at(self, values: InputValues, selected: SelectedChoices = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""
@@ -177,8 +236,7 @@ class Valuation(WhatIf):
     def _no_value(self, changed: InputValues, selected: SelectedChoices, invalid: int) -> CaseError:
         """The refusal of numbers without a value; of several, those that have none by
         themselves."""
-        wrong, policy = dict(changed), self.solution.policy
-        assert policy is not None
+        wrong, policy = dict(changed), self.policy
         if 1 < len(changed) <= MAXIMUM:
             for name, new in changed.items():
                 setup = self._at({name: new}, selected)[1]
@@ -194,7 +252,8 @@ class Valuation(WhatIf):
     ) -> dict[str, Any]:
         groups, result = _worth(setup, rollout.totals)
         if self._base is None:
-            self._base = self._totals_worth(self.setup)[0] if differs else groups
+            before = self.solution.policy
+            self._base = self._totals_worth(self.setup, before)[0] if differs else groups
         change = statistics.of_shares(groups - self._base)
         first = {
             name: float(self.slopes[name] @ (new - self.inputs_by_name[name].value).ravel())
@@ -211,9 +270,8 @@ class Valuation(WhatIf):
         }
 
     def _totals_worth(self, setup: Setup, policy: Policy | None = None):
-        """`_worth` of a policy, by default the run's."""
-        policy = policy or self.solution.policy
-        assert policy is not None
+        """`_worth` of a policy, by default the one in use."""
+        policy = policy or self.policy
         return _worth(setup, totals_of(setup, policy, self.counts.value))
 
     def _deltas(self, setup: Setup, rollout: Simulated, differs: bool) -> list[dict[str, Any]]:
@@ -221,16 +279,17 @@ class Valuation(WhatIf):
         if differs and self._held is None:
             policy = self.solution.policy
             assert policy is not None
-            self._held = self._held_at(self.setup, simulate(self.setup, policy, self.counts))
-        now = self._held_at(setup, rollout) if differs or self._held is None else self._held
+            before = simulate(self.setup, policy, self.counts)
+            self._held = self._held_at(self.setup, before, policy)
+        again = differs or self._held is None
+        now = self._held_at(setup, rollout, self.policy) if again else self._held
+        assert now is not None
         self._held = now if self._held is None else self._held
         return derivatives(
             Deltas(self.solution.sensitivities, self._held, now), setup.problem.inputs_by_name
         )
 
-    def _held_at(self, setup: Setup, rollout: Simulated) -> dict[str, Estimate]:
-        policy = self.solution.policy
-        assert policy is not None
+    def _held_at(self, setup: Setup, rollout: Simulated, policy: Policy) -> dict[str, Estimate]:
         return sensitivities(
             setup.problem, policy, paths=self.counts.deltas,
             engine=setup.engines.evaluate, actions=rollout.actions,
@@ -242,14 +301,15 @@ class Valuation(WhatIf):
 
         The norm of the policy's gradient of the smooth value, which vanishes at the optimum.
         """
-        here = self._slope(setup)
+        here, trained = self._slope(setup, self.policy), self.solution.policy
         if self._trained is None:
-            self._trained = here if setup is self.setup else self._slope(self.setup)
+            assert trained is not None
+            same = setup is self.setup and not self.is_adopted
+            self._trained = here if same else self._slope(self.setup, trained)
         return {"gradient": here[0], "noise": here[1], "at_training": self._trained[0]}
 
-    def _slope(self, setup: Setup) -> tuple[float, float]:
-        problem, policy = setup.problem, self.solution.policy
-        assert policy is not None
+    def _slope(self, setup: Setup, policy: Policy) -> tuple[float, float]:
+        problem = setup.problem
         smooth = Smooth(np.float64(setup.training.temperature(setup.training.steps)))
         source = problem.sources.evaluation
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)

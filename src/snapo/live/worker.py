@@ -124,6 +124,8 @@ def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) 
     """Answers until there are no more lines; `module`: of the user's simulator."""
     while (order := desk.orders.get()) is not None:
         try:
+            if isinstance(valuation, Valuation):
+                valuation.use(order.get("policy") or 0)
             if order["do"] == "move":
                 _move(valuation, desk, post, order)
             elif order["do"] == "train" and isinstance(valuation, Valuation):
@@ -131,8 +133,13 @@ def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) 
             elif order["do"] == "bound" and isinstance(valuation, Valuation):
                 result = valuation.bound_here(order["values"], order.get("chosen") or {})
                 post(page=order["page"], n=order["n"], stage="bounded", table=result)
+            elif order["do"] == "explain":
+                rows = valuation.explained(order["values"], order.get("chosen") or {})
+                post(page=order["page"], n=order["n"], stage="explained", table=rows)
             elif order["do"] == "write":
                 _write(valuation, order)
+                if isinstance(valuation, Valuation):
+                    valuation.save_policy(Path(order["folder"]))
                 post(page=order["page"], n=order["n"], stage="written", folder=order["folder"])
         except CaseError as error:
             post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))

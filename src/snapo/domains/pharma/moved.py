@@ -38,7 +38,8 @@ def _form(case: PharmaCase) -> Form:
 
 
 COLUMNS = (
-    ("attribute", ""), ("limits", ""), ("at the set point", ""), ("mean of batches", ""),
+    ("attribute", ""), ("limits", ""), ("unit", ""), ("at the set point", ""),
+    ("mean of batches", ""),
     ("standard deviation", ""), ("within limits", "%"), ("± standard error", "%"),
 )  # fmt: skip
 
@@ -146,7 +147,8 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
     """Every attribute with its limits, and how often batches keep them."""
     rows: list[Sequence[Any]] = [
         (
-            attribute.name, limits(attribute.low, attribute.high, attribute.unit), at[i],
+            attribute.name, limits(attribute.low, attribute.high, attribute.unit),
+            "" if attribute.unit == "1" else unit_words(attribute.unit), at[i],
             capability.mean[i], capability.deviation[i], 100 * (1 - capability.outside[i]),
             100 * capability.error[i],
         )

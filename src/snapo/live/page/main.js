@@ -1,31 +1,40 @@
 // The page: what the server says is shown, and what the hand moves is sent.
 
-import { capital, changed, controls, label, unit } from "./inputs.js";
+import { bounded, cancelled, health, idle, rest, trained, training } from "./best.js";
+import { explained, firstOrder } from "./change.js";
+import { downloads } from "./downloads.js";
+import { capital, controls } from "./inputs.js";
 import { menus } from "./menus.js";
-import { bars, drawn, element, fan, tornado } from "./draw.js";
-import { alike, error, nearness, shown, signed, unitWords } from "./numbers.js";
-import { offer, scenarios } from "./scenarios.js";
+import { error, shown, signed } from "./numbers.js";
+import { anything, at, chosen, dim, page, values, withhold } from "./page.js";
+import { choices, deltas, fact, fans, sections, today } from "./results.js";
+import { scenarios } from "./scenarios.js";
+import { restore, Steps, written } from "./state.js";
 
-const at = (id) => document.getElementById(id);
-const MEMORY = "snapo moved"; // of this tab: a reload finds the moved numbers again
-const CHOICES = "?"; // beside the moved inputs, in that memory
 const QUIET = 220; // milliseconds without a further move, after which the exact value is asked for
+const LONG = 2; // seconds after which a move shows its progress
+const STAGES = ["value", "health", "today", "sections", "deltas", "fans"];
 
-const page = { about: null, inputs: [], menus: [], base: null, now: {}, n: 0, valued: -1, socket: null, timer: null, ready: false };
+const steps = new Steps();
+const stale = new Set(); // stages whose numbers are not of the inputs shown
+let [socket, timer, sent, refusal, tries, lost] = [null, null, 0, "", 0, ""];
+let compiled = new Set(); // choices for which the worker has code
 
 function connect() {
-  const socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
-  page.socket = socket;
+  socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws").replace(/#.*/, "")));
   socket.addEventListener("message", (event) => heard(JSON.parse(event.data)));
   socket.addEventListener("close", () => {
     status("not connected", "lost");
     page.ready = false;
+    tries += 1;
+    if (tries > 1) trouble(`The server of this page has ended. Start it again with "snapo open ${page.about?.folder ?? "RUN"}": the page that it opens offers the inputs that stand here.`);
+    expect();
     setTimeout(connect, 1500);
   });
 }
 
 function send(order) {
-  if (page.socket.readyState === WebSocket.OPEN) page.socket.send(JSON.stringify(order));
+  if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(order));
 }
 
 function status(words, kind = "") {
@@ -39,15 +48,21 @@ function trouble(words) {
 }
 
 function heard(message) {
-  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled, bounded };
+  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {} };
   if (stages[message.stage]) return stages[message.stage](message);
   if (message.n !== page.n) return;
+  const answers = { training, trained, cancelled, bounded, explained: ({ table }) => { idle(""); explained(table, called); } };
+  if (answers[message.stage]) {
+    answers[message.stage](message);
+    return buttons();
+  }
   page.now[message.stage] = message.table;
   if (message.stage === "value") page.valued = message.n;
   render(message.stage);
 }
 
 function about({ about, page: name }) {
+  tries = 0;
   page.about = about;
   page.name = name;
   document.title = `${about.title} – snapo`;
@@ -63,9 +78,13 @@ function about({ about, page: name }) {
 
 function starting(message) {
   page.ready = false;
+  compiled = new Set();
   idle("");
   status("starting", "busy");
-  trouble(message.message);
+  lost = typeof page.policy === "number" && page.policy > 0 ? " The policy that was trained here ended with it; the run's is used." : "";
+  if (lost) page.policy = 0;
+  trouble(message.message && message.message + lost);
+  expect();
 }
 
 function failed(message) {
@@ -79,7 +98,7 @@ function ready(message) {
   page.ready = true;
   page.paths = message.counts.value;
   page.unit = message.unit;
-  at("bound").hidden = !message.bounded;
+  page.bounded = message.bounded;
   page.units = message.units;
   at("unit").textContent = page.unit;
   trouble("");
@@ -88,13 +107,26 @@ function ready(message) {
     controls(at("groups"), page.inputs, moved);
     page.menus = menus(at("groups"), message.choices ?? [], moved);
     if (page.kept) kept(page.kept); // now that choices have names
-    remembered();
     choices();
+    restore(location.hash.slice(1)); // a reload, or an address that was sent on
+    steps.here = written();
   }
   at("reset").disabled = false;
   at("take").hidden = false;
-  if (anything()) ask();
+  offered(first);
+  if (anything()) moved(true);
   else home();
+  if (lost) trouble(lost);
+}
+
+// A server that was started again offers the inputs that stood on the last page of the one before.
+function offered(first) {
+  const last = page.about.last;
+  if (!first || !last || anything()) return;
+  const count = Object.keys({ ...last.values, ...last.chosen }).length;
+  at("offer").hidden = !count;
+  at("offer-words").textContent = `When this page was last open, ${count === 1 ? "one input or choice" : `${count} inputs or choices`} had other values.`;
+  at("offer-take").onclick = () => load(last.values, last.chosen);
 }
 
 // Back at the run's own numbers: nothing to compute.
@@ -102,245 +134,164 @@ function home() {
   page.n += 1;
   page.now = { ...page.base };
   page.valued = page.n;
+  sent = 0;
+  stale.clear();
+  dim("");
   for (const stage of Object.keys(page.now)) render(stage);
   status("the run's numbers");
-  at("again").hidden = true;
   send({ do: "cancel" });
+  buttons();
 }
 
-// Whether an input or a choice differs from the run's.
-function anything() {
-  return page.inputs.some(changed) || page.menus.some((menu) => menu.now !== menu.value);
-}
-
-function chosen() {
-  return Object.fromEntries(page.menus.filter((menu) => menu.now !== menu.value).map((menu) => [menu.name, menu.now]));
-}
-
-function values() {
-  return Object.fromEntries(page.inputs.filter(changed).map((input) => [input.name, input.now]));
-}
-
+// An input or a choice was moved; `done`: the hand has left its control.
 function moved(done) {
-  sessionStorage.setItem(MEMORY, JSON.stringify({ ...values(), [CHOICES]: chosen() }));
+  page.n += 1; // what is on its way is of other inputs
+  refusal = "";
   trouble("");
-  predict();
-  clearTimeout(page.timer);
+  at("offer").hidden = at("explained").hidden = true;
+  clearTimeout(timer);
+  if (done) {
+    steps.record(written());
+    address();
+  }
+  for (const stage of STAGES) stale.add(stage);
+  idle("");
+  expect();
   if (done) ask();
-  else page.timer = setTimeout(ask, QUIET);
+  else timer = setTimeout(ask, QUIET);
+}
+
+// The address has the state, so that a reload or another page of this server shows it.
+function address() {
+  history.replaceState(null, "", steps.here ? `#${steps.here}` : location.pathname);
 }
 
 function ask() {
-  clearTimeout(page.timer);
+  clearTimeout(timer);
   if (!page.ready) return;
   if (!anything()) return home();
   page.n += 1;
-  page.sent = performance.now();
-  page.fresh = new Set();
-  status("revaluing", "busy");
-  for (const id of ["value", "best"]) at(id).classList.add("pending");
-  offer(false);
-  send({ do: "move", n: page.n, values: values(), chosen: chosen() });
+  sent = performance.now();
+  send({ do: "move", n: page.n, values: values(), chosen: chosen(), policy: page.policy });
+  expect();
 }
 
-// To first order, from the sensitivities of the run: at once, without asking anybody. Null where
-// none are known.
-function predicted() {
-  let sum = 0;
-  if (Object.keys(chosen()).length || page.inputs.some((input) => changed(input) && !input.slope)) return null;
-  for (const input of page.inputs.filter(changed)) input.now.forEach((v, i) => (sum += v === input.values[i] ? 0 : input.slope[i] * (v - input.values[i])));
-  return sum;
+const key = () => JSON.stringify([chosen(), page.policy]);
+const seconds = () => (sent ? Math.floor((performance.now() - sent) / 1000) : 0);
+const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stringify(chosen()));
+
+// Why the numbers on the page are not of its inputs.
+function reason() {
+  if (refusal) return "of the inputs before: these are refused";
+  if (!page.ready) return "of the inputs before: the calculation is starting";
+  if (page.valued === page.n) return "of the inputs before: this follows";
+  const time = seconds() >= LONG ? `, ${seconds()} s` : "";
+  return isCompiled() ? `of the inputs before: being valued${time}` : `of the inputs before: this choice is compiled, once${time}`;
 }
 
-function predict() {
+// Every stale number is dimmed; the value is shown to first order, where that is known.
+function expect() {
   if (!page.base) return;
-  const by = predicted();
-  at("value").classList.add("pending");
-  if (by === null) {
-    at("error").textContent = "of other numbers";
-    return;
-  }
-  at("figure").textContent = shown(page.base.value.value + by, 6);
-  at("error").textContent = "to first order";
-  facts(by, null);
+  const waits = stale.has("value"), by = waits && !refusal ? firstOrder(page.last, key()) : null;
+  const dimmed = [...stale].filter((stage) => stage !== "value" || by === null);
+  if (stale.size) dim(reason(), dimmed);
+  if (by !== null) dim("", ["value"]);
+  at("value").classList.toggle("pending", waits);
+  const long = waits && !refusal && page.ready && sent && (seconds() >= LONG || !isCompiled());
+  at("working").hidden = !long;
+  for (const menu of page.menus) menu.busy(long && !isCompiled() && menu.now !== menu.value ? `compiled for this choice, once; it may take a minute: ${seconds()} s so far` : "");
+  if (waits && !refusal && page.ready) status(seconds() >= LONG ? `revaluing, ${seconds()} s` : "revaluing", "busy");
+  if (by !== null) {
+    at("figure").textContent = shown(page.last.value + by, 6);
+    at("error").textContent = "to first order";
+    facts(page.last.value + by - page.base.value.value, null);
+  } else if (waits) facts(null, null, refusal ? "refused" : "…");
+  buttons();
+}
+
+// Buttons that cannot work say why.
+function buttons() {
+  const why = refusal ? "These inputs are refused: there is nothing to work on."
+    : !page.ready ? "The calculation is starting."
+    : page.valued !== page.n ? "These inputs are being valued; then this works." : "";
+  at("again").hidden = !page.about || !anything();
+  at("train").hidden = !page.about?.trains;
+  at("bound").hidden = !page.bounded;
+  at("run-policy").hidden = !page.policy;
+  withhold(why || page.busy || "", [at("train"), at("bound"), at("explain")], at("again-why"));
+  withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
+  at("undo").disabled = !steps.past.length;
+  at("redo").disabled = !steps.future.length;
+  at("undo").title = steps.past.length ? "Ctrl+Z" : "nothing was moved yet";
+  at("redo").title = steps.future.length ? "Ctrl+Shift+Z" : "nothing was undone";
 }
 
 function refused(message) {
   if (message.n !== page.n && message.n !== -1) return;
-  status("refused", "lost");
   const words = message.message;
+  status("refused", "lost");
+  trouble(words);
+  if (page.valued === page.n) { // a bound or a name was refused, and not the numbers
+    idle("");
+    return buttons();
+  }
+  refusal = words;
+  sent = 0;
   // The longest name that the message holds is the input that it is about; as a key of the case it
   // may have points.
   const plain = (text) => text.replaceAll(/[_.]/g, " ");
-  const named = page.inputs.filter((input) => changed(input) && plain(words).includes(plain(input.name))).sort((a, b) => b.name.length - a.name.length)[0];
-  trouble(words);
-  if (page.valued === page.n) { // a bound or a name was refused, and not the numbers
-    at("bound").disabled = false;
-    at("bounds").textContent = "";
-  } else if (page.base) {
+  const named = page.inputs.filter((input) => input.name in values() && plain(words).includes(plain(input.name))).sort((a, b) => b.name.length - a.name.length)[0];
+  if (page.base) {
     at("figure").textContent = "–"; // not to first order either
     at("error").textContent = "";
-    facts(null, null, "refused");
   }
+  expect();
   if (named) named.refuse(words);
 }
 
 function done(message) {
   if (message.n !== page.n) return;
+  sent = 0;
   for (const input of page.inputs) input.refuse("");
   status(`revalued in ${shown(message.seconds, 2)} s`);
 }
 
-function training({ n, table }) {
-  if (n !== page.n) return;
-  at("train").disabled = true;
-  at("cancel").hidden = at("progress").hidden = false;
-  at("progress").max = table.of;
-  at("progress").value = table.step;
-  at("trained").textContent = `step ${table.step} of ${table.of}`;
-}
-
-function idle(words) {
-  at("bound").disabled = false;
-  at("train").disabled = false;
-  at("cancel").hidden = at("progress").hidden = true;
-  at("trained").textContent = words;
-}
-
-function trained({ n, table }) {
-  if (n !== page.n) return;
-  const after = `${shown(table.value, 6)} ${error(table.standard_error)}, a gain of ${shown(table.gain, 4)} ${error(table.gain_error)}`;
-  idle(`After ${table.steps} more steps the value is ${after}. To have that policy, keep the scenario and solve its case.`);
-}
-
-function cancelled() {
-  idle("Training was cancelled.");
-}
-
-function fact(name, value, note) {
-  return element("div", {}, element("dt", {}, name), element("dd", {}, value, note ? element("span", { className: "quiet" }, ` ${note}`) : ""));
-}
-
 function facts(by, found, none = "…") {
   const base = page.base.value, rows = [fact("the run's inputs", shown(base.value, 6), error(base.standard_error))];
-  const any = anything();
-  if (any) {
+  if (anything()) {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
   } else rows.push(fact("paths", shown(page.paths, 6)));
+  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "that of the scenario" : "trained again here"));
   at("changes").replaceChildren(...rows);
 }
 
 function render(stage) {
   const show = { value, sections, deltas, today, fans, health }[stage];
-  if (show && page.now[stage]) show(page.now[stage]);
+  if (!show || !page.now[stage]) return;
+  show(page.now[stage]);
+  if (stage === "deltas") page.last.deltas = page.now.deltas;
+  stale.delete(stage);
+  dim("", [stage]);
+  expect();
 }
 
 function value(found) {
+  compiled.add(JSON.stringify(chosen()));
+  stale.delete("value");
+  page.last = { value: found.value, values: structuredClone(values()), key: key(), deltas: null };
   at("value").classList.remove("pending");
   at("figure").textContent = shown(found.value, 6);
   at("error").textContent = error(found.standard_error);
-  facts(predicted(), found);
-  offer(anything());
+  facts(Object.keys(chosen()).length ? null : found.predicted ?? null, found);
   const here = anything() ? `${page.name}-${page.valued}` : "run";
   for (const [id, address] of [["take-csv", `shown/${here}.csv`], ["take-zip", `case/${here}.zip`], ["take-xlsx", `case/${here}.xlsx`]]) at(id).href = address;
-  at("again").hidden = !page.about.trains || !anything();
-  at("bounds").textContent = "";
+  rest();
   idle("");
 }
 
-function health(found) {
-  at("best").classList.remove("pending");
-  const { far, words } = nearness(found);
-  at("health").hidden = false;
-  at("health").classList.toggle("far", far);
-  at("health").textContent = words;
-}
-
-function bounded({ n, table }) {
-  if (n !== page.n) return;
-  at("bound").disabled = false;
-  const { gap, upper } = table, share = Math.abs(gap.value / (upper.value || 1));
-  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
-  at("bounds").textContent = `No policy has a value above ${shown(upper.value, 6)} ${error(upper.standard_error)}: this one is at most ${shown(gap.value, 4)} ${error(gap.standard_error)} (${shown(100 * share, 2)} %) below the best.${advice}`;
-}
-
-function today(found) {
-  at("today").hidden = false;
-  at("today-words").textContent = found.description;
-  at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
-  const kind = (row, i) => (i && typeof row?.[i] === "string" ? "text" : "");
-  const head = element("tr", {}, ...found.columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(found.rows[0], i) }, headed(name, unit))));
-  const each = found.columns.map((_, i) => alike(found.rows.map((row) => row[i])));
-  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { className: kind(row, i) }, typeof cell === "string" ? cell : each[i](cell)))));
-  at("today-table").replaceChildren(head, ...rows);
-  at("today-more").hidden = !rows.length;
-}
-
-const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : name);
-
-// The domain's own sections. A column of standard errors stands in the one before it.
-function sections(found) {
-  const text = (each) => (typeof each === "string" ? each : shown(each));
-  at("sections").replaceChildren(...found.map(({ title, description, columns, rows }) => {
-    const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
-    const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
-    const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
-    const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
-    const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
-    return element("section", { className: "card" }, element("h2", {}, title), description ? element("p", { className: "quiet" }, description) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
-  }));
-}
-
-function choices() {
-  const many = page.inputs.filter((input) => input.values.length > 1);
-  const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
-  at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
-  const outputs = [...new Set(page.base.deltas.map((each) => each.of).filter(Boolean))];
-  at("delta-of").replaceChildren(...outputs.map((name) => element("option", { value: name }, name)));
-  at("delta-of-label").hidden = !outputs.length;
-  const names = (page.base.fans ?? []).map((each) => each.name);
-  const first = names.find((name) => page.units[name]) ?? names[0];
-  at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
-}
-
-function deltas(found) {
-  at("deltas").hidden = false;
-  const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name), of = at("delta-of").value;
-  const mine = found.filter((each) => !of || each.of === of);
-  const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, ...Object.fromEntries(["value", "low", "high"].map((key) => [key, row[key] === null ? null : row[key] / input.factor])) }));
-  const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
-  drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
-  const number = alike([...rows, ...base].map((row) => row.value));
-  const head = element("tr", {}, ...["", "now", "low", "high", "the run's"].map((text) => element("th", { scope: "col" }, text)));
-  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), ...[row.value, row.low, row.high, base[i].value].map(number)].map((text) => element("td", {}, text)))));
-  const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
-  effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
-  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, low: each.low, high: each.high, shown: signed(each.effect, 4) }))));
-}
-
-// Where the derivative of an input comes from, unless it is that with the decisions held.
-const reported = (input) => ({
-  "through the policy": " With the decisions held it was refuted by a bump: the run's is the bump, elsewhere it changes as the held one does.",
-  "range": " More and less of this input differ at the run's inputs: the interval holds both.",
-  "not known": " The derivative with respect to this input is not known.",
-})[input.source] ?? "";
-
-const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${one(unit(input), input.move * input.factor)}`.trim());
-const one = (words, amount) => (amount === 1 ? words.replace(/^points$/, "point") : words).replace(/^1\//, "per ");
-
-function fans(found) {
-  at("fans").hidden = false;
-  const name = at("fan-name").value, series = found.find((each) => each.name === name);
-  const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
-  const days = page.about.days, step = page.about.step;
-  drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
-  const unit = unitWords(page.units[name] ?? "");
-  at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
-}
-
-function load(numbers, choices = {}) {
+function load(numbers, choices = {}, policy = 0) {
+  page.policy = policy;
   for (const menu of page.menus) menu.set(menu.name in choices ? choices[menu.name] : menu.value);
   for (const input of page.inputs) {
     const found = numbers[input.name];
@@ -351,21 +302,21 @@ function load(numbers, choices = {}) {
   moved(true);
 }
 
-function remembered() {
-  try {
-    const found = JSON.parse(sessionStorage.getItem(MEMORY) ?? "{}"), words = found[CHOICES] ?? {};
-    for (const menu of page.menus) if (menu.name in words) menu.set(words[menu.name]);
-    for (const input of page.inputs) {
-      const numbers = found[input.name];
-      if (Array.isArray(numbers) && numbers.length === input.values.length && numbers.every(Number.isFinite)) {
-        input.now = numbers;
-        input.show();
-      }
-    }
-  } catch {
-    sessionStorage.removeItem(MEMORY);
-  }
+// Another policy at the same inputs.
+function use(policy) {
+  page.policy = policy;
+  moved(true);
 }
+
+// A step back or forth, or an address that was typed.
+function jump(text) {
+  if (text === null || !page.base) return;
+  restore(text);
+  steps.here = written();
+  moved(true);
+}
+
+const called = (name) => page.menus.find((menu) => menu.name === name)?.title ?? capital(name.replaceAll(/[_.]/g, " "));
 
 function kept(message) {
   page.kept = message;
@@ -373,19 +324,40 @@ function kept(message) {
     load,
     keep: (name) => page.valued === page.n && send({ do: "keep", n: page.n, name }),
     forget: (id) => send({ do: "forget", id }),
-    called: (name) => page.menus.find((menu) => menu.name === name)?.title ?? name.replaceAll(/[_.]/g, " "),
+    called,
   });
 }
 
-at("train").addEventListener("click", () => page.valued === page.n && send({ do: "train", n: page.n }));
-at("bound").addEventListener("click", () => {
+const work = (id, order, words) => at(id).addEventListener("click", () => {
   if (page.valued !== page.n) return;
-  at("bound").disabled = true;
-  at("bounds").textContent = "bounding; this takes some seconds";
-  send({ do: "bound", n: page.n });
+  idle(words);
+  page.busy = "One calculation at a time: another is going on.";
+  send({ do: order, n: page.n });
+  buttons();
 });
+work("train", "train", "training starts");
+work("explain", "explain", "one input after another is valued");
+work("bound", "bound", "bounding; this takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
+at("adopt").addEventListener("click", () => use(page.trained));
+at("run-policy").addEventListener("click", () => use(0));
 at("reset").addEventListener("click", () => load({}));
+at("undo").addEventListener("click", () => jump(steps.back()));
+at("redo").addEventListener("click", () => jump(steps.forth()));
+document.addEventListener("keydown", (event) => {
+  if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z" || event.target.matches("input[type=text], input:not([type])")) return;
+  event.preventDefault();
+  jump(event.shiftKey ? steps.forth() : steps.back());
+});
+addEventListener("hashchange", () => {
+  const text = location.hash.slice(1);
+  if (page.base && text !== steps.here) {
+    restore(text);
+    moved(true);
+  }
+});
+setInterval(() => stale.size && expect(), 1000);
 for (const name of ["delta-input", "delta-of"]) at(name).addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));
 at("fan-name").addEventListener("change", () => page.now.fans && fans(page.now.fans));
+downloads(at("download-trouble"));
 connect();

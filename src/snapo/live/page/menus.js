@@ -12,6 +12,8 @@ export function menus(place, choices, moved) {
   const made = choices.map((choice) => {
     const menu = element("select", { ariaLabel: choice.title }, ...choice.allowed.map((value, i) => element("option", { value: String(i) }, words(value))));
     const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, choice.title), " ", menu), element("span", {}, `the run has ${words(choice.value)}`)));
+    const note = element("p", { className: "quiet", role: "status", hidden: true });
+    row.append(note);
     row.dataset.choice = choice.name;
     box.append(row);
     const found = { ...choice, now: choice.value };
@@ -22,6 +24,10 @@ export function menus(place, choices, moved) {
       row.classList.toggle("changed", value !== choice.value);
       const count = made.filter((each) => each.now !== each.value).length;
       mark.textContent = count ? `${count} moved` : "";
+    };
+    found.busy = (text) => {
+      note.textContent = text;
+      note.hidden = !text;
     };
     menu.addEventListener("change", () => {
       found.set(choice.allowed[Number(menu.value)]);

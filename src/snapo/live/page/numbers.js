@@ -29,15 +29,23 @@ export function signed(x, digits = 5) {
 
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");
 
+const DECIDED = ["converged", "start kept", "", undefined, null]; // verdicts with nothing to add
+
 // How near a policy is to its best, by the norm of its gradient: against that where it was trained,
-// or, where that is nothing beyond its noise, against the noise.
-export function nearness({ gradient, noise, at_training: before }) {
-  const far = gradient > 2 * noise && gradient > 2 * before;
+// or, where that is nothing beyond its noise, against the noise. `run`: its own verdict on its
+// training; where that is not settled, a small gradient here says no more than there.
+export function nearness({ gradient, noise, at_training: before }, run = {}) {
+  const away = gradient > 2 * noise && gradient > 2 * before, open = !DECIDED.includes(run.convergence);
   const times = before ? `${shown(gradient / before, 2)} ± ${shown(noise / before, 2)} times that where it was trained` : "";
-  const words = far
-    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "stands out of its noise, and did not where it was trained"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
+  const verdict = run.verdict || (open ? `the training is “${run.convergence}”` : "");
+  const said = verdict ? ` The verdict on the run itself: ${verdict.replace(/[.]$/, "")}.` : "";
+  const near = open
+    ? `The policy is about as near its best here as at the run's inputs: its gradient is ${times || "no more than noise, as there"}. That is not settled there either.`
     : `The policy is near its best here, as far as its gradient tells: ${times || "no more than noise, as where it was trained"}.`;
-  return { far, words };
+  const words = away
+    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "stands out of its noise, and did not where it was trained"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains.`
+    : near;
+  return { far: away || open, words: words + said };
 }
 
 // A number in a field: short where rounding away binary noise loses nothing.

@@ -191,6 +191,16 @@ def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
     return np.concatenate([np.asarray(weights), action[:, :, count:]], 2)
 
 
+def first_traded(
+    case: PensionCase, action: np.ndarray, held: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Today's weights [n] and places of the notionals [b] of a first action [A]."""
+    if trading_limits(case.assets, case.step).dealing:
+        action = _traded(case, action[None, None], held[None, None])[0, 0]
+    record = RecordedPaths(case, action[None, None], {}, np.zeros(0))
+    return record.weights[0, 0], record.overlay[0, 0]
+
+
 def by_year(record: RecordedPaths) -> YearlyFans:
     """Fans at the ends of years: funding ratio, contributions, indexation; and probabilities."""
     case, outputs = record.case, record.outputs

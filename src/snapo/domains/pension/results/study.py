@@ -12,6 +12,7 @@ from snapo.study.training import TRAINING, trained
 
 from ..bounds.conjugate import conjugate
 from ..bounds.relaxation import FundRelaxation
+from ..chapters import live
 from ..chapters.attribution import ATTRIBUTION, VARIANCE
 from ..chapters.evidence import CERTIFICATE, CONSISTENCY
 from ..chapters.frontier import FRONTIER
@@ -69,7 +70,11 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     if TRAINING not in selected:  # which records them
         available |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    return Study("pension", available, selected, result, setup, bounded, at_case, checks)
+    today = None if case.pots is not None else live.today
+    return Study(
+        "pension", available, selected, result, setup, bounded, at_case, checks,
+        today=today, live_tables=live.outcome,
+    )  # fmt: skip
 
 
 def parts(case: PensionCase) -> tuple[Part, ...]:

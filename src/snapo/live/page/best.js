@@ -1,0 +1,48 @@
+// How near the policy is to its best here: its gradient, a bound, and training again.
+
+import { error, nearness, shown } from "./numbers.js";
+import { at, page } from "./page.js";
+
+export function health(found) {
+  const { far, words } = nearness(found, page.about.result);
+  at("health").hidden = false;
+  at("health").classList.toggle("far", far);
+  at("health").textContent = words;
+}
+
+// Nothing is known about these inputs yet.
+export function rest() {
+  at("bounds").textContent = "";
+}
+
+// No calculation is going on beside the moves; `words` say what the last one gave.
+export function idle(words) {
+  page.busy = "";
+  at("cancel").hidden = at("progress").hidden = at("adopt").hidden = true;
+  at("trained").textContent = words;
+}
+
+export function training({ table }) {
+  at("cancel").hidden = at("progress").hidden = false;
+  at("progress").max = table.of;
+  at("progress").value = table.step;
+  at("trained").textContent = `step ${table.step} of ${table.of}`;
+}
+
+export function trained({ table }) {
+  const after = `${shown(table.value, 6)} ${error(table.standard_error)}, a gain of ${shown(table.gain, 4)} ${error(table.gain_error)}`;
+  idle(`After ${table.steps} more steps the value is ${after}.`);
+  page.trained = table.policy;
+  at("adopt").hidden = false;
+}
+
+export function cancelled() {
+  idle("Training was cancelled.");
+}
+
+export function bounded({ table }) {
+  idle("");
+  const { gap, upper } = table, share = Math.abs(gap.value / (upper.value || 1));
+  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
+  at("bounds").textContent = `No policy has a value above ${shown(upper.value, 6)} ${error(upper.standard_error)}: this one is at most ${shown(gap.value, 4)} ${error(gap.standard_error)} (${shown(100 * share, 2)} %) below the best.${advice}`;
+}

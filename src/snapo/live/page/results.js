@@ -1,0 +1,85 @@
+// The tables of a move: today's decision, the sections of the domain, deltas, and fans over time.
+
+import { capital, label, unit } from "./inputs.js";
+import { bars, drawn, element, fan, tornado } from "./draw.js";
+import { alike, shown, signed, unitWords } from "./numbers.js";
+import { at, page } from "./page.js";
+
+export function fact(name, value, note) {
+  return element("div", {}, element("dt", {}, name), element("dd", {}, value, note ? element("span", { className: "quiet" }, ` ${note}`) : ""));
+}
+
+export function today(found) {
+  at("today").hidden = false;
+  at("today-words").textContent = found.description;
+  at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
+  const kind = (row, i) => (i && typeof row?.[i] === "string" ? "text" : "");
+  const head = element("tr", {}, ...found.columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(found.rows[0], i) }, headed(name, unit))));
+  const each = found.columns.map((_, i) => alike(found.rows.map((row) => row[i])));
+  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { className: kind(row, i) }, typeof cell === "string" ? cell : each[i](cell)))));
+  at("today-table").replaceChildren(head, ...rows);
+  at("today-more").hidden = !rows.length;
+}
+
+const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : name);
+
+// The domain's own sections. A column of standard errors stands in the one before it.
+export function sections(found) {
+  const text = (each) => (typeof each === "string" ? each : shown(each));
+  at("sections").replaceChildren(...found.map(({ title, description, columns, rows }) => {
+    const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
+    const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
+    const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
+    const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
+    const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
+    return element("section", { className: "card" }, element("h2", {}, title), description ? element("p", { className: "quiet" }, description) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
+  }));
+}
+
+export function choices() {
+  const many = page.inputs.filter((input) => input.values.length > 1);
+  const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
+  at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
+  const outputs = [...new Set(page.base.deltas.map((each) => each.of).filter(Boolean))];
+  at("delta-of").replaceChildren(...outputs.map((name) => element("option", { value: name }, name)));
+  at("delta-of-label").hidden = !outputs.length;
+  const names = (page.base.fans ?? []).map((each) => each.name);
+  const first = names.find((name) => page.units[name]) ?? names[0];
+  at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
+}
+
+export function deltas(found) {
+  at("deltas").hidden = false;
+  const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name), of = at("delta-of").value;
+  const mine = found.filter((each) => !of || each.of === of);
+  const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, ...Object.fromEntries(["value", "low", "high"].map((key) => [key, row[key] === null ? null : row[key] / input.factor])) }));
+  const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
+  drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
+  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
+  const number = alike([...rows, ...base].map((row) => row.value));
+  const head = element("tr", {}, ...["", "now", "low", "high", "the run's"].map((text) => element("th", { scope: "col" }, text)));
+  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), ...[row.value, row.low, row.high, base[i].value].map(number)].map((text) => element("td", {}, text)))));
+  const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
+  effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
+  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, low: each.low, high: each.high, shown: signed(each.effect, 4) }))));
+}
+
+// Where the derivative of an input comes from, unless it is that with the decisions held.
+const reported = (input) => ({
+  "through the policy": " With the decisions held it was refuted by a bump: the run's is the bump, elsewhere it changes as the held one does.",
+  "range": " More and less of this input differ at the run's inputs: the interval holds both.",
+  "not known": " The derivative with respect to this input is not known.",
+})[input.source] ?? "";
+
+const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${one(unit(input), input.move * input.factor)}`.trim());
+const one = (words, amount) => (amount === 1 ? words.replace(/^points$/, "point") : words).replace(/^1\//, "per ");
+
+export function fans(found) {
+  at("fans").hidden = false;
+  const name = at("fan-name").value, series = found.find((each) => each.name === name);
+  const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
+  const days = page.about.days, step = page.about.step;
+  drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
+  const unit = unitWords(page.units[name] ?? "");
+  at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
+}
