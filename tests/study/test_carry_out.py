@@ -211,7 +211,7 @@ def test_a_run_of_an_earlier_version_is_not_resumed(fake, tmp_path, left):
 @pytest.mark.parametrize(
     ("text", "clause"),
     [
-        ('{"layout": 1, "kind": "fake"}', "layout: got 1; allowed is 3; another version"),
+        ('{"layout": 1, "kind": "fake"}', "layout: got 1; allowed is 4; another version"),
         ("{", "this file cannot be read"),
         ("[]", "this file cannot be read"),
         (None, "this is not the folder of a run"),

@@ -45,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_book,
         _add_certify,
         _add_report,
+        _add_export,
         _add_open,
         _add_compare,
         _add_bench,
@@ -160,6 +161,23 @@ def _add_report(commands) -> None:
     report.add_argument(
         "--xlsx", action="store_true", help="also write its tables as a workbook, tables.xlsx"
     )
+
+
+def _add_export(commands) -> None:
+    export = commands.add_parser(
+        "export",
+        help="write the policy of a run in other forms, next to its report",
+        epilog="snapo export mine/run --onnx --table",
+    )
+    export.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    export.add_argument("--onnx", action="store_true", help="as an ONNX graph, policy.onnx")
+    export.add_argument(
+        "--table", action="store_true", help="decisions at observations of a run, policy.csv"
+    )
+    export.add_argument(
+        "--python", action="store_true", help="as a Python file that needs NumPy only, policy.py"
+    )
+    _add_simulator(export)
 
 
 def _add_open(commands) -> None:

@@ -5,13 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.carry.save import described, difference, read_arrays, write_arrays
+from snapo.problem.carry.save import (
+    PolicyFileError,
+    described,
+    filled,
+    leaves_of,
+    read_arrays,
+    write_arrays,
+)
 
 from .learning.conditioning import Growth
 from .learning.features import FeatureScale
@@ -94,8 +98,7 @@ def _with_critic(file: Path, like: Progress) -> Progress:
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
     """All array leaves of a tree with a JSON header, through a temporary file next to the
     target."""
-    leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
-    arrays = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
+    arrays = {f"leaf_{i}": leaf for i, leaf in enumerate(leaves_of(tree))}
     _save(file, arrays, {"header": header, "described": described(_policies(tree))})
 
 
@@ -105,22 +108,12 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     **Raises:** `CheckpointError` where the file is damaged, or holds policies that differ from
     those of `like` in shape, activation or any other setting.
     """
-    moving, fixed = eqx.partition(like, eqx.is_array)
-    leaves, structure = jax.tree.flatten(moving)
     stored, both = _load(file)
     header, text = _two(file, both, "header", "described")
-    result = list(stored.values())
-    shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in result]
-    if shapes[0] != shapes[1]:
-        raise CheckpointError(f"{file}: this file contains a policy of another shape.")
-    if text and (other := difference(text, described(_policies(like)))):
-        raise CheckpointError(f"{file}: this file contains another policy: {other}.")
-    # Tables in NumPy keep their precision, which JAX might not have.
-    selected = [
-        np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)
-        for new, old in zip(result, leaves)
-    ]
-    return eqx.combine(structure.unflatten(selected), fixed), header
+    try:
+        return filled(file, list(stored.values()), text, like, _policies(like)), header
+    except PolicyFileError as error:
+        raise CheckpointError(str(error)) from None
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:

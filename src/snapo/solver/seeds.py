@@ -17,6 +17,7 @@ from snapo.problem.simulator import Simulator
 
 from . import statistics
 from .evaluate import value_of_groups
+from .learning.progress import INTERRUPTED
 from .learning.settings import Training
 from .solution import Solution
 from .solve import Evaluation, in_order, solve
@@ -93,7 +94,7 @@ def solve_seeds(
     seed.
 
     **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
-    are those of `solve`.
+    are those of `solve`. Ctrl-C during a training ends with its seed.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
         message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"
@@ -112,4 +113,6 @@ def solve_seeds(
         local = problem.on(problem.sources.reseeded(seed))
         settings = replace(training, seed=seed)
         table[seed] = solve(local, policy=policy, training=settings, evaluation=evaluation, **more)
+        if table[seed].status == INTERRUPTED:
+            break
     return Seeds(table)

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from snapo.problem.carry.save import PolicyFileError, load, stored
+from snapo.problem.carry.save import save as save_policy
 from snapo.problem.inputs import Input
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, features
 from snapo.problem.problem import Problem
 
 from . import checkpoint
@@ -34,7 +36,8 @@ from .tables import (
     write_text,
 )
 
-POLICY, SOLUTION = "policy.npz", "solution.npz"
+POLICY, HALFWAY, SOLUTION = "policy.npz", "halfway.npz", "solution.npz"
+RUN = "run"  # in the folder of a case, the folder of its run
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
 HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
@@ -54,9 +57,9 @@ class Solution:
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.
-    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite;
-      see the notes); unless diverged, "ruined" if the value is minus infinity and "not finite" if
-      it is NaN.
+    - `status`: "trained", "stopped early", "interrupted" (by Ctrl-C) or "diverged" (too many paths
+      of a step are non-finite; see the notes); unless interrupted or diverged, "ruined" if the
+      value is minus infinity and "not finite" if it is NaN.
     - `roles`: {training, validation, evaluation, sensitivities}: the paths used for each.
     - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
       stays at a limit), "constant" (a constant decision does as well), "barely moved" (the
@@ -216,13 +219,16 @@ class Solution:
         write_csv(folder / HISTORY, Record._fields, self.history)
         if self.growth is not None:
             write_csv(folder / GROWTH, self.growth.columns, self.growth.table())
-        policies = {"policy": self.policy, "halfway": self.halfway}
-        checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})
+        observed = None if self.problem is None else self.problem.interface.features
+        for name, policy in ((POLICY, self.policy), (HALFWAY, self.halfway)):
+            if policy is not None:
+                save_policy(policy, folder / name, observed or features(policy), code=True)
         sensitivities = self.sensitivities
         header = (
             self.summary()
             | self._beside()
             | {
+                "policy": self.policy is not None,
                 "history": self.history,
                 "growth": self.growth,
                 "inputs": {} if sensitivities is None else _described(sensitivities.inputs),
@@ -238,12 +244,14 @@ class Solution:
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        `like` is a policy of the same shape; without it the solution has no policy.
+        The folder is that of `solution.save` or of a run of `snapo solve`, or the one above a run.
+        A policy of a user-defined class has its numbers in the file and not its code: `like` is
+        such a policy, of the same shape; without it the solution has no policy.
 
-        **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
-        policy: of another shape, with another activation, with another set of actions.
+        **Raises:** `CheckpointError` where a file is missing or damaged, or holds a policy that
+        differs from `like`: of another shape, with another activation, another set of actions.
         """
-        folder = Path(folder)
+        folder = folder_of(folder)
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
@@ -253,10 +261,11 @@ class Solution:
     @classmethod
     def _read(cls, folder: Path, like: Policy | None) -> "Solution":
         arrays, header = checkpoint.load_named(folder / SOLUTION)
-        policies: dict[str, Any] = {"policy": None, "halfway": None}
-        if like is not None:
-            shapes = {"policy": like, "halfway": like if header["halfway"] else None}
-            policies = checkpoint.load_arrays(folder / POLICY, shapes)[0]
+        names = {"policy": POLICY, "halfway": HALFWAY}
+        policies = {
+            name: _policy(folder / file, like) if header[name] else None
+            for name, file in names.items()
+        }
         totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
         sensitivities = _sensitivities(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
@@ -297,6 +306,23 @@ def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
         }
         for name, values in inputs.items()
     }
+
+
+def folder_of(folder: Path | str) -> Path:
+    """The folder with a solution: this one, or that of the run in the folder of a case."""
+    folder = Path(folder)
+    inside = not (folder / SOLUTION).exists() and (folder / RUN / SOLUTION).exists()
+    return folder / RUN if inside else folder
+
+
+def _policy(file: Path, like: Policy | None) -> Policy | None:
+    """The policy of a file; None if its class is user code and there is nothing like it."""
+    try:
+        if like is None:
+            return stored(file, Policy).policy
+        return load(file, Policy, like)
+    except PolicyFileError as error:
+        raise checkpoint.CheckpointError(str(error)) from None
 
 
 def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | None) -> dict:

@@ -27,6 +27,7 @@ from snapo.problem.simulator import Simulator
 
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.log import recorded
+from .learning.progress import INTERRUPTED, Interrupted
 from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import others, race
 from .measure.measure import MeasuredRun, measure
@@ -78,6 +79,9 @@ def solve(
       which to continue.
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
 
+    Ctrl-C during training ends it: the best policy so far is measured, and the solution has the
+    status "interrupted". A second Ctrl-C ends the measurement too, without a solution.
+
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
     training = _settings("training", training, Training)
@@ -86,27 +90,31 @@ def solve(
         seed = training.seed
         inputs, policy = in_order(problem, inputs, policy)
         values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(seed)
-        result = _refused(_of_simulator(problem, inputs)) if check else ()
+        notes = _refused(_of_simulator(problem, inputs)) if check else ()
         problem = problem_of("solve", problem, *values, sources=sources, seed=seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
-            result += _refused(problem_mistakes(problem, policy))
+            notes += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
         plan = resolve_auto(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
-            if progress is None:
-                progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
-            timer.stage("evaluate")
-            fresh = _fresh_starts(policy, plan) if drawn else None
-            progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
+            try:
+                if progress is None:
+                    progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
+                timer.stage("evaluate")
+                fresh = _fresh_starts(policy, plan) if drawn else None
+                progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
+            except Interrupted as stop:
+                progress = replace(stop.result, status=INTERRUPTED)
+                notes += (_interrupted(progress.step, plan.steps),)
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
         measured = measure(run)
-        measured["notes"] = (*result, *measured["notes"])
+        measured["notes"] = (*notes, *measured["notes"])
         timer.stage("evaluate")
     return Solution(
         **measured,
@@ -170,6 +178,12 @@ def _begun(
 
     left, rounds = race(started, training.steps, run)
     return replace(left, raced=rounds)
+
+
+def _interrupted(step: int, steps: int) -> str:
+    return (
+        f"Training was interrupted after step {step} of {steps}: the policy is the best one so far."
+    )
 
 
 def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:

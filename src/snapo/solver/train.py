@@ -43,7 +43,15 @@ from .learning.conditioning import (
 )
 from .learning.optimiser import initial_state, memory, restarted, updater
 from .learning.practice import perturbed_problem
-from .learning.progress import Progress, Record, begin_again, go_slower, marks, may_be_slower
+from .learning.progress import (
+    Interrupted,
+    Progress,
+    Record,
+    begin_again,
+    go_slower,
+    marks,
+    may_be_slower,
+)
 from .learning.progress import initial_progress as initial_progress
 from .learning.settings import Training as Training
 from .learning.settings import TrainingPlan, resolve_auto
@@ -88,9 +96,9 @@ def train(
     With `until` it stops after that step, validated, and can be continued from there. A training
     that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
-    It stops early where a callback returns True. On Ctrl-C they are called once more, and the
-    interrupt is passed on to the caller. The status of the result is "trained", "stopped early" or
-    "diverged".
+    It stops early where a callback returns True. On Ctrl-C they are called once more, and
+    `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is
+    "trained", "stopped early" or "diverged".
     """
     plan = resolve_auto(training, remembering(problem, progress.policy), progress.policy)
     last = plan.steps if until is None else min(until, plan.steps)
@@ -119,7 +127,7 @@ def train(
     except KeyboardInterrupt:
         for callback in callbacks:
             callback(progress)
-        raise
+        raise Interrupted(progress) from None
     return progress
 
 
