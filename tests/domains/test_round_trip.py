@@ -33,7 +33,7 @@ OTHERS = {  # policies that the miniatures do not have
     "memory": Miniature(
         "control",
         "double-integrator",
-        ("plant.horizon=6", 'policy.memory="GRU"', "training.window=0", *SHORT),
+        ("plant.horizon=6", 'policy.memory="GRU"', *SHORT),
     ),
     "loop": Miniature("pharma", texts=closed_loop),
     "line": Miniature("inventory", "line", SHORT),
@@ -41,7 +41,7 @@ OTHERS = {  # policies that the miniatures do not have
 
 
 def one_process(case: Miniature, run, tmp_path, capsys) -> None:
-    result = json.loads((run / "result.json").read_text())
+    result = json.loads((run / "parts" / "training.json").read_text())["solution"]
     solution = snapo.Solution.load(run.parent)  # the folder above the run
     assert solution.value == snapo.Solution.load(run).value == result["value"]
     policy = solution.policy

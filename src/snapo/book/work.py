@@ -124,7 +124,7 @@ class _Contract:
             return OrderAnswer((*self._base(policy), *self._stressed(policy)), None, *labels)
         if not order.base:
             return OrderAnswer(tuple(self._stressed(None)), None, *labels)
-        solution = self.setup.solve()
+        solution = self.setup.solve(bar=False)
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = _point(self.setup, solution.totals, {}, deltas)
@@ -155,7 +155,7 @@ class _Contract:
         changes = {name: (x - self.inputs[name].value).ravel() for name, x in values.items()}
         if policy is not None:
             return self._valued(setup, policy, changes)
-        solution = setup.solve()
+        solution = setup.solve(bar=False)
         deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return _point(setup, solution.totals, changes, deltas)
 

@@ -1,6 +1,7 @@
 """`snapo`: reads the arguments; imports neither NumPy nor JAX before there is work to do."""
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,11 @@ from snapo import __version__
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 SHELLS = ("bash", "zsh", "fish")
+EXTRAS = {  # and the packages that they bring
+    "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
+    "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
+    "gym": ("gymnasium",), "chemicals": ("chemicals",), "native": ("llvmlite",),
+}  # fmt: skip
 CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
 
@@ -24,9 +30,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(script(_parser(), options.shell), end="")
         return 0
-    from .commands import run
+    try:
+        from .commands import run
 
-    return run(options)
+        return run(options)
+    except ModuleNotFoundError as error:
+        extra = next((key for key, names in EXTRAS.items() if error.name in names), None)
+        if extra is None:
+            raise
+        message = f"snapo {options.command} needs {error.name}: pip install 'snapo[{extra}]'"
+        print(f"snapo: {message}", file=sys.stderr)
+        if options.json:
+            print(json.dumps({"status": "bad-input", "message": message}))
+        return 2
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -41,6 +41,9 @@ class Value(NamedTuple):
     dropped: int = 0
     refused: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         """ "2,732 ± 21": two significant digits of the error."""
         return statistics.with_error(self.value, self.standard_error)

@@ -5,14 +5,16 @@
     solution.plot.fan("water")
     solution.plot.policy("water", "price")
 
-They are drawn from the solution only, so a loaded one has them too. Each takes `ax` to draw into,
-and returns the figure.
+They are drawn from the solution only, so a loaded one has them too. Each returns its figure, which
+shows itself in a notebook; with `ax` it draws into these axes and returns nothing, so that their
+figure is not shown twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 
 import jax
@@ -256,15 +258,33 @@ class Figures:
 
 
 def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
-    """The figure and its axes: those given, or new ones that no window shows twice."""
+    """The figure and its axes: those given, without a figure to return, or new ones.
+
+    A new figure draws itself under the cell of a notebook, whatever backend matplotlib has.
+    """
     if ax is not None:
-        return ax.figure, ax
+        return None, ax
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
         message = "solution.plot needs matplotlib: pip install 'snapo[cli]'"
         raise ModuleNotFoundError(message) from None
-    figure = Figure(figsize=(7.2, height), layout="constrained")
+
+    class Picture(Figure):
+        def __repr__(self) -> str:
+            return "a picture; savefig(file) writes it"
+
+        def _repr_png_(self) -> bytes:
+            stream = BytesIO()
+            self.savefig(stream, format="png", dpi=144)
+            return stream.getvalue()
+
+        def _repr_mimebundle_(self, **options: Any) -> Any:
+            width, height = (round(96 * size) for size in self.get_size_inches())
+            size = {"image/png": {"width": width, "height": height}}
+            return {"image/png": self._repr_png_(), "text/plain": repr(self)}, size
+
+    figure = Picture(figsize=(7.2, height), layout="constrained")
     ax = figure.subplots()
     ax.spines[["top", "right"]].set_visible(False)
     return figure, ax

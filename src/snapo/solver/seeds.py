@@ -52,6 +52,9 @@ class Seeds:
         shares = [value_of_groups(objective, item.totals, source) for item in (one, other)]
         return statistics.of_shares(shares[0] - shares[1])
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         values = np.array(list(self.values.values()))
         spread = f", standard deviation {values.std(ddof=1):.3g}" if len(values) > 1 else ""

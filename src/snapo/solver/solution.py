@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +10,16 @@ import numpy as np
 
 from snapo.problem.carry.save import PolicyFileError, load, stored
 from snapo.problem.carry.save import save as save_policy
-from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, features
 from snapo.problem.problem import Problem
 
 from . import checkpoint
-from .derivatives.interval import Curvature, Reported
-from .derivatives.verdict import COLUMNS, Verdict
+from .derivatives.verdict import COLUMNS
 from .figures import Figures
 from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .statistics import Estimate
 from .tables import (
     TRAINING,
     SheetTable,
@@ -109,6 +106,9 @@ class Solution:
     selected: str = ""
     gain: tuple[float, float] = (float("nan"), float("nan"))
     maximised: str = ""
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -223,22 +223,16 @@ class Solution:
         for name, policy in ((POLICY, self.policy), (HALFWAY, self.halfway)):
             if policy is not None:
                 save_policy(policy, folder / name, observed or features(policy), code=True)
-        sensitivities = self.sensitivities
         header = (
-            self.summary()
-            | self._beside()
-            | {
-                "policy": self.policy is not None,
-                "history": self.history,
-                "growth": self.growth,
-                "inputs": {} if sensitivities is None else _described(sensitivities.inputs),
-                "policy_gradient": None if sensitivities is None else sensitivities.policy_gradient,
-                "left_out": 0 if sensitivities is None else sensitivities.dropped,
-                "verdicts": None if sensitivities is None else sensitivities.verdicts,
-                "reported": None if sensitivities is None else _about(sensitivities.reported),
-            }
+            self.summary() | self._beside() | checkpoint.about_sensitivities(self.sensitivities)
         )
-        checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, sensitivities), header)
+        header |= {
+            "policy": self.policy is not None,
+            "history": self.history,
+            "growth": self.growth,
+        }
+        arrays = checkpoint.arrays_of(self.totals, self.sensitivities)
+        checkpoint.save_named(folder / SOLUTION, arrays, header)
 
     @classmethod
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
@@ -267,7 +261,7 @@ class Solution:
             for name, file in names.items()
         }
         totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
-        sensitivities = _sensitivities(arrays, header) if header["inputs"] else None
+        sensitivities = checkpoint.sensitivities_of(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
@@ -295,17 +289,6 @@ PLAIN = (
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
     "status", "convergence", "control", "versions", "roles", "smoothing_gap_error", "selected",
 )  # fmt: skip
-KINDS = ("held", "smooth")
-
-
-def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
-    """All metadata of every input, without its numbers."""
-    return {
-        name: {
-            item.name: getattr(values, item.name) for item in fields(values) if item.name != "value"
-        }
-        for name, values in inputs.items()
-    }
 
 
 def folder_of(folder: Path | str) -> Path:
@@ -323,76 +306,3 @@ def _policy(file: Path, like: Policy | None) -> Policy | None:
         return load(file, Policy, like)
     except PolicyFileError as error:
         raise checkpoint.CheckpointError(str(error)) from None
-
-
-def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | None) -> dict:
-    """{(kind, name): array} of everything that is an array."""
-    arrays = {("total", name): np.asarray(total) for name, total in totals.items()}
-    if sensitivities is not None:
-        arrays |= {("input", name): values.value for name, values in sensitivities.inputs.items()}
-        for kind in KINDS:
-            table = getattr(sensitivities, kind) or {}
-            arrays |= {(kind, name): entry.blocks for name, entry in table.items()}
-        arrays |= {
-            ("moved", name): value.blocks for name, value in (sensitivities.moved or {}).items()
-        }
-        for name, item in (sensitivities.reported or {}).items():
-            arrays |= {(key, name): getattr(item, part) for key, part in REPORTED.items()}
-            arrays |= {("estimate", name): item.estimate.blocks}
-            arrays |= {(part, name): getattr(item.curvature, part) for part in CURVATURE}
-    return arrays
-
-
-# {key in the file: attribute of a reported derivative}; "total" is the key of an output's totals.
-REPORTED = {
-    "by": "by", "complete": "total", "unseen": "unseen", "slopes": "slopes", "others": "others"
-}  # fmt: skip
-CURVATURE = ("inverse", "covariance")
-
-
-def _about(result: Mapping[str, Reported] | None) -> dict[str, Any] | None:
-    """All of the reported derivatives that is no array."""
-    if result is None:
-        return None
-    return {name: [item.source, item.curvature.gap, item.sides] for name, item in result.items()}
-
-
-def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
-    """The inverse of `_about` and of the arrays stored with it."""
-    if stored is None:
-        return None
-    table = {}
-    for name, (source, gap, sides) in stored.items():
-        parts = {part: arrays[key, name] for key, part in REPORTED.items()}
-        curvature = Curvature(arrays["inverse", name], arrays["covariance", name], gap)
-        estimate = Estimate(arrays["estimate", name])
-        sides = sides and tuple(sides)
-        table[name] = Reported(source, estimate, **parts, curvature=curvature, sides=sides)
-    return table
-
-
-def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
-    """The inverse of `_arrays` and `_described`."""
-
-    def table(kind: str) -> dict[str, Any]:
-        return {name: array for (which, name), array in arrays.items() if which == kind}
-
-    inputs = {
-        name: Input(arrays["input", name], **metadata)
-        for name, metadata in header["inputs"].items()
-    }
-    held, smooth = ({n: Estimate(x) for n, x in table(kind).items()} for kind in KINDS)
-    gradient, verdicts = header["policy_gradient"], header["verdicts"]
-    if verdicts is not None:
-        verdicts = {name: Verdict.of(numbers) for name, numbers in verdicts.items()}
-    drift = {name: Estimate(blocks) for name, blocks in table("moved").items()}
-    return Sensitivities(
-        inputs,
-        held,
-        smooth or None,
-        drift or None,
-        gradient and tuple(gradient),
-        header["left_out"],
-        verdicts,
-        _reported(arrays, header["reported"]),
-    )

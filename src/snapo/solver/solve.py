@@ -25,6 +25,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
+from .learning.bar import Bar, shown
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.log import recorded
 from .learning.progress import INTERRUPTED, Interrupted
@@ -37,6 +38,7 @@ from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 
 Settings = TypeVar("Settings")  # settings of one kind
+MEASURING = "interrupted: measuring the best policy so far (Ctrl-C again leaves it out)"
 
 
 @reading_once()
@@ -54,6 +56,7 @@ def solve(
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
     check: bool = True,
+    bar: bool | None = None,
 ) -> Solution:
     """Trains a policy and returns its value, with the derivative with respect to every input.
 
@@ -78,6 +81,7 @@ def solve(
       line of its history; a callback that returns True stops the training. `progress`: a state from
       which to continue.
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
+    - `bar`: whether a line shows the progress and the time left; None: in a terminal or a notebook.
 
     Ctrl-C during training ends it: the best policy so far is measured, and the solution has the
     status "interrupted". A second Ctrl-C ends the measurement too, without a solution.
@@ -99,13 +103,15 @@ def solve(
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
         plan = resolve_auto(training, problem, policy, fresh=drawn)
-        with _meanwhile(problem, evaluation):
+        with _meanwhile(problem, evaluation), shown(bar) as line:
+            line.tell("training: compiling")
             try:
                 if progress is None:
-                    progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
+                    progress = _begun(problem, policy, plan, engines.train, undrawn(recipe), line)
                 timer.stage("evaluate")
                 fresh = _fresh_starts(policy, plan) if drawn else None
-                progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
+                options: dict[str, Any] = {"fresh": fresh, "bar": line}
+                progress = train(problem, progress, plan, engines.train, callbacks, **options)
             except Interrupted as stop:
                 progress = replace(stop.result, status=INTERRUPTED)
                 notes += (_interrupted(progress.step, plan.steps),)
@@ -113,7 +119,9 @@ def solve(
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
-        measured = measure(run)
+        with shown(bar) as line:
+            line.tell("measuring the policy" if progress.status != INTERRUPTED else MEASURING)
+            measured = measure(run)
         measured["notes"] = (*notes, *measured["notes"])
         timer.stage("evaluate")
     return Solution(
@@ -161,7 +169,12 @@ def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
 
 
 def _begun(
-    problem: Problem, policy: Policy, training: TrainingPlan, engine: Engine, fresh: bool
+    problem: Problem,
+    policy: Policy,
+    training: TrainingPlan,
+    engine: Engine,
+    fresh: bool,
+    bar: Bar,
 ) -> Progress:
     """The start, or the best of several after the rounds in which the others fell out.
 
@@ -174,7 +187,7 @@ def _begun(
     started = [replace(initial_progress(item, training, problem), scale=scale) for item in starts]
 
     def run(progress: Progress, until: int) -> Progress:
-        return train(problem, progress, training, engine, until=until)
+        return train(problem, progress, training, engine, until=until, bar=bar)
 
     left, rounds = race(started, training.steps, run)
     return replace(left, raced=rounds)

@@ -24,6 +24,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import DROPPED, adjoint_of_finite_paths, float64
 from .evaluate import estimate, value_of
+from .learning.bar import Bar
 from .learning.conditioning import (
     EARLY,
     FIRST,
@@ -51,6 +52,7 @@ from .learning.progress import (
     go_slower,
     marks,
     may_be_slower,
+    stopped,
 )
 from .learning.progress import initial_progress as initial_progress
 from .learning.settings import Training as Training
@@ -90,11 +92,13 @@ def train(
     callbacks: Sequence[Callback] = (),
     until: int | None = None,
     fresh: Callable[[int], Policy] | None = None,
+    bar: Bar = Bar(None),
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can be continued from there. A training
     that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    `bar` shows every step.
 
     It stops early where a callback returns True. On Ctrl-C they are called once more, and
     `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is
@@ -121,6 +125,9 @@ def train(
                 moved = begin_again(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
+            bar.step(progress.step, plan.steps, progress.best_value)
+            if due and callbacks:
+                bar.tell("")  # they may print
             # Each is called, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
                 progress = stopped(progress)
@@ -352,12 +359,6 @@ def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
         optimiser=fresh,
         since=progress.step,
     )
-
-
-def stopped(progress: Progress) -> Progress:
-    """The end that a callback asks for."""
-    going = progress.status == "training"
-    return replace(progress, status="stopped early") if going else progress
 
 
 def _validate(loop: TrainingLoop, progress: Progress) -> Progress:

@@ -114,6 +114,9 @@ class Progress:
     unchanged: int = 0
     scale: FeatureScale | None = None
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         """One line: `callbacks=[print]` prints it at every validation."""
         if not self.history:
@@ -226,3 +229,9 @@ def _begun_with(
         dual=Dual(),
         since=step,
     )
+
+
+def stopped(progress: Progress) -> Progress:
+    """The end that a callback asks for."""
+    going = progress.status == "training"
+    return replace(progress, status="stopped early") if going else progress
