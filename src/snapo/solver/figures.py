@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from typing import Any
 
@@ -269,22 +270,23 @@ def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
     except ModuleNotFoundError:
         message = "solution.plot needs matplotlib: pip install 'snapo[cli]'"
         raise ModuleNotFoundError(message) from None
-
-    class Picture(Figure):
-        def __repr__(self) -> str:
-            return "a picture; savefig(file) writes it"
-
-        def _repr_png_(self) -> bytes:
-            stream = BytesIO()
-            self.savefig(stream, format="png", dpi=144)
-            return stream.getvalue()
-
-        def _repr_mimebundle_(self, **options: Any) -> Any:
-            width, height = (round(96 * size) for size in self.get_size_inches())
-            size = {"image/png": {"width": width, "height": height}}
-            return {"image/png": self._repr_png_(), "text/plain": repr(self)}, size
-
-    figure = Picture(figsize=(7.2, height), layout="constrained")
+    figure = Figure(figsize=(7.2, height), layout="constrained")
+    # A kernel shows a bare figure as text unless `%matplotlib inline` has run; this is its picture.
+    figure._repr_png_ = partial(_png, figure)  # pyright: ignore[reportAttributeAccessIssue]
+    figure._repr_mimebundle_ = partial(_shown, figure)  # pyright: ignore[reportAttributeAccessIssue]
     ax = figure.subplots()
     ax.spines[["top", "right"]].set_visible(False)
     return figure, ax
+
+
+def _png(figure: Any) -> bytes:
+    file = BytesIO()
+    figure.savefig(file, format="png", dpi=144)
+    return file.getvalue()
+
+
+def _shown(figure: Any, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a notebook shows, in the size of the figure; no text that names a class."""
+    width, height = (round(96 * size) for size in figure.get_size_inches())
+    data = {"image/png": _png(figure), "text/plain": "a picture; savefig(file) writes it"}
+    return data, {"image/png": {"width": width, "height": height}}

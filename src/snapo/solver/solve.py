@@ -25,7 +25,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
-from .learning.bar import Bar, shown
+from .learning.bar import ProgressLine, shown
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.log import recorded
 from .learning.progress import INTERRUPTED, Interrupted
@@ -174,7 +174,7 @@ def _begun(
     training: TrainingPlan,
     engine: Engine,
     fresh: bool,
-    bar: Bar,
+    bar: ProgressLine,
 ) -> Progress:
     """The start, or the best of several after the rounds in which the others fell out.
 

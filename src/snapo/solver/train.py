@@ -24,7 +24,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import DROPPED, adjoint_of_finite_paths, float64
 from .evaluate import estimate, value_of
-from .learning.bar import Bar
+from .learning.bar import ProgressLine
 from .learning.conditioning import (
     EARLY,
     FIRST,
@@ -92,7 +92,7 @@ def train(
     callbacks: Sequence[Callback] = (),
     until: int | None = None,
     fresh: Callable[[int], Policy] | None = None,
-    bar: Bar = Bar(None),
+    bar: ProgressLine = ProgressLine(None),
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from snapo.solver.learning import bar
-from snapo.solver.learning.bar import Bar, shown
+from snapo.solver.learning.bar import ProgressLine, shown
 
 
 class Terminal(io.StringIO):
@@ -17,7 +17,7 @@ class Terminal(io.StringIO):
 def test_it_shows_steps_the_time_left_and_the_best_value(monkeypatch):
     clock, lines = [0.0], []
     monkeypatch.setattr(bar.time, "perf_counter", lambda: clock[0])
-    line = Bar(lines.append)
+    line = ProgressLine(lines.append)
     for step in range(1, 101):
         clock[0] += 90.0 if step == 1 else 1.0  # the first one compiles
         line.step(step, 200, 12345.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..policy import Policy
 from .export import traced_graph
-from .rules import Graph, Node
+from .rules import Graph, GraphNode
 
 INFIX = {
     "Add": "+", "Sub": "-", "Mul": "*", "Div": "/", "Pow": "**", "Greater": ">", "Less": "<",
@@ -92,7 +92,7 @@ def _literal(value: np.ndarray) -> str:
     return f'array({text}, "{value.dtype.name}").reshape({value.shape})'
 
 
-def _expression(graph: Graph, node: Node) -> str:
+def _expression(graph: Graph, node: GraphNode) -> str:
     """One operation of ONNX in NumPy."""
     kind, inputs, settings = node.kind, node.inputs, node.settings
     if kind == "Div" and not np.issubdtype(node.dtype, np.floating):

@@ -18,7 +18,7 @@ class Tensor(NamedTuple):
     batched: bool
 
 
-class Node(NamedTuple):
+class GraphNode(NamedTuple):
     """One operation, named as in ONNX: the names of its inputs and of its output, and settings."""
 
     kind: str
@@ -32,7 +32,7 @@ class Graph:
     """Nodes and constants of a graph with one input, the observations [states, features]."""
 
     def __init__(self, features: int, dtype: Any):
-        self.nodes: list[Node] = []
+        self.nodes: list[GraphNode] = []
         self.constants: dict[str, np.ndarray] = {}
         self.input = Tensor("observation", (features,), np.dtype(dtype), True)
         self._states: Tensor | None = None
@@ -49,7 +49,7 @@ class Graph:
     ) -> Tensor:
         """The output of one operation; it differs by state where any of its inputs does."""
         name, names = f"v{len(self.nodes)}", tuple(item.name for item in inputs)
-        self.nodes.append(Node(kind, names, name, np.dtype(dtype), settings))
+        self.nodes.append(GraphNode(kind, names, name, np.dtype(dtype), settings))
         batched = any(entry.batched for entry in inputs)
         return Tensor(name, tuple(shape), np.dtype(dtype), batched)
 
@@ -79,7 +79,7 @@ class Graph:
     def decided(self, result: Tensor) -> Tensor:
         """The output of the graph, "action" [states, size]."""
         value = self.by_state(result)
-        self.nodes.append(Node("Identity", (value.name,), "action", value.dtype, {}))
+        self.nodes.append(GraphNode("Identity", (value.name,), "action", value.dtype, {}))
         return value._replace(name="action")
 
     def used_constants(self) -> dict[str, np.ndarray]:

@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+VARIABLE = "SNAPO_BAR"
 WIDTH, OFTEN = 20, 0.2  # of the bar; seconds between two lines
 
 
-class Bar:
+class ProgressLine:
     """The line of one training; `write` replaces it, and removes it where the text is empty."""
 
     def __init__(self, write: Callable[[str], None] | None):
@@ -49,12 +50,14 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def shown(wanted: bool | None) -> Iterator[Bar]:
+def shown(wanted: bool | None) -> Iterator[ProgressLine]:
     """The line during the work of the block.
 
-    `wanted`: True and False show and hide it; None shows it in a terminal and in a notebook.
+    `wanted`: True and False show and hide it; None shows it in a terminal and in a notebook, unless
+    the environment has SNAPO_BAR=0, for notebooks that no one watches.
     """
-    bar = Bar(None if wanted is False else _notebook() or _terminal(wanted is True))
+    hidden = wanted is False or (wanted is None and os.environ.get(VARIABLE) == "0")
+    bar = ProgressLine(None if hidden else _notebook() or _terminal(wanted is True))
     try:
         yield bar
     finally:
@@ -86,7 +89,7 @@ def _notebook() -> Callable[[str], None] | None:
     handles: list[Any] = []
 
     def write(text: str) -> None:
-        data = {"text/plain": text} if text else {}
+        data = {"text/plain": text}
         if handles:
             handles[0].update(data, raw=True)
         elif text:
