@@ -256,7 +256,7 @@ class Solution:
     def _read(cls, folder: Path, like: Policy | None) -> "Solution":
         arrays, header = checkpoint.load_named(folder / SOLUTION)
         names = {"policy": POLICY, "halfway": HALFWAY}
-        policies = {
+        policies: dict[str, Any] = {
             name: _policy(folder / file, like) if header[name] else None
             for name, file in names.items()
         }

@@ -113,8 +113,9 @@ def solve(
                 options: dict[str, Any] = {"fresh": fresh, "bar": line}
                 progress = train(problem, progress, plan, engines.train, callbacks, **options)
             except Interrupted as stop:
-                progress = replace(stop.result, status=INTERRUPTED)
-                notes += (_interrupted(progress.step, plan.steps),)
+                stopped: Progress = stop.result
+                progress = replace(stopped, status=INTERRUPTED)
+                notes += (_interrupted(stopped.step, plan.steps),)
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)

@@ -233,6 +233,9 @@ def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _no_run(out: Path) -> CaseError:
+    if (out / SOLUTION).exists() and not (out / CASE).exists():
+        message = "solution.save wrote this folder, which has no case: read it with Solution.load"
+        return CaseError(str(out), "", None, message)
     if (out / RESULT).exists() or (out / CHECKPOINT).exists():
         message = (
             "an earlier version of snapo wrote this run, and its files are laid out in another "
