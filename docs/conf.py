@@ -10,6 +10,7 @@ sys.path[:0] = [str(HERE / "site"), str(HERE.parent / "src")]
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["PYTHONPATH"] = str(HERE.parent / "src")
 os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
+os.environ["SNAPO_BAR"] = "0"  # no line of progress in the pages
 
 import snapo  # noqa: E402
 

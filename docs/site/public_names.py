@@ -30,8 +30,8 @@ CONCEPTS = {
     "sensitivities Sensitivities SensitivityRow Interval Reported bound Bound Between second_order "
     "value_and_gradient Gradient bump_check Bump feasibility Feasibility Verdict",
     "Several trainings": "solve_seeds Seeds Chain Family",
-    "Save, export and show": "load_policy to_onnx decision_table TableDecisions PolicyFileError "
-    "write_table Figures log Progress Record",
+    "Save, export and show": "load_policy to_onnx to_python decision_table TableDecisions "
+    "PolicyFileError write_table Figures log Progress Record",
     "Environments that cannot be differentiated": "learn Learned LearningRound Compared",
     "Advanced: engines and relaxations": "Engine Native Xla Engines BoundEngine Rollout Adjoint "
     "Window Clip Growth Relaxation nested_mean",

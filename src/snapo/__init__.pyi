@@ -31,6 +31,7 @@ from snapo.problem.angle import wrap_angle as wrap_angle
 from snapo.problem.carry.export import TableDecisions as TableDecisions
 from snapo.problem.carry.export import decision_table as decision_table
 from snapo.problem.carry.export import to_onnx as to_onnx
+from snapo.problem.carry.python import to_python as to_python
 from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.family import Family as Family

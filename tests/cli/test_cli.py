@@ -278,6 +278,25 @@ def test_bad_input_is_found_before_jax_starts(case):
     assert "curve.csv: the file is empty" in done.stderr
 
 
+@pytest.mark.parametrize(
+    "package, extra, line",
+    [
+        ("pydantic", "cli", ["check", "CASE"]),
+        ("jinja2", "cli", ["report", "RUN"]),
+        ("aiohttp", "live", ["open", "RUN"]),
+    ],
+)
+def test_a_missing_extra_is_one_line_with_the_command(package, extra, line, case, solved):
+    run = str(solved("inventory") / "run")
+    line = [{"CASE": str(case), "RUN": run}.get(word, word) for word in line]
+    code = f"import sys; sys.modules[{package!r}] = None; from snapo.cli.main import main; "
+    made = subprocess.run(
+        [sys.executable, "-c", f"{code} sys.exit(main({line!r}))"], capture_output=True, text=True
+    )
+    assert made.returncode == 2 and made.stderr.count("\n") == 1, made.stderr
+    assert package in made.stderr and f"pip install 'snapo[{extra}]'" in made.stderr
+
+
 def test_a_polite_kill_is_an_interrupt():
     """The parts that are done are then reported, as on Ctrl-C."""
     before = signal.getsignal(signal.SIGTERM)

@@ -13,7 +13,9 @@ from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
 from snapo.solver.learning.log import start_notes
+from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import resolve_auto
+from snapo.solver.learning.starts import race
 from snapo.solver.train import Training, initial_progress, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)
@@ -130,6 +132,36 @@ def test_an_interrupt_tells_the_callbacks_and_goes_on():
     assert seen == [4, 4]
 
 
+def test_ctrl_c_returns_the_best_policy_so_far():
+    seen = []
+
+    def interrupt(progress):
+        seen.append(progress)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0)
+    values = {"evaluation": evaluation, "engine": "xla", "callbacks": [interrupt]}
+    solution = snapo.solve(PROBLEM, training=SHORT, **values)
+    assert solution.status == "interrupted" and np.isfinite(solution.value)
+    assert any("interrupted after step" in note for note in solution.notes)
+    assert solution.policy is not None and len(solution.history) < SHORT.steps
+    seen.clear()
+    assert len(snapo.solve_seeds(PROBLEM, seeds=3, training=SHORT, **values).solutions) == 1
+
+
+def test_ctrl_c_in_a_race_of_starts_leaves_the_best_of_them():
+    first = fresh(SHORT)
+    started = [replace(first, best_value=value) for value in (1.0, 3.0, 2.0)]
+
+    def stop(progress, until):
+        raise Interrupted(progress)
+
+    with pytest.raises(Interrupted) as stopped:
+        race(started, SHORT.steps, stop)
+    assert stopped.value.result is started[1]
+
+
 @pytest.mark.prove
 def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
     training = replace(SHORT, steps=8)
@@ -146,7 +178,8 @@ def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
     np.testing.assert_array_equal(again.totals["cash"], solution.totals["cash"])
     for row, other in zip(solution.sensitivities.rows(), again.sensitivities.rows()):
         np.testing.assert_equal(row, other)
-    assert snapo.Solution.load(tmp_path).policy is None
+    alone = snapo.Solution.load(tmp_path).policy
+    np.testing.assert_array_equal(parameters(alone), parameters(solution.policy))
     (tmp_path / "solution.npz").write_bytes(b"")
     with pytest.raises(checkpoint.CheckpointError, match="solution"):
         snapo.Solution.load(tmp_path)

@@ -208,10 +208,17 @@ def test_a_run_of_an_earlier_version_is_not_resumed(fake, tmp_path, left):
     assert "an earlier version of snapo wrote this run" in str(caught.value)
 
 
+def test_the_folder_of_a_saved_solution_is_named(tmp_path):
+    for name in ("result.json", "solution.npz"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(CaseError, match=r"solution\.save wrote this folder"):
+        run_folder.read(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "clause"),
     [
-        ('{"layout": 1, "kind": "fake"}', "layout: got 1; allowed is 3; another version"),
+        ('{"layout": 1, "kind": "fake"}', "layout: got 1; allowed is 4; another version"),
         ("{", "this file cannot be read"),
         ("[]", "this file cannot be read"),
         (None, "this is not the folder of a run"),

@@ -13,12 +13,13 @@ from tests.miniatures import MINIATURES
 from snapo.case.error import CaseError
 from snapo.cli.main import main
 from snapo.problem.actions import Box, Integers
+from snapo.problem.carry.save import save
 from snapo.problem.policies.memory import GRU
 from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import MLP, Residual, parameters
 from snapo.solver import checkpoint
 from snapo.solver.solution import POLICY, Solution
-from snapo.study import commands
+from snapo.study import commands, training
 from snapo.study.initial_policy import read
 from snapo.study.prepare import Wanted, made_ready
 from snapo.testing.miniature import quiet
@@ -27,9 +28,9 @@ SMALL = MINIATURES["inventory"]
 KEY = jax.random.key(3)
 
 
-def saved(policy, file: Path, halfway=None) -> Path:
+def saved(policy, file: Path) -> Path:
     """A policy as a run keeps it."""
-    checkpoint.save_arrays(file, {"policy": policy, "halfway": halfway}, {"versions": {}})
+    save(policy, file, None, code=True)
     return file
 
 
@@ -44,15 +45,6 @@ def moved(policy, by: float):
 
 def net(action=None, features=3, **more):
     return MLP(action or Box(-np.inf, np.inf, 2), features, key=KEY, **{"hidden": (4,), **more})
-
-
-@pytest.mark.parametrize("half", [False, True])
-def test_the_numbers_of_a_run_are_read(half, tmp_path):
-    """With the policy from the middle of training beside it, or without."""
-    policy = moved(net(), 0.25)
-    file = saved(policy, tmp_path / "policy.npz", moved(policy, 9.0) if half else None)
-    found = given(file).adopted_by(net())
-    assert np.array_equal(parameters(found), parameters(policy))
 
 
 def test_a_file_of_a_policy_is_read(tmp_path):
@@ -134,6 +126,37 @@ def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys, 
     more = [part for each in SMALL.assignments for part in ("--set", each)]
     assert main([*line, *more, "--policy", str(run), "--resume"]) == 0
     assert "given policy" in capsys.readouterr().out
+
+
+def test_an_interrupted_run_reports_its_best_policy_and_goes_on(
+    solved, tmp_path, capsys, monkeypatch
+):
+    """Ctrl-C at the first validation, after the checkpoint."""
+    keep, calls = training._keep, []
+
+    def interrupted(*values):
+        keep(*values)
+        calls.append(values)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+
+    asked, run = SMALL.request(solved("inventory")), tmp_path / "run"
+    monkeypatch.setattr(training, "_keep", interrupted)
+    line = ["solve", str(asked.path), "--out", str(run)]
+    line += [part for each in SMALL.assignments for part in ("--set", each)]
+    assert main(line) == 130
+    out = capsys.readouterr().out
+    assert "inventory: interrupted" in out and "--resume" in out and "report.html" in out
+    result = json.loads((run / "result.json").read_text())
+    solution = Solution.load(run)
+    assert result["status"] == solution.status == "interrupted"
+    assert result["value"] == solution.value and solution.policy is not None
+    assert "interrupted after step" in (run / "report.html").read_text(encoding="utf-8")
+    begun = read(run, "inventory", tmp_path / "other", False)
+    assert begun.value == solution.value
+    monkeypatch.undo()
+    whole = json.loads((solved("inventory") / "run" / "result.json").read_text())
+    assert commands.solve(asked, quiet, out=run, resume=True)["value"] == whole["value"]
 
 
 def test_nothing_is_written_where_it_does_not_fit(solved, tmp_path, capsys):

@@ -182,7 +182,7 @@ class _Decided:
             return OrderAnswer((*base, *self._stressed(policy)), None, *labels)
         if not order.base:
             return OrderAnswer(tuple(self._stressed(None)), None, *labels)
-        solution = self.setup.solve()
+        solution = self.setup.solve(bar=False)
         assert solution.policy is not None
         deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
         base = self._point(self.setup, solution.totals, {}, deltas)
@@ -203,7 +203,7 @@ class _Decided:
         changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
             return self._valued(setup, policy, changes)
-        solution = setup.solve()
+        solution = setup.solve(bar=False)
         deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 

@@ -116,6 +116,9 @@ class Finding(NamedTuple):
         """The finding in one line, for notes."""
         return f"{self.where}: {self.subject} {self.fix}"
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         return f"{self.severity}: {self.where}\n    {self.subject}\n    {self.fix}"
 
@@ -150,6 +153,9 @@ class Findings:
 
     def __len__(self) -> int:
         return len(self.items)
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         if not self.items:

@@ -32,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
         "sweep": _sweep,
         "certify": _certify,
         "report": _report,
+        "export": _export,
         "open": _open,
         "compare": _compare,
         "runs": _runs,
@@ -45,9 +46,12 @@ def run(options: argparse.Namespace) -> int:
     except CaseError as error:
         say(f"snapo: {error}")
         answer, text, code = {"status": "bad-input", "message": str(error)}, "", BAD_INPUT
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         say("snapo: interrupted")
-        answer, text, code = {"status": "interrupted"}, "", INTERRUPTED
+        result = getattr(stop, "result", None)  # of a run of `snapo solve`, up to here
+        result = result if isinstance(result, Mapping) else {}
+        text = f"{summary(result)}\nto continue: the same command with --resume" if result else ""
+        answer, code = {**result, "status": "interrupted"}, INTERRUPTED
     if options.json:
         print(to_json(answer))
     elif text:
@@ -257,6 +261,15 @@ def _report(options: argparse.Namespace) -> Answer:
         tables["xlsx"] = commands.tables(run)
     tables = {name: shown(file.parent) / file.name for name, file in tables.items()}
     return {"status": "ok", **tables}, "\n".join(map(str, tables.values())), OK
+
+
+def _export(options: argparse.Namespace) -> Answer:
+    from .export import export
+
+    files = export(
+        options.run, options.onnx, options.table, options.python, simulator=options.simulator
+    )
+    return {"status": "ok", **files}, "\n".join(map(str, files.values())), OK
 
 
 def _open(options: argparse.Namespace) -> Answer:

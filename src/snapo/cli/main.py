@@ -1,6 +1,7 @@
 """`snapo`: reads the arguments; imports neither NumPy nor JAX before there is work to do."""
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,11 @@ PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
 SHELLS = ("bash", "zsh", "fish")
 RUN = "a run folder, or a case, which stands for its latest run"
+EXTRAS = {  # and the packages that they bring
+    "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
+    "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
+    "gym": ("gymnasium",), "chemicals": ("chemicals",), "native": ("llvmlite",),
+}  # fmt: skip
 CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
 
@@ -26,9 +32,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(script(_parser(), options.shell), end="")
         return 0
-    from .commands import run
+    try:
+        from .commands import run
 
-    return run(options)
+        return run(options)
+    except ModuleNotFoundError as error:
+        extra = next((key for key, names in EXTRAS.items() if error.name in names), None)
+        if extra is None:
+            raise
+        message = f"snapo {options.command} needs {error.name}: pip install 'snapo[{extra}]'"
+        print(f"snapo: {message}", file=sys.stderr)
+        if options.json:
+            print(json.dumps({"status": "bad-input", "message": message}))
+        return 2
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -48,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_sweep,
         _add_certify,
         _add_report,
+        _add_export,
         _add_open,
         _add_compare,
         _add_runs,
@@ -223,6 +240,23 @@ def _add_report(commands) -> None:
     report.add_argument(
         "--xlsx", action="store_true", help="also write its tables as a workbook, tables.xlsx"
     )
+
+
+def _add_export(commands) -> None:
+    export = commands.add_parser(
+        "export",
+        help="write the policy of a run in other forms, next to its report",
+        epilog="snapo export mine/run --onnx --table",
+    )
+    export.add_argument("run", metavar="RUN", type=Path, help=RUN)
+    export.add_argument("--onnx", action="store_true", help="as an ONNX graph, policy.onnx")
+    export.add_argument(
+        "--table", action="store_true", help="decisions at observations of a run, policy.csv"
+    )
+    export.add_argument(
+        "--python", action="store_true", help="as a Python file that needs NumPy only, policy.py"
+    )
+    _add_simulator(export)
 
 
 def _add_open(commands) -> None:

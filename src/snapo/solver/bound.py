@@ -48,6 +48,9 @@ class Between(NamedTuple):
     low: float
     high: float
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         return with_error(self.value, self.standard_error)
 
@@ -123,6 +126,9 @@ class Bound:
 
     def _named(self) -> dict[str, Between]:
         return {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         lines = [

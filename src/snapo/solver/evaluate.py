@@ -41,6 +41,9 @@ class Value(NamedTuple):
     dropped: int = 0
     refused: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         """ "2,732 ± 21": two significant digits of the error."""
         return statistics.with_error(self.value, self.standard_error)
@@ -268,19 +271,21 @@ def simulate(
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)
     bound = (engine or Xla("float64")).bind(problem)
     result = bound.values(policy, draws, smooth, record=("state", "action", "outputs"))
-    states = _series(result.record["state"], "state")
-    endpoints = _series(jax.tree.map(lambda leaf: np.asarray(leaf)[None], result.state), "state")
+    states = named_series(result.record["state"], "state")
+    endpoints = named_series(
+        jax.tree.map(lambda leaf: np.asarray(leaf)[None], result.state), "state"
+    )
     states = {
         name: state
         if len(state) > problem.simulator.horizon
         else np.concatenate([state, endpoints[name]])
         for name, state in states.items()
     }
-    actions, outputs = (_series(result.record[kind], kind) for kind in ("action", "outputs"))
+    actions, outputs = (named_series(result.record[kind], kind) for kind in ("action", "outputs"))
     return Simulation(float64(result.totals), states, actions, outputs)
 
 
-def _series(tree: PyTree, kind: str) -> Series:
+def named_series(tree: PyTree, kind: str) -> Series:
     """{name: [T, N]} of every number of a tree of arrays [T, N, …]."""
     series: Series = {}
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:

@@ -5,16 +5,17 @@
     solution.plot.fan("water")
     solution.plot.policy("water", "price")
 
-They are drawn from the solution only, so a loaded one has them too. Each takes `ax` to draw into,
-and returns the figure.
+They are drawn from the solution only, so a loaded one has them too. Each returns its figure, which
+shows itself in a notebook; with `ax` it draws into these axes and returns nothing, so that their
+figure is not shown twice.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from io import BytesIO
 from typing import Any
 
 import jax
@@ -258,9 +259,12 @@ class Figures:
 
 
 def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
-    """The figure and its axes: those given, or new ones that no window shows twice."""
+    """The figure and its axes: those given, without a figure to return, or new ones.
+
+    A new figure draws itself under the cell of a notebook, whatever backend matplotlib has.
+    """
     if ax is not None:
-        return ax.figure, ax
+        return None, ax
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
@@ -269,12 +273,20 @@ def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
     figure = Figure(figsize=(7.2, height), layout="constrained")
     # A kernel shows a bare figure as text unless `%matplotlib inline` has run; this is its picture.
     figure._repr_png_ = partial(_png, figure)  # pyright: ignore[reportAttributeAccessIssue]
+    figure._repr_mimebundle_ = partial(_shown, figure)  # pyright: ignore[reportAttributeAccessIssue]
     ax = figure.subplots()
     ax.spines[["top", "right"]].set_visible(False)
     return figure, ax
 
 
 def _png(figure: Any) -> bytes:
-    file = io.BytesIO()
+    file = BytesIO()
     figure.savefig(file, format="png", dpi=144)
     return file.getvalue()
+
+
+def _shown(figure: Any, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a notebook shows, in the size of the figure; no text that names a class."""
+    width, height = (round(96 * size) for size in figure.get_size_inches())
+    data = {"image/png": _png(figure), "text/plain": "a picture; savefig(file) writes it"}
+    return data, {"image/png": {"width": width, "height": height}}

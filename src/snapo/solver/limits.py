@@ -160,6 +160,9 @@ class LimitFound(NamedTuple):
         """Whether the measure is at the level, up to sampling noise and round-off."""
         return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         value = f"one unit more has the value {self.price:,.5g} ± {self.price_error:,.3g}"
         return (

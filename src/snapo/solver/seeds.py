@@ -17,6 +17,7 @@ from snapo.problem.simulator import Simulator
 
 from . import statistics
 from .evaluate import value_of_groups
+from .learning.progress import INTERRUPTED
 from .learning.settings import Training
 from .solution import Solution
 from .solve import Evaluation, in_order, solve
@@ -50,6 +51,9 @@ class Seeds:
         objective, source = one.problem.objective, one.problem.sources.evaluation
         shares = [value_of_groups(objective, item.totals, source) for item in (one, other)]
         return statistics.of_shares(shares[0] - shares[1])
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         values = np.array(list(self.values.values()))
@@ -93,7 +97,7 @@ def solve_seeds(
     seed.
 
     **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
-    are those of `solve`.
+    are those of `solve`. Ctrl-C during a training ends with its seed.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
         message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"
@@ -112,4 +116,6 @@ def solve_seeds(
         local = problem.on(problem.sources.reseeded(seed))
         settings = replace(training, seed=seed)
         table[seed] = solve(local, policy=policy, training=settings, evaluation=evaluation, **more)
+        if table[seed].status == INTERRUPTED:
+            break
     return Seeds(table)

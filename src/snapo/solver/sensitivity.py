@@ -9,6 +9,7 @@ error of the policy (`derivatives.margin`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -99,7 +100,9 @@ class Sensitivities(NamedTuple):
         **Raises:** `KeyError` for a name that is not an input.
         """
         if name not in self.inputs:
-            raise KeyError(f"no input {name!r}; the inputs are {list(self.inputs)}.")
+            near = get_close_matches(name, self.inputs, 1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise KeyError(f"no input {name!r}; {hint}The inputs are {list(self.inputs)}.")
         if self.reported is not None:
             return self.reported[name]
         return plain(self.held[name], one_percent(self.inputs[name]))
@@ -156,6 +159,9 @@ class Sensitivities(NamedTuple):
             {name: [row[i] for row in rows] for i, name in enumerate(SensitivityRow._fields)},
             backend,
         )
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         """The table as text; of an input with many numbers, the largest ones."""

@@ -2,26 +2,25 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from snapo.problem.carry.latest import followed
-from snapo.problem.inputs import Input
-from snapo.problem.policy import Policy
+from snapo.problem.carry.latest import LATEST, followed
+from snapo.problem.carry.save import PolicyFileError, load, stored
+from snapo.problem.carry.save import save as save_policy
+from snapo.problem.policy import Policy, features
 from snapo.problem.problem import Problem
 
 from . import checkpoint
-from .derivatives.interval import Curvature, Reported
-from .derivatives.verdict import COLUMNS, Verdict
+from .derivatives.verdict import COLUMNS
 from .figures import Figures
 from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .statistics import Estimate
 from .tables import (
     TRAINING,
     SheetTable,
@@ -35,7 +34,7 @@ from .tables import (
     write_text,
 )
 
-POLICY, SOLUTION = "policy.npz", "solution.npz"
+POLICY, HALFWAY, SOLUTION = "policy.npz", "halfway.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
 HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
@@ -55,9 +54,9 @@ class Solution:
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.
-    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are non-finite;
-      see the notes); unless diverged, "ruined" if the value is minus infinity and "not finite" if
-      it is NaN.
+    - `status`: "trained", "stopped early", "interrupted" (by Ctrl-C) or "diverged" (too many paths
+      of a step are non-finite; see the notes); unless interrupted or diverged, "ruined" if the
+      value is minus infinity and "not finite" if it is NaN.
     - `roles`: {training, validation, evaluation, sensitivities}: the paths used for each.
     - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
       stays at a limit), "constant" (a constant decision does as well), "barely moved" (the
@@ -107,6 +106,9 @@ class Solution:
     selected: str = ""
     gain: tuple[float, float] = (float("nan"), float("nan"))
     maximised: str = ""
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -217,34 +219,33 @@ class Solution:
         write_csv(folder / HISTORY, Record._fields, self.history)
         if self.growth is not None:
             write_csv(folder / GROWTH, self.growth.columns, self.growth.table())
-        policies = {"policy": self.policy, "halfway": self.halfway}
-        checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})
-        sensitivities = self.sensitivities
+        observed = None if self.problem is None else self.problem.interface.features
+        for name, policy in ((POLICY, self.policy), (HALFWAY, self.halfway)):
+            if policy is not None:
+                save_policy(policy, folder / name, observed or features(policy), code=True)
         header = (
-            self.summary()
-            | self._beside()
-            | {
-                "history": self.history,
-                "growth": self.growth,
-                "inputs": {} if sensitivities is None else _described(sensitivities.inputs),
-                "policy_gradient": None if sensitivities is None else sensitivities.policy_gradient,
-                "left_out": 0 if sensitivities is None else sensitivities.dropped,
-                "verdicts": None if sensitivities is None else sensitivities.verdicts,
-                "reported": None if sensitivities is None else _about(sensitivities.reported),
-            }
+            self.summary() | self._beside() | checkpoint.about_sensitivities(self.sensitivities)
         )
-        checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, sensitivities), header)
+        header |= {
+            "policy": self.policy is not None,
+            "history": self.history,
+            "growth": self.growth,
+        }
+        arrays = checkpoint.arrays_of(self.totals, self.sensitivities)
+        checkpoint.save_named(folder / SOLUTION, arrays, header)
 
     @classmethod
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        `like` is a policy of the same shape; without it the solution has no policy.
+        The folder is that of `solution.save` or of a run of `snapo solve`, or the one above a run.
+        A policy of a user-defined class has its numbers in the file and not its code: `like` is
+        such a policy, of the same shape; without it the solution has no policy.
 
-        **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
-        policy: of another shape, with another activation, with another set of actions.
+        **Raises:** `CheckpointError` where a file is missing or damaged, or holds a policy that
+        differs from `like`: of another shape, with another activation, another set of actions.
         """
-        folder = followed(Path(folder))
+        folder = folder_of(folder)
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
@@ -254,12 +255,13 @@ class Solution:
     @classmethod
     def _read(cls, folder: Path, like: Policy | None) -> "Solution":
         arrays, header = checkpoint.load_named(folder / SOLUTION)
-        policies: dict[str, Any] = {"policy": None, "halfway": None}
-        if like is not None:
-            shapes = {"policy": like, "halfway": like if header["halfway"] else None}
-            policies = checkpoint.load_arrays(folder / POLICY, shapes)[0]
+        names = {"policy": POLICY, "halfway": HALFWAY}
+        policies: dict[str, Any] = {
+            name: _policy(folder / file, like) if header[name] else None
+            for name, file in names.items()
+        }
         totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
-        sensitivities = _sensitivities(arrays, header) if header["inputs"] else None
+        sensitivities = checkpoint.sensitivities_of(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
@@ -287,87 +289,21 @@ PLAIN = (
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
     "status", "convergence", "control", "versions", "roles", "smoothing_gap_error", "selected",
 )  # fmt: skip
-KINDS = ("held", "smooth")
 
 
-def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
-    """All metadata of every input, without its numbers."""
-    return {
-        name: {
-            item.name: getattr(values, item.name) for item in fields(values) if item.name != "value"
-        }
-        for name, values in inputs.items()
-    }
+def folder_of(folder: Path | str) -> Path:
+    """The folder with a solution: this one, or that of the run in the folder of a case."""
+    folder = followed(Path(folder))
+    latest = followed(folder / LATEST)
+    inside = not (folder / SOLUTION).exists() and (latest / SOLUTION).exists()
+    return latest if inside else folder
 
 
-def _arrays(totals: Mapping[str, np.ndarray], sensitivities: Sensitivities | None) -> dict:
-    """{(kind, name): array} of everything that is an array."""
-    arrays = {("total", name): np.asarray(total) for name, total in totals.items()}
-    if sensitivities is not None:
-        arrays |= {("input", name): values.value for name, values in sensitivities.inputs.items()}
-        for kind in KINDS:
-            table = getattr(sensitivities, kind) or {}
-            arrays |= {(kind, name): entry.blocks for name, entry in table.items()}
-        arrays |= {
-            ("moved", name): value.blocks for name, value in (sensitivities.moved or {}).items()
-        }
-        for name, item in (sensitivities.reported or {}).items():
-            arrays |= {(key, name): getattr(item, part) for key, part in REPORTED.items()}
-            arrays |= {("estimate", name): item.estimate.blocks}
-            arrays |= {(part, name): getattr(item.curvature, part) for part in CURVATURE}
-    return arrays
-
-
-# {key in the file: attribute of a reported derivative}; "total" is the key of an output's totals.
-REPORTED = {
-    "by": "by", "complete": "total", "unseen": "unseen", "slopes": "slopes", "others": "others"
-}  # fmt: skip
-CURVATURE = ("inverse", "covariance")
-
-
-def _about(result: Mapping[str, Reported] | None) -> dict[str, Any] | None:
-    """All of the reported derivatives that is no array."""
-    if result is None:
-        return None
-    return {name: [item.source, item.curvature.gap, item.sides] for name, item in result.items()}
-
-
-def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
-    """The inverse of `_about` and of the arrays stored with it."""
-    if stored is None:
-        return None
-    table = {}
-    for name, (source, gap, sides) in stored.items():
-        parts = {part: arrays[key, name] for key, part in REPORTED.items()}
-        curvature = Curvature(arrays["inverse", name], arrays["covariance", name], gap)
-        estimate = Estimate(arrays["estimate", name])
-        sides = sides and tuple(sides)
-        table[name] = Reported(source, estimate, **parts, curvature=curvature, sides=sides)
-    return table
-
-
-def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
-    """The inverse of `_arrays` and `_described`."""
-
-    def table(kind: str) -> dict[str, Any]:
-        return {name: array for (which, name), array in arrays.items() if which == kind}
-
-    inputs = {
-        name: Input(arrays["input", name], **metadata)
-        for name, metadata in header["inputs"].items()
-    }
-    held, smooth = ({n: Estimate(x) for n, x in table(kind).items()} for kind in KINDS)
-    gradient, verdicts = header["policy_gradient"], header["verdicts"]
-    if verdicts is not None:
-        verdicts = {name: Verdict.of(numbers) for name, numbers in verdicts.items()}
-    drift = {name: Estimate(blocks) for name, blocks in table("moved").items()}
-    return Sensitivities(
-        inputs,
-        held,
-        smooth or None,
-        drift or None,
-        gradient and tuple(gradient),
-        header["left_out"],
-        verdicts,
-        _reported(arrays, header["reported"]),
-    )
+def _policy(file: Path, like: Policy | None) -> Policy | None:
+    """The policy of a file; None if its class is user code and there is nothing like it."""
+    try:
+        if like is None:
+            return stored(file, Policy).policy
+        return load(file, Policy, like)
+    except PolicyFileError as error:
+        raise checkpoint.CheckpointError(str(error)) from None

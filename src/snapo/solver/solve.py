@@ -26,8 +26,10 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
+from .learning.bar import ProgressLine, shown
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.log import recorded
+from .learning.progress import INTERRUPTED, Interrupted
 from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import others, race
 from .measure.measure import MeasuredRun, measure
@@ -37,6 +39,7 @@ from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 
 Settings = TypeVar("Settings")  # settings of one kind
+MEASURING = "interrupted: measuring the best policy so far (Ctrl-C again leaves it out)"
 
 
 @reading_once()
@@ -55,6 +58,7 @@ def solve(
     progress: Progress | None = None,
     check: bool = True,
     executor: Executor | Sequence[Executor] | None = None,
+    bar: bool | None = None,
 ) -> Solution:
     """Trains a policy and returns its value, with the derivative with respect to every input.
 
@@ -82,6 +86,10 @@ def solve(
     - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
       or several. Its workers compute a part of the paths of every step that takes 50 ms or more
       here, with the same bits. It stays open.
+    - `bar`: whether a line shows the progress and the time left; None: in a terminal or a notebook.
+
+    Ctrl-C during training ends it: the best policy so far is measured, and the solution has the
+    status "interrupted". A second Ctrl-C ends the measurement too, without a solution.
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
@@ -91,29 +99,38 @@ def solve(
         seed = training.seed
         inputs, policy = in_order(problem, inputs, policy)
         values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(seed)
-        result = _refused(_of_simulator(problem, inputs)) if check else ()
+        notes = _refused(_of_simulator(problem, inputs)) if check else ()
         problem = problem_of("solve", problem, *values, sources=sources, seed=seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
-            result += _refused(problem_mistakes(problem, policy))
+            notes += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         if executor is not None:
             engines = _over(engines, executor)
         drawn = to_be_drawn(recipe)
         plan = resolve_auto(training, problem, policy, fresh=drawn)
-        with _meanwhile(problem, evaluation):
-            if progress is None:
-                progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
-            timer.stage("evaluate")
-            fresh = _fresh_starts(policy, plan) if drawn else None
-            progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
+        with _meanwhile(problem, evaluation), shown(bar) as line:
+            line.tell("training: compiling")
+            try:
+                if progress is None:
+                    progress = _begun(problem, policy, plan, engines.train, undrawn(recipe), line)
+                timer.stage("evaluate")
+                fresh = _fresh_starts(policy, plan) if drawn else None
+                options: dict[str, Any] = {"fresh": fresh, "bar": line}
+                progress = train(problem, progress, plan, engines.train, callbacks, **options)
+            except Interrupted as stop:
+                stopped: Progress = stop.result
+                progress = replace(stopped, status=INTERRUPTED)
+                notes += (_interrupted(stopped.step, plan.steps),)
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
-        measured = measure(run)
-        measured["notes"] = (*result, *engines.notes, *measured["notes"])
+        with shown(bar) as line:
+            line.tell("measuring the policy" if progress.status != INTERRUPTED else MEASURING)
+            measured = measure(run)
+        measured["notes"] = (*notes, *engines.notes, *measured["notes"])
         timer.stage("evaluate")
     return Solution(
         **measured,
@@ -168,7 +185,12 @@ def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
 
 
 def _begun(
-    problem: Problem, policy: Policy, training: TrainingPlan, engine: Engine, fresh: bool
+    problem: Problem,
+    policy: Policy,
+    training: TrainingPlan,
+    engine: Engine,
+    fresh: bool,
+    bar: ProgressLine,
 ) -> Progress:
     """The start, or the best of several after the rounds in which the others fell out.
 
@@ -181,10 +203,16 @@ def _begun(
     started = [replace(initial_progress(item, training, problem), scale=scale) for item in starts]
 
     def run(progress: Progress, until: int) -> Progress:
-        return train(problem, progress, training, engine, until=until)
+        return train(problem, progress, training, engine, until=until, bar=bar)
 
     left, rounds = race(started, training.steps, run)
     return replace(left, raced=rounds)
+
+
+def _interrupted(step: int, steps: int) -> str:
+    return (
+        f"Training was interrupted after step {step} of {steps}: the policy is the best one so far."
+    )
 
 
 def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:

@@ -46,6 +46,9 @@ class Sampled(NamedTuple):
     standard_error: float
     degrees: float = np.inf
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         return with_error(self.value, self.standard_error)
 
@@ -67,6 +70,9 @@ class Estimate(NamedTuple):
     """
 
     blocks: np.ndarray
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         """ "2,732 ± 21"; of an array the first three."""

@@ -24,6 +24,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import DROPPED, adjoint_of_finite_paths, float64
 from .evaluate import estimate, value_of
+from .learning.bar import ProgressLine
 from .learning.conditioning import (
     EARLY,
     FIRST,
@@ -43,7 +44,16 @@ from .learning.conditioning import (
 )
 from .learning.optimiser import initial_state, memory, restarted, updater
 from .learning.practice import perturbed_problem
-from .learning.progress import Progress, Record, begin_again, go_slower, marks, may_be_slower
+from .learning.progress import (
+    Interrupted,
+    Progress,
+    Record,
+    begin_again,
+    go_slower,
+    marks,
+    may_be_slower,
+    stopped,
+)
 from .learning.progress import initial_progress as initial_progress
 from .learning.settings import Training as Training
 from .learning.settings import TrainingPlan, resolve_auto
@@ -82,15 +92,17 @@ def train(
     callbacks: Sequence[Callback] = (),
     until: int | None = None,
     fresh: Callable[[int], Policy] | None = None,
+    bar: ProgressLine = ProgressLine(None),
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can be continued from there. A training
     that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    `bar` shows every step.
 
-    It stops early where a callback returns True. On Ctrl-C they are called once more, and the
-    interrupt is passed on to the caller. The status of the result is "trained", "stopped early" or
-    "diverged".
+    It stops early where a callback returns True. On Ctrl-C they are called once more, and
+    `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is
+    "trained", "stopped early" or "diverged".
     """
     plan = resolve_auto(training, remembering(problem, progress.policy), progress.policy)
     last = plan.steps if until is None else min(until, plan.steps)
@@ -113,13 +125,16 @@ def train(
                 moved = begin_again(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
+            bar.step(progress.step, plan.steps, progress.best_value)
+            if due and callbacks:
+                bar.tell("")  # they may print
             # Each is called, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
                 progress = stopped(progress)
     except KeyboardInterrupt:
         for callback in callbacks:
             callback(progress)
-        raise
+        raise Interrupted(progress) from None
     return progress
 
 
@@ -344,12 +359,6 @@ def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
         optimiser=fresh,
         since=progress.step,
     )
-
-
-def stopped(progress: Progress) -> Progress:
-    """The end that a callback asks for."""
-    going = progress.status == "training"
-    return replace(progress, status="stopped early") if going else progress
 
 
 def _validate(loop: TrainingLoop, progress: Progress) -> Progress:

@@ -16,6 +16,7 @@ from snapo.report.folder import RunResult, lookup
 from snapo.report.page import Page, Text, render
 from snapo.report.provenance import date, provenance
 from snapo.solver.bound import Penalty
+from snapo.solver.learning.progress import INTERRUPTED, Interrupted
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.solver.tables import write_text
 
@@ -94,8 +95,9 @@ def carry_out(
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
     other work for this run, by name; `origin`: of a new run, for its report. A part that fails
-    leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts are
-    reported, and the interrupt is passed on to the caller.
+    leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts and
+    the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the content
+    of result.json.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
@@ -112,8 +114,7 @@ def carry_out(
             _do(part, run, record)
             writer.part_done()
     except KeyboardInterrupt:
-        _finish(writer)
-        raise
+        raise Interrupted(_finish(writer)) from None
     return _finish(writer)
 
 
@@ -184,7 +185,12 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
     state: dict[str, Any] = {"state": DONE, "note": ""}
     before = stamps(run.folder)
     try:
-        tables = part.work(run)
+        try:
+            tables = part.work(run)
+        except Interrupted as stop:
+            if not isinstance(stop.result, Mapping):
+                raise
+            tables, state["state"] = stop.result, INTERRUPTED
         if twice := set(tables) & set(run.results):
             raise ValueError(f"another part gives {sorted(twice)} already")
         run.results |= run_folder.write_part(run.folder, part, tables)
@@ -199,6 +205,8 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         run.progress(f"{part.name} failed: {state['note']}")
     states[part.name] = state | {"seconds": time.perf_counter() - started}
     _guarded(run, lambda: run_folder.save(run.folder, record))
+    if state["state"] == INTERRUPTED:
+        raise KeyboardInterrupt
 
 
 def _words(error: Exception) -> str:
@@ -278,7 +286,10 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     seconds = {name: state["seconds"] for name, state in states.items()}
     seconds = record.get("beside", {}) | seconds
     result["seconds"] = {**head.seconds, **seconds, "total": sum(seconds.values())}
-    failed = {name: state["note"] for name, state in states.items() if state["state"] != DONE}
+    available = (DONE, INTERRUPTED)
+    failed = {
+        name: state["note"] for name, state in states.items() if state["state"] not in available
+    }
     broken = [name for name in failed if states[name]["state"] == FAILED]
     todo = [part.name for part in run.study.parts if part.name not in states]
     status = head.status or "ok"
@@ -286,6 +297,6 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
         # Parts are skipped because of a failed one, of which the study may know more.
         why = "" if status in GOOD else f": {status}"
         status = f"{', '.join(broken or failed)} failed{why}"
-    elif todo:
+    elif todo and status != INTERRUPTED:
         status = f"stopped before {todo[0]}"
     return result | {"status": status, "failures": failed, "run": str(run.folder)}

@@ -21,12 +21,13 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.carry.latest import followed
-from snapo.problem.carry.save import PolicyFileError, described, read_arrays
-from snapo.problem.policy import Policy, load_policy, trainable
+from snapo.problem.carry.save import PolicyFileError, described, read_arrays, stored
+from snapo.problem.policy import Policy, trainable
 from snapo.report.folder import RunResult
 from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
+from snapo.solver.learning.progress import INTERRUPTED
 from snapo.solver.solution import POLICY
 
 from . import run_folder
@@ -111,13 +112,13 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
         content = file.read_bytes()
         if not content.startswith(ZIP):
             raise ValueError("this is not an .npz file")
-        arrays, header = read_arrays(file)
+        header = read_arrays(file)[1]
     except OSError as error:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
     except ValueError as error:
         message = str(error).removeprefix(f"{file}: ").rstrip(".")
         raise CaseError(str(file), "", None, message) from None
-    text, leaves = _parted(file, header, list(arrays.values()))
+    text, leaves = _parted(file, header)
     return SuppliedPolicy(source, file, content, tuple(leaves), text, value)
 
 
@@ -127,35 +128,24 @@ def _of_run(run: Path, kind: str) -> float | None:
     if record["kind"] != kind:
         message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
         raise CaseError(str(run / run_folder.RUN), "", None, message)
-    if record["parts"].get(TRAINING.name, {}).get("state") != "done":
+    state = record["parts"].get(TRAINING.name, {}).get("state")
+    if state not in ("done", INTERRUPTED):
         raise no_policy(run, record)
     run_folder.check_whole(run, record, (POLICY,))
     return RunResult.read(run).value
 
 
-def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
-    """Texts and arrays of the policy only, from either kind of file."""
-    if isinstance(header, dict) and "snapo policy" in header:
-        try:
-            policy = load_policy(file)
-        except PolicyFileError as error:
-            message = str(error).removeprefix(f"{file}: ").rstrip(".")
-            raise CaseError(str(file), "", None, message) from None
-        arrays = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
-        return described({"policy": policy}), [np.asarray(array) for array in arrays]
-    text = header.get("described") if isinstance(header, dict) else None
-    if not isinstance(text, dict) or not any(item.startswith("policy") for item in text):
-        message = "this file contains no policy: name the folder that `snapo solve` wrote"
-        raise CaseError(str(file), "", None, message)
-    if isinstance(header.get("header"), dict) and "mark" in header["header"]:
+def _parted(file: Path, header: Any) -> tuple[Mapping[str, str], list[Any]]:
+    """Texts and arrays of the policy."""
+    if isinstance(header, dict) and isinstance(header.get("header"), dict):
         message = "this is the state of a training: name the folder of its run, or its policy.npz"
         raise CaseError(str(file), "", None, message)
-    # The policy from the middle of training is there too; they are in the order of names.
-    count = 2 if "halfway kind" in text else 1
-    table = {
-        position: str(word) for position, word in text.items() if position.startswith("policy")
-    }
-    return table, leaves[len(leaves) - len(leaves) // count :]
+    try:
+        content = stored(file, Policy)
+    except PolicyFileError as error:
+        message = str(error).removeprefix(f"{file}: ").rstrip(".")
+        raise CaseError(str(file), "", None, message) from None
+    return content.described, content.leaves
 
 
 def _flat(tree: Any) -> list[tuple[Any, Any]]:

@@ -5,11 +5,13 @@ run.json            layout, kind, everything that decides the numbers, the state
 result.json         the headline: value, standard error, references, seconds, status
 case/               a copy of the case
 parts/NAME.json     the tables of one part
-checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
+checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: of the
+                    training; the policies as files of `policy.save`
 adjoints.csv        how adjoints grow by step, where training measured them
 groups.npz          values of independent groups of paths, by which runs are compared
 start.npz           the policy with which training began, where one was given
 seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
+policy.onnx, policy.py, policy.csv      of `snapo export`
 report.html
 """
 
@@ -30,7 +32,15 @@ from snapo.case.report import TEXTS
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.report.folder import RESULT, read_table
 from snapo.solver.provenance import versions
-from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
+from snapo.solver.solution import (
+    GROWTH,
+    HALFWAY,
+    HISTORY,
+    POLICY,
+    SENSITIVITIES,
+    SOLUTION,
+    VERDICTS,
+)
 from snapo.solver.tables import write_text
 
 from .study import Part
@@ -39,13 +49,15 @@ RUN, CASE, PARTS = "run.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
+ONNX, PYTHON, DECIDED = "policy.onnx", "policy.py", "policy.csv"  # of `snapo export`
 START = "start.npz"  # the policy with which training began, where one was given
 SEEDS = "seeds.csv"  # one row for each seed, where several were asked for
 WRITTEN = (
-    RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
-    VERDICTS, GROWTH, START, SEEDS, "profile.csv", "decisions.csv",
+    RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,
+    SENSITIVITIES, VERDICTS, GROWTH, ONNX, PYTHON, DECIDED, START, SEEDS, "profile.csv",
+    "decisions.csv",
 )  # fmt: skip
-LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
+LAYOUT = 4  # of the folder; it grows when older runs can no longer be read
 APART = ("parts", *TEXTS)  # keys of [report] on which no number depends
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
@@ -225,6 +237,9 @@ def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _no_run(out: Path) -> CaseError:
+    if (out / SOLUTION).exists() and not (out / CASE).exists():
+        message = "solution.save wrote this folder, which has no case: read it with Solution.load"
+        return CaseError(str(out), "", None, message)
     if (out / RESULT).exists() or (out / CHECKPOINT).exists():
         message = (
             "an earlier version of snapo wrote this run, and its files are laid out in another "

@@ -16,6 +16,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver import statistics
+from snapo.solver.learning.progress import INTERRUPTED, Interrupted
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.relaxations.stop import Relaxation
 from snapo.solver.solution import Solution
@@ -42,8 +43,11 @@ class Setup(NamedTuple):
     case: Any = None
 
     def solve(self, **options: Any) -> Solution:
-        """`snapo.solve` with these arguments; `options`: its others."""
-        return solve(
+        """`snapo.solve` with these arguments; `options`: its others.
+
+        **Raises:** `Interrupted` with the solution where Ctrl-C has ended the training.
+        """
+        solution = solve(
             self.problem,
             policy=self.policy if self.recipe is None else self.recipe,
             training=self.training,
@@ -51,6 +55,9 @@ class Setup(NamedTuple):
             engine=self.engines,
             **options,
         )
+        if solution.status == INTERRUPTED:
+            raise Interrupted(solution)
+        return solution
 
 
 def with_change(

@@ -11,6 +11,7 @@ from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
+from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.tables import write_csv
@@ -23,12 +24,23 @@ from .study import Part, Setup, StudyRun
 
 
 def train(run: StudyRun) -> dict[str, Any]:
-    """Solves the study's problem into the run folder."""
+    """Solves the study's problem into the run folder.
+
+    **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
+    """
     setup = run.setup
-    solution = setup.solve(
-        callbacks=[lambda state: _keep(run, state, setup.training)],
-        progress=_resumed(run, setup),
-    )
+    try:
+        solution = setup.solve(
+            callbacks=[lambda state: _keep(run, state, setup.training)],
+            progress=_resumed(run, setup),
+        )
+    except Interrupted as stop:
+        raise Interrupted(_saved(run, stop.result)) from None
+    return _saved(run, solution)
+
+
+def _saved(run: StudyRun, solution: Solution) -> dict[str, Any]:
+    """Writes a solution into the run folder, and returns the tables of the part."""
     run.trained = solution
     solution.save(run.folder)
     _keep_groups(run, solution)

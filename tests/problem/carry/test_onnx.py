@@ -1,4 +1,4 @@
-"""Policies as ONNX graphs: onnxruntime decides as snapo does."""
+"""Policies as ONNX graphs and as Python files: both decide as snapo does."""
 
 import jax
 import jax.numpy as jnp
@@ -67,6 +67,15 @@ def agree(policy, seen, features=None, observe=None, dtype="float32", tolerance=
     assert found.shape == expected.shape and found.dtype == expected.dtype
     scale = np.maximum(1.0, np.abs(expected))
     assert np.max(np.abs(found - expected) / scale) < tolerance
+    text = snapo.to_python(policy, features=features, observe=observe, dtype=dtype)
+    module = {}
+    exec(text, module)
+    plain = module["decide"](seen)
+    assert plain.shape == expected.shape and plain.dtype == expected.dtype
+    assert np.max(np.abs(plain - expected) / scale) < tolerance
+    np.testing.assert_allclose(module["decide"](seen[0]), plain[0], rtol=tolerance, atol=tolerance)
+    with pytest.raises(ValueError, match="an observation has"):
+        module["decide"](seen[:, 1:])
     return np.asarray(found)
 
 

@@ -126,6 +126,9 @@ class Learned:
 
         return play(self.policy, held, starts)
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         """Of the rounds the real values are from the starts that all have played."""
         result = self.comparison

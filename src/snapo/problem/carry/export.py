@@ -58,7 +58,7 @@ def decision_table(
     states[:, [one, two]] = pairs
     version = of_policy(policy, states, observe)
     with jax.enable_x64(True), read_context(version):
-        action = np.asarray(_decided(policy, observe, jnp.asarray(states)), np.float64)
+        action = np.asarray(decided(policy, observe, jnp.asarray(states)), np.float64)
     table = TableDecisions(pairs, action)
     if file is not None:
         _write(Path(file), table, names or _names(one, two, action.shape[1]))
@@ -66,7 +66,9 @@ def decision_table(
 
 
 @eqx.filter_jit
-def _decided(policy: Policy, observe: Any, states: Float[Array, "n features"]) -> Array:
+def decided(policy: Policy, observe: Any, states: Float[Array, "n features"]) -> Array:
+    """The exact decision at every state."""
+
     def one(raw: Array) -> Array:
         return policy(raw if observe is None else jnp.asarray(observe(raw)), Exact())
 
@@ -167,10 +169,28 @@ def to_onnx(
     except ModuleNotFoundError:
         message = "snapo.to_onnx needs the package onnx: pip install 'snapo[onnx]'"
         raise ModuleNotFoundError(message) from None
+    graph, action = traced_graph("to_onnx", policy, features, observe, dtype)
+    model = graph.model(action, f"snapo policy {type(policy).__name__}, exact decisions")
+    if file is not None:
+        onnx.save(model, str(file))
+    return model
+
+
+def traced_graph(
+    verb: str,
+    policy: Policy,
+    features: int | None,
+    observe: Callable[[Any], Any] | None,
+    dtype: Literal["float32", "float64"],
+) -> tuple[Graph, Tensor]:
+    """The exact decision of a policy as a graph, and its output.
+
+    **Raises:** `ValueError` as `to_onnx` does.
+    """
     count = features if observe is not None or features is not None else features_of(policy)
     if count is None:
         raise ValueError(
-            "to_onnx: the number of features is unknown for this policy; specify features=, the "
+            f"{verb}: the number of features is unknown for this policy; specify features=, the "
             "length of one observation (of one raw vector, where you give observe=)."
         )
     graph = Graph(count, dtype)
@@ -182,10 +202,7 @@ def to_onnx(
     with jax.enable_x64(dtype == "float64"):
         traced = jax.make_jaxpr(decide)(jax.ShapeDtypeStruct((count,), np.dtype(dtype)))
         (result,) = _written(graph, traced.jaxpr, traced.consts, [graph.input])
-    model = graph.model(result, f"snapo policy {type(policy).__name__}, exact decisions")
-    if file is not None:
-        onnx.save(model, str(file))
-    return model
+    return graph, graph.decided(result)
 
 
 def _written(graph: Graph, jaxpr: Any, consts: Any, arguments: list[Tensor]) -> list[Tensor]:

@@ -18,11 +18,21 @@ class Tensor(NamedTuple):
     batched: bool
 
 
+class GraphNode(NamedTuple):
+    """One operation, named as in ONNX: the names of its inputs and of its output, and settings."""
+
+    kind: str
+    inputs: tuple[str, ...]
+    output: str
+    dtype: np.dtype
+    settings: dict[str, Any]
+
+
 class Graph:
     """Nodes and constants of a graph with one input, the observations [states, features]."""
 
     def __init__(self, features: int, dtype: Any):
-        self.nodes: list[Any] = []
+        self.nodes: list[GraphNode] = []
         self.constants: dict[str, np.ndarray] = {}
         self.input = Tensor("observation", (features,), np.dtype(dtype), True)
         self._states: Tensor | None = None
@@ -38,11 +48,8 @@ class Graph:
         self, kind: str, inputs: Sequence[Tensor], shape: Sequence[int], dtype: Any, **settings: Any
     ) -> Tensor:
         """The output of one operation; it differs by state where any of its inputs does."""
-        from onnx import helper
-
-        name = f"v{len(self.nodes)}"
-        names = [item.name for item in inputs]
-        self.nodes.append(helper.make_node(kind, names, [name], **settings))
+        name, names = f"v{len(self.nodes)}", tuple(item.name for item in inputs)
+        self.nodes.append(GraphNode(kind, names, name, np.dtype(dtype), settings))
         batched = any(entry.batched for entry in inputs)
         return Tensor(name, tuple(shape), np.dtype(dtype), batched)
 
@@ -69,25 +76,37 @@ class Graph:
         node = self.node("Expand", [value, target], value.shape, value.dtype)
         return node._replace(batched=True)
 
-    def model(self, result: Tensor, about: str) -> Any:
+    def decided(self, result: Tensor) -> Tensor:
+        """The output of the graph, "action" [states, size]."""
+        value = self.by_state(result)
+        self.nodes.append(GraphNode("Identity", (value.name,), "action", value.dtype, {}))
+        return value._replace(name="action")
+
+    def used_constants(self) -> dict[str, np.ndarray]:
+        """The constants that an operation takes."""
+        used = {name for node in self.nodes for name in node.inputs}
+        return {name: constant for name, constant in self.constants.items() if name in used}
+
+    def model(self, action: Tensor, about: str) -> Any:
         """The complete ONNX model, validated by the checker of onnx."""
         import onnx
-        from onnx import TensorProto, helper, numpy_helper
+        from onnx import helper, numpy_helper
 
-        kinds = {np.dtype(np.float32): TensorProto.FLOAT, np.dtype(np.float64): TensorProto.DOUBLE}
-        result = self.node("Identity", [self.by_state(result)], result.shape, result.dtype)
-        self.nodes[-1].output[0] = "action"
         values, results = (
-            helper.make_tensor_value_info(name, kinds[item.dtype], ["states", *item.shape])
-            for name, item in (("observation", self.input), ("action", result))
+            helper.make_tensor_value_info(
+                item.name, helper.np_dtype_to_tensor_dtype(item.dtype), ["states", *item.shape]
+            )
+            for item in (self.input, action)
         )
-        used = {name for node in self.nodes for name in node.input}
-        tables = [
-            numpy_helper.from_array(constant, name)
-            for name, constant in self.constants.items()
-            if name in used
-        ]
-        graph = helper.make_graph(self.nodes, "policy", [values], [results], tables, about)
+        nodes = []
+        for node in self.nodes:
+            settings = dict(node.settings)
+            if node.kind == "Cast":
+                settings["to"] = helper.np_dtype_to_tensor_dtype(np.dtype(settings["to"]))
+            nodes.append(helper.make_node(node.kind, node.inputs, [node.output], **settings))
+        constants = self.used_constants()
+        tables = [numpy_helper.from_array(item, name) for name, item in constants.items()]
+        graph = helper.make_graph(nodes, "policy", [values], [results], tables, about)
         # Of 2022 and 2023: runtimes of that age read the file.
         operators = [helper.make_opsetid("", 18)]
         model = helper.make_model(graph, producer_name="snapo", opset_imports=operators)
@@ -137,13 +156,10 @@ def _same(kind: str) -> Callable:
 
 
 def _cast(graph: Graph, value: Tensor, dtype: Any) -> Tensor:
-    from onnx import helper
-
     dtype = np.dtype(dtype)
     if value.dtype == dtype:
         return value
-    to = helper.np_dtype_to_tensor_dtype(dtype)
-    return graph.node("Cast", [value], value.shape, dtype, to=to)
+    return graph.node("Cast", [value], value.shape, dtype, to=dtype.name)
 
 
 def _convert(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:

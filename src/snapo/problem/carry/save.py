@@ -110,11 +110,15 @@ KINDS = {
     ),
     "Frozen": "snapo.problem.inputs",
     "Stages": "snapo.problem.policies.composed",
+    **dict.fromkeys(("GRU", "LastObservations"), "snapo.problem.policies.memory"),
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "PensionPolicy": "snapo.domains.pension.policies.network",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",
     "Feedback": "snapo.domains.pharma.control.policy",
+    "OrderUpTo": "snapo.domains.inventory.policy.order_up_to",
+    "Classical": "snapo.domains.inventory.policy.rules",
+    "EchelonRule": "snapo.domains.inventory.network.policy",
 }
 
 _SIMPLE = (
@@ -264,26 +268,50 @@ class PolicyFileError(ValueError):
     """A policy that cannot be written to a file, or a file without a valid policy."""
 
 
-def save(policy: eqx.Module, file: Path | str, features: int | None) -> None:
+class StoredPolicy(NamedTuple):
+    """The content of a policy's file.
+
+    - `policy`: None where its class is user code, of which no file has the code.
+    - `described`: {position: text} of its kinds, sizes and functions; `leaves`: its arrays.
+    - `features`: the length of its observation, None where that is unknown.
+    """
+
+    policy: Any
+    described: Mapping[str, str]
+    leaves: list[Any]
+    features: int | None
+
+
+def save(policy: eqx.Module, file: Path | str, features: int | None, code: bool = False) -> None:
     """Writes a policy for a number of features with its kinds, sizes, activations and weights.
 
-    **Raises:** `PolicyFileError` for a policy of a user-defined class, or with such a function.
+    Of a policy with user code the arrays are written if `code`, for a reader who has the code.
+
+    **Raises:** `PolicyFileError` for such a policy otherwise.
     """
     arrays: list[Any] = []
     try:
         metadata = encoded(policy, arrays)
     except NotKnown as error:
-        raise PolicyFileError(
-            f"policy.save: {error}, which is user code, and a file contains no code. Use "
-            "Solution.load(folder, like=policy) with a policy made by your code instead, or "
-            "export it with snapo.to_onnx, which takes any policy."
-        ) from None
+        if not code:
+            raise PolicyFileError(
+                f"policy.save: {error}, which is user code, and a file contains no code. Use "
+                "solution.save(folder) and Solution.load(folder, like=policy) with a policy made "
+                "by your code instead, or export it with snapo.to_onnx, which takes any policy."
+            ) from None
+        metadata, arrays = None, leaves_of(policy)
     header = {"snapo policy": FORMAT, "features": features, "policy": metadata}
+    header["described"] = described({"policy": policy})
     write_arrays(Path(file), {f"leaf_{i}": array for i, array in enumerate(arrays)}, header)
 
 
-def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
-    """The policy written by `save`, of a subclass of `base`; nothing is executed.
+def leaves_of(tree: Any) -> list[np.ndarray]:
+    """The arrays of a policy or of a tree of policies."""
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]
+
+
+def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
+    """The content of a file that `save` wrote; nothing is executed.
 
     **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
     weights whose sizes do not fit each other.
@@ -298,13 +326,59 @@ def load(file: Path | str, base: type[AnyPolicy]) -> AnyPolicy:
         message = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
         raise PolicyFileError(f"{file}: it {message}.")
     try:
+        features = header["features"]
+        if header["policy"] is None:
+            text = {str(name): str(word) for name, word in header["described"].items()}
+            return StoredPolicy(None, text, list(arrays.values()), features)
         policy = decoded(header["policy"], list(arrays.values()))
         if not isinstance(policy, base):
             raise ValueError("it holds no policy")
-        if (count := header["features"]) is not None:
-            observation = jax.ShapeDtypeStruct((count,), jnp.float32)
+        if features is not None:
+            seen = features + getattr(policy, "memory", 0)
+            observation = jax.ShapeDtypeStruct((seen,), jnp.float32)
             jax.eval_shape(policy, observation, Exact())  # pyright: ignore[reportArgumentType]
+        return StoredPolicy(policy, described({"policy": policy}), leaves_of(policy), features)
     except MISTAKES as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PolicyFileError(f"{file}: this is not a policy of this version ({text}).") from None
-    return policy
+
+
+def load(file: Path | str, base: type[AnyPolicy], like: AnyPolicy | None = None) -> AnyPolicy:
+    """The policy written by `save`, of a subclass of `base`; with the numbers of the file in
+    `like`, where there is one.
+
+    **Raises:** `PolicyFileError` as `stored` does; where the file's policy is user code and there
+    is no `like`; and where it differs from `like` in shape, activation or any other setting.
+    """
+    content = stored(file, base)
+    if like is not None:
+        return filled(file, content.leaves, content.described, like, {"policy": like})
+    if content.policy is None:
+        raise PolicyFileError(
+            f"{file}: the class of this policy is user code: read it with "
+            "Solution.load(folder, like=policy) and a policy made by that code."
+        )
+    return content.policy
+
+
+def filled(
+    file: Path | str, leaves: Sequence[Any], text: Mapping[str, str], like: Any, policies: Any
+) -> Any:
+    """The tree `like` with these arrays of a file, whose `text` describes the `policies` in it.
+
+    **Raises:** `PolicyFileError` where they are those of another policy.
+    """
+    moving, fixed = eqx.partition(like, eqx.is_array)
+    old, structure = jax.tree.flatten(moving)
+    if [leaf.shape for leaf in old] != [leaf.shape for leaf in leaves]:
+        raise PolicyFileError(f"{file}: this file contains a policy of another shape.")
+    if text and (other := difference(text, described(policies))):
+        raise PolicyFileError(f"{file}: this file contains another policy: {other}.")
+    # Tables in NumPy keep their precision, which JAX might not have.
+    new = [
+        np.asarray(leaf, local.dtype)
+        if isinstance(local, np.ndarray)
+        else jnp.asarray(leaf, local.dtype)
+        for leaf, local in zip(leaves, old)
+    ]
+    return eqx.combine(structure.unflatten(new), fixed)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..statistics import LEVEL, Estimate, critical
+from ..statistics import LEVEL, SHOWN, Estimate, critical
 
 HELD, THROUGH, RANGE, UNKNOWN = "held", "through the policy", "range", "not known"
 SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leaves out
@@ -30,6 +30,12 @@ class Interval(NamedTuple):
     high: float
     sampling: float
     policy: float
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
+        return f"{self.value:,.5g} (95 %: {self.low:,.5g} to {self.high:,.5g})"
 
     def contains(self, truth: float) -> bool:
         """Whether a number lies within the interval."""
@@ -76,6 +82,15 @@ class Reported(NamedTuple):
     others: np.ndarray
     curvature: Curvature
     sides: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
+        """ "1,234 (95 %: 1,200 to 1,260), held"; of an array the first three."""
+        numbers = self.numbers()
+        more = f", … ({len(numbers)} numbers)" if len(numbers) > SHOWN else ""
+        return f"{', '.join(map(str, numbers[:SHOWN]))}{more}, {self.source}"
 
     @property
     def value(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The state of a training, from which a stopped run can continue."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import PyTree
@@ -19,6 +19,20 @@ from .windows import UPDATES, Learner, learner
 
 SLOWER = 0.25  # of the rate, after a step that broke
 MAX_SLOWED = 3  # times that a failed run continues at a lower rate, if no rate is specified
+
+
+INTERRUPTED = "interrupted"  # status of a training that Ctrl-C has ended
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in work of which a part is done.
+
+    - `result`: that part: the `Progress` of a training, a `Solution`, the tables of a run's part.
+    """
+
+    def __init__(self, result: Any):
+        super().__init__()
+        self.result = result
 
 
 class Record(NamedTuple):
@@ -99,6 +113,9 @@ class Progress:
     redrawn: tuple[int, ...] = ()
     unchanged: int = 0
     scale: FeatureScale | None = None
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         """One line: `callbacks=[print]` prints it at every validation."""
@@ -212,3 +229,9 @@ def _begun_with(
         dual=Dual(),
         since=step,
     )
+
+
+def stopped(progress: Progress) -> Progress:
+    """The end that a callback asks for."""
+    going = progress.status == "training"
+    return replace(progress, status="stopped early") if going else progress

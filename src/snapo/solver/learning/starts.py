@@ -30,7 +30,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Simulator
 
 from ..train import Training, initial_progress, train
-from .progress import Progress, Round
+from .progress import Interrupted, Progress, Round
 
 DISTANCE = "distance"
 SHORT = Training(steps=300, paths=128, validation_paths=512)
@@ -150,7 +150,12 @@ def race(
     left, rounds = dict(enumerate(started)), []
     while len(left) > 1:
         until = every + next(iter(left.values())).step
-        left = {number: run(item, until) for number, item in left.items()}
+        for number, item in left.items():
+            try:
+                left[number] = run(item, until)
+            except Interrupted as stop:
+                done = [*left.values(), stop.result]
+                raise Interrupted(max(done, key=lambda entry: entry.best_value)) from None
         values = {number: float(entry.best_value) for number, entry in left.items()}
         ranked = sorted(left, key=lambda number: -np.nan_to_num(values[number], nan=-np.inf))
         rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))

@@ -30,6 +30,7 @@ from ..evaluate import (
     value_of,
 )
 from ..learning.log import start_notes
+from ..learning.progress import INTERRUPTED
 from ..learning.settings import TrainingPlan
 from ..limits import limits_found, notes_of
 from ..provenance import why_broken
@@ -273,7 +274,7 @@ def _smoothing_gap(
 def _status(value: float, status: str) -> str:
     """The status of a run: that of its training, unless its value is no number although all steps
     were taken."""
-    if np.isfinite(value) or status == "diverged":
+    if np.isfinite(value) or status in ("diverged", INTERRUPTED):
         return status
     return "ruined" if value < 0 else "not finite"
 

@@ -9,6 +9,7 @@ from snapo.report.quantity import decimals
 from snapo.report.rows import Column, WithError, table
 from snapo.solver import statistics
 from snapo.solver.evaluate import value_of_groups
+from snapo.solver.learning.progress import INTERRUPTED
 from snapo.solver.solve import solve
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -85,6 +86,8 @@ def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
         evaluation=evaluation,
         engine=other.engines,
     )
+    if solution.status == INTERRUPTED:
+        raise KeyboardInterrupt
     objective, source = setup.problem.objective, setup.problem.sources.evaluation
     values = value_of_groups(objective, solution.totals, source)
     totals = {
