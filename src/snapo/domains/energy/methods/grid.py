@@ -1,0 +1,361 @@
+"""Nodes of the levels of a contract, and every way from the nodes of one step to those of the next.
+
+Values are linear between nodes. Where flows, limits and starts have a common measure, nodes are its
+multiples, and all volumes that a best decision can take lead from node to node: values there are
+exact, neither raised nor lowered. A single level without a practical measure has its breakpoints as
+nodes: all levels to which extreme flows lead from the start and from the limits, forwards and
+backwards. Only where these are too many are nodes evenly spaced, and values between them a little
+low (`exact` is false then).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, reduce
+from itertools import product
+from math import gcd, lcm
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..core.contract import Layout
+
+MOST = 1200  # nodes of a level
+COARSE = 401  # nodes of a level that has too many breakpoints
+DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
+NEAR = 1e-9  # of the largest volume: nearer levels are one
+
+
+class Passage(NamedTuple):
+    """A volume along a flow, from some nodes of a step to nodes after it.
+
+    - `flow`: its index, -1 for none; `volume`: [rows, 1], or one number.
+    - `rows`: numbers of nodes before, `left` and `right` after; `share` [rows, 1] of the way to the
+      right, None where they are `left`.
+    """
+
+    flow: int
+    volume: Any
+    rows: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    share: np.ndarray | None
+
+
+class StepGrid(NamedTuple):
+    """One step: the passages of each move; nodes `before` and `after` it, an array by level.
+
+    - `arrive`: the number of the node of the next step for each node after; `lost`: what settling
+      takes there, in money.
+    """
+
+    passages: tuple[tuple[Passage, ...], ...]
+    before: tuple[np.ndarray, ...]
+    after: tuple[np.ndarray, ...]
+    arrive: np.ndarray
+    lost: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """All steps of a contract with NumPy numbers; `exact`: see above."""
+
+    layout: Layout
+    steps: list[StepGrid]
+    last: tuple[np.ndarray, ...]
+    exact: bool
+
+    @cached_property
+    def nodes(self) -> list[tuple[np.ndarray, ...]]:
+        """[T + 1] at the start of each step, and after the last one."""
+        return [step.before for step in self.steps] + [self.last]
+
+    def size(self, t: int) -> int:
+        """How many nodes there are at the start of a step."""
+        return int(np.prod([len(x) for x in self.nodes[t]], dtype=int))
+
+
+def grid_of(layout: Layout, schedule: Any, parts: int = 1) -> Grid:
+    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one."""
+    terms, found = schedule.steps.terms, schedule.steps.intervals
+    start = np.asarray(schedule.constants.start, float)
+    before, after, exact = _nodes(layout, terms, found, start, parts)
+    scale = max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
+    known: dict[tuple, tuple] = {}
+    steps = []
+    for t in range(len(after)):
+        numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
+        key = tuple(np.asarray(x).tobytes() for x in numbers)
+        if key not in known:
+            known[key] = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+        arrive, lost = _arrivals(terms, t, after[t], before[t + 1])
+        steps.append(StepGrid(known[key], before[t], after[t], arrive, lost))
+    return Grid(layout, steps, before[-1], exact)
+
+
+def best(
+    step: StepGrid, layout: Layout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
+) -> np.ndarray:
+    """[modes, nodes, columns] the value of the best move and volume from each node.
+
+    `cash` [flows, columns]: earnings of a unit; `fixed` [moves]; `after` [modes, nodes after,
+    columns]. Columns are nodes of price factors, or paths.
+    """
+    count = int(np.prod([len(x) for x in step.before], dtype=int))
+    value = np.full((len(layout.modes), count, after.shape[2]), -np.inf)
+    for move, passages, money in zip(layout.every_move, step.passages, fixed):
+        here, there = value[move.before], after[move.after]
+        for flow, volume, rows, left, right, share in passages:
+            reached = there[left]
+            if share is not None:
+                reached = reached + share * (there[right] - reached)
+            if flow >= 0 and np.any(volume):
+                reached = reached + volume * cash[flow]
+            if money:
+                reached = reached + money
+            here[rows] = np.maximum(here[rows], reached)
+    return value
+
+
+def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
+    """[modes, nodes after, columns] of the value at the start of the next step, after settling."""
+    result = value[:, step.arrive]
+    return result - step.lost[:, None] if step.lost.any() else result
+
+
+def _nodes(layout: Layout, terms, found, start, parts: int):
+    """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
+    horizon = len(terms.low)
+    columns, exact = [], True
+    measures = _measures(layout, terms, start)
+    for i in range(len(layout.levels)):
+        low, high = _visited(layout, terms, found, start, i)
+        measure = measures[i]
+        widest = max((b - a for a, b in zip(low, high)), default=0.0)
+        if measure is not None and widest <= MOST * measure:
+            columns.append(_regular(low, high, measure / parts, terms.restarts[:, i]))
+            continue
+        points = _breakpoints(layout, terms, start, i, low, high) if len(layout.levels) == 1 else None
+        if points is None:
+            if len(layout.levels) > 1:
+                name = layout.levels[i].name
+                raise ValueError(f"the volumes of {name!r} have no common measure, so it has no grid")
+            exact = False
+            width = widest / (COARSE - 1) / parts
+            points = _regular(low, high, width, terms.restarts[:, i], ends=True)
+        columns.append(points)
+    before = [tuple(c[0][t] for c in columns) for t in range(horizon + 1)]
+    after = [tuple(c[1][t] for c in columns) for t in range(horizon)]
+    return before, after, exact
+
+
+def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
+    """[T + 1] of a level: start, and after each step, before settling; feasible and reachable."""
+    horizon = len(terms.low)
+    low, high = np.empty(horizon + 1), np.empty(horizon + 1)
+    low[0] = high[0] = first = last = start[i]
+    for t in range(horizon):
+        change = _extremes(layout, terms, t, i)
+        low[t + 1] = min(max(first + change.min(), found.next_low[t, i]), found.next_high[t, i])
+        high[t + 1] = max(min(last + change.max(), found.next_high[t, i]), low[t + 1])
+        first, last = (0.0, 0.0) if terms.restarts[t, i] else (low[t + 1], high[t + 1])
+    return low, high
+
+
+def _extremes(layout: Layout, terms, t: int, i: int) -> np.ndarray:
+    """What a step can change a level by, at the ends of each flow."""
+    result = set()
+    for move in layout.every_move:
+        if all(terms.least[t, flow] <= 0 for flow in move.flows):
+            result.add(move.changes[i])
+        for flow in move.flows:
+            effect = layout.flows[flow].effects[i]
+            ends = terms.least[t, flow], terms.most[t, flow]
+            result |= {move.changes[i] + effect * volume for volume in ends}
+    return np.array(sorted(result))
+
+
+def _measures(layout: Layout, terms, start) -> list[float | None]:
+    """The largest volume of which all of a level are multiples; one for levels of the same flow."""
+    groups = [{i} for i in range(len(layout.levels))]
+    for flow in layout.flows:
+        touched = {i for i, effect in enumerate(flow.effects) if effect}
+        if touched:
+            joined = set().union(touched, *(g for g in groups if g & touched))
+            groups = [g for g in groups if not g & touched] + [joined]
+    result: list[float | None] = [None] * len(layout.levels)
+    for group in groups:
+        volumes: set[float] = set()
+        for i in group:
+            volumes.add(float(start[i]))
+            volumes |= {move.changes[i] for move in layout.every_move}
+            for numbers in (terms.low[:, i], terms.high[:, i], terms.owed[:, i]):
+                volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
+            for flow in range(len(layout.flows)):
+                effect = layout.flows[flow].effects[i]
+                for numbers in (terms.least[:, flow], terms.most[:, flow]):
+                    volumes |= set(np.unique(effect * numbers).tolist())
+        found = common_measure(volumes)
+        for i in group:
+            result[i] = found
+    return result
+
+
+def common_measure(volumes: Iterable[float]) -> float | None:
+    """The largest number of which all are multiples; None where they are no simple fractions."""
+    sizes = [abs(x) for x in volumes if x]
+    fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
+    if not sizes:
+        return 1.0
+    if any(abs(float(part) - x) > 1e-12 * x for part, x in zip(fractions, sizes)):
+        return None
+    below = reduce(lcm, (f.denominator for f in fractions))
+    return reduce(gcd, (int(f * below) for f in fractions)) / below
+
+
+def _regular(low, high, width: float, restarts, ends: bool = False):
+    """Multiples of the width, and both ends where they are none."""
+
+    def nodes(a: float, b: float) -> np.ndarray:
+        inner = np.arange(np.ceil(a / width - 1e-6), np.floor(b / width + 1e-6) + 1) * width
+        if not ends and len(inner):
+            return inner
+        inner = inner[(inner > a + 1e-6 * width) & (inner < b - 1e-6 * width)]
+        return np.unique(np.concatenate([[a], inner, [b]]))
+
+    after = [nodes(a, b) for a, b in zip(low[1:], high[1:])]
+    return [nodes(low[0], high[0]), *_settled(after, restarts)], after
+
+
+def _settled(after: list[np.ndarray], restarts) -> list[np.ndarray]:
+    return [np.zeros(1) if again else points for points, again in zip(after, restarts)]
+
+
+def _breakpoints(layout: Layout, terms, start, i: int, low, high):
+    """All levels to which extreme flows lead; None where they are too many.
+
+    The nodes of a step are led to those of the next one and back until none is missing.
+    """
+    horizon, restarts = len(terms.low), terms.restarts[:, i]
+    near = NEAR * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
+    after = []
+    for t in range(horizon):
+        limits = np.array([low[t + 1], high[t + 1], terms.low[t, i], terms.high[t, i]])
+        if restarts[t]:
+            limits = np.append(limits, terms.owed[t, i])
+        after.append(_within(limits, low[t + 1], high[t + 1], near))
+    first = np.array([start[i]])
+    for _ in range(3):
+        count = sum(map(len, after))
+        before = [first, *_settled(after, restarts)]
+        for t in range(horizon):
+            moved = (before[t][:, None] + _extremes(layout, terms, t, i)).ravel()
+            after[t] = _within(np.append(after[t], moved), low[t + 1], high[t + 1], near)
+            if len(after[t]) > MOST:
+                return None
+            before[t + 1] = np.zeros(1) if restarts[t] else after[t]
+        for t in reversed(range(1, horizon)):
+            if not restarts[t - 1]:
+                moved = (after[t][:, None] - _extremes(layout, terms, t, i)).ravel()
+                after[t - 1] = _within(np.append(after[t - 1], moved), low[t], high[t], near)
+                if len(after[t - 1]) > MOST:
+                    return None
+        if sum(map(len, after)) == count:
+            break
+    return [first, *_settled(after, restarts)], after
+
+
+def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndarray:
+    points = np.sort(points[(points >= low - near) & (points <= high + near)])
+    return points[np.append(True, np.diff(points) > near)] if len(points) else points
+
+
+def _passages(layout: Layout, terms, t: int, before, after, near: float):
+    shape, strides = [len(x) for x in before], _strides(after)
+    result = []
+    for move in layout.every_move:
+        passages: list[Passage] = []
+        still = all(terms.least[t, flow] <= near for flow in move.flows)
+        if still:
+            passages += _moved(-1, 0.0, np.array(move.changes), before, after, shape, strides, near)
+        for flow in move.flows:
+            effects = np.array(layout.flows[flow].effects)
+            changes, ends = np.array(move.changes), (terms.least[t, flow], terms.most[t, flow])
+            for volume in _possible(effects, changes, ends, before, after, near):
+                if volume > near or not still:
+                    change = changes + volume * effects
+                    passages += _moved(flow, volume, change, before, after, shape, strides, near)
+        result.append(tuple(passages))
+    return tuple(result)
+
+
+def _possible(effects, changes, ends, before, after, near: float) -> list[float]:
+    """The volumes to try: both ends, and those that lead from a node to a node between them."""
+    volumes = [float(ends[0]), float(ends[1])]
+    touched = np.flatnonzero(effects)
+    if len(touched):
+        i = touched[0]
+        every = ((after[i][None, :] - before[i][:, None] - changes[i]) / effects[i]).ravel()
+        inside = every[(every > ends[0] + near) & (every < ends[1] - near)]
+        volumes += inside.tolist()
+    rounded = np.round(np.array(volumes) / (10 * near))
+    return [volumes[k] for k in np.unique(rounded, return_index=True)[1]]
+
+
+def _moved(flow: int, volume: float, change, before, after, shape, strides, near: float):
+    """The passage of one volume, from the nodes where it is possible; two where some of them lead
+    between nodes, which only a single level may."""
+    parts = []
+    for i, points in enumerate(before):
+        goal, nodes = points + change[i], after[i]
+        right = np.clip(np.searchsorted(nodes, goal - 2 * near), 0, len(nodes) - 1)
+        on = np.abs(nodes[right] - goal) <= 4 * near
+        inside = (goal >= nodes[0] - near) & (goal <= nodes[-1] + near)
+        parts.append((right, on, inside, goal))
+    exact = [np.flatnonzero(on) for _, on, _, _ in parts]
+    result = []
+    if all(len(x) for x in exact):
+        rows = _flat(exact, _strides_of(shape))
+        goal = _flat([p[0][x] for p, x in zip(parts, exact)], strides)
+        result.append(Passage(flow, volume, rows, goal, goal, None))
+    if len(parts) == 1:
+        right, on, inside, goal = parts[0]
+        rows = np.flatnonzero(inside & ~on)
+        if len(rows):
+            nodes, last = after[0], right[rows]
+            left = np.maximum(last - 1, 0)
+            share = (goal[rows] - nodes[left]) / (nodes[last] - nodes[left])
+            result.append(Passage(flow, volume, rows, left, last, share[:, None]))
+    return result
+
+
+def _strides(nodes) -> list[int]:
+    return _strides_of([len(x) for x in nodes])
+
+
+def _strides_of(shape) -> list[int]:
+    return [int(np.prod(shape[i + 1 :], dtype=int)) for i in range(len(shape))]
+
+
+def _flat(indices, strides) -> np.ndarray:
+    """Numbers of nodes from those by level, of all combinations."""
+    result = np.zeros(1, int)
+    for index, stride in zip(indices, strides):
+        result = (result[:, None] + stride * np.asarray(index)[None, :]).ravel()
+    return result
+
+
+def _arrivals(terms, t: int, after, following) -> tuple[np.ndarray, np.ndarray]:
+    places, lost = [], np.zeros(1)
+    for i, points in enumerate(after):
+        again = bool(terms.restarts[t, i])
+        places.append(np.zeros(len(points), int) if again else np.arange(len(points)))
+        missed = np.maximum(terms.owed[t, i] - points, 0.0) if again else np.zeros(len(points))
+        amount = missed * terms.short[t, i] if again else missed
+        lost = (lost[:, None] + amount[None, :]).ravel()
+    return _flat(places, _strides(following)), lost
+
+
+def node_levels(nodes: tuple[np.ndarray, ...]) -> np.ndarray:
+    """[n, levels] of all nodes."""
+    return np.array(list(product(*nodes))).reshape(-1, len(nodes))
