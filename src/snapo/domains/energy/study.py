@@ -34,9 +34,8 @@ def checked(case: EnergyCase) -> Problem:
     **Raises:** `CaseError` with the first step and level that no decisions can keep.
     """
     problem = bare_problem(case)
-    steps, layout = problem.schedule.steps, case.contract.layout
-    terms = problem.schedule.constants.start, steps.terms
-    fault = first_fault(layout, terms, steps.intervals)
+    layout = case.contract.layout
+    fault = first_fault(layout, problem.schedule)
     if fault is not None:
         step, level = fault
         day = case.days[max(step, 0)]

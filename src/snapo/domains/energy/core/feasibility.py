@@ -92,17 +92,18 @@ def volumes(layout: Layout, move: int, now: Any, levels: Array, smooth, scale) -
     return Volumes(jnp.stack(forced), jnp.stack(most))
 
 
-def first_fault(layout: Layout, terms: Any, found: Intervals) -> tuple[int, int] | None:
-    """(step, level) at which no decision can keep the limits; None where all can be met."""
-    tolerance = 1e-9 * max(1.0, float(np.max(np.abs(np.asarray(terms.steps.most)))))
-    low, high = np.asarray(found.low), np.asarray(found.high)
-    if not len(low):
-        return None
-    start = np.asarray(terms.start)
+def first_fault(layout: Layout, schedule: Any) -> tuple[int, int] | None:
+    """(step, level) at which no decision can keep the limits; None where all can be met.
+
+    The step is -1 where only the start is the reason.
+    """
+    found, terms = schedule.steps.intervals, schedule.steps.terms
+    tolerance = 1e-9 * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
+    start = np.asarray(schedule.constants.start)
     for i in range(len(layout.levels)):
-        empty = np.flatnonzero(np.asarray(found.next_low)[:, i] > found.next_high[:, i] + tolerance)
+        empty = np.flatnonzero(found.next_low[:, i] > found.next_high[:, i] + tolerance)
         if len(empty):
             return int(empty[-1]), i
-        if not low[0, i] - tolerance <= start[i] <= high[0, i] + tolerance:
+        if not found.low[0, i] - tolerance <= start[i] <= found.high[0, i] + tolerance:
             return -1, i
     return None
