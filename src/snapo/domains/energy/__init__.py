@@ -9,3 +9,10 @@ SWING = Kind(
     {"take-or-pay": "template_swing"},
     tables="read.case:swing_formats",
 )
+BATTERY = Kind(
+    "battery",
+    "a battery: energy by the hour, with wear and a limit on cycles",
+    __name__,
+    {"week": "template_battery"},
+    tables="read.case:battery_formats",
+)

@@ -4,42 +4,39 @@ Values are linear between nodes. Where flows, limits and starts have a common me
 multiples, and all volumes that a best decision can take lead from node to node: values there are
 exact, neither raised nor lowered. A single level without a practical measure has its breakpoints as
 nodes: all levels to which extreme flows lead from the start and from the limits, forwards and
-backwards. Only where these are too many are nodes evenly spaced, and values between them a little
-low (`exact` is false then).
+backwards. Only where these are too many are nodes evenly spaced, and values between them linear
+(`exact` is false then: they are approximate, and no bound).
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from fractions import Fraction
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import product
-from math import gcd, lcm
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..core.contract import Layout
+from .measure import measures_of
 
 MOST = 1200  # nodes of a level
-COARSE = 401  # nodes of a level that has too many breakpoints
-DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
+TOGETHER = 20_000  # of all levels
+COARSE = {1: 401, 2: 49, 3: 17}  # of a level where these are too many, by the number of levels
 NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
 class Passage(NamedTuple):
     """A volume along a flow, from some nodes of a step to nodes after it.
 
-    - `flow`: its index, -1 for none; `volume`: [rows, 1], or one number.
-    - `rows`: numbers of nodes before, `left` and `right` after; `share` [rows, 1] of the way to the
-      right, None where they are `left`.
+    - `flow`: its index, -1 for none; `volume`: how much.
+    - `rows`: numbers of nodes before. `goals` [corners, rows]: those after, with their `weights`
+      [corners, rows, 1], None where each leads to a node.
     """
 
     flow: int
-    volume: Any
+    volume: float
     rows: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    share: np.ndarray | None
+    goals: np.ndarray
+    weights: np.ndarray | None
 
 
 class StepGrid(NamedTuple):
@@ -105,11 +102,12 @@ def best(
     value = np.full((len(layout.modes), count, after.shape[2]), -np.inf)
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
         here, there = value[move.before], after[move.after]
-        for flow, volume, rows, left, right, share in passages:
-            reached = there[left]
-            if share is not None:
-                reached = reached + share * (there[right] - reached)
-            if flow >= 0 and np.any(volume):
+        for flow, volume, rows, goals, weights in passages:
+            if weights is None:
+                reached = there[goals[0]]
+            else:
+                reached = np.sum(weights * there[goals], axis=0)
+            if flow >= 0 and volume:
                 reached = reached + volume * cash[flow]
             if money:
                 reached = reached + money
@@ -125,24 +123,24 @@ def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
 
 def _nodes(layout: Layout, terms, found, start, parts: int):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
-    horizon = len(terms.low)
-    columns, exact = [], True
-    measures = _measures(layout, terms, start)
-    for i in range(len(layout.levels)):
-        low, high = _visited(layout, terms, found, start, i)
-        measure = measures[i]
-        widest = max((b - a for a, b in zip(low, high)), default=0.0)
-        if measure is not None and widest <= MOST * measure:
-            columns.append(_regular(low, high, measure / parts, terms.restarts[:, i]))
+    horizon, count = len(terms.low), len(layout.levels)
+    measures = measures_of(layout, terms, start)
+    visited = [_visited(layout, terms, found, start, i) for i in range(count)]
+    widest = [float(np.max(high - low)) for low, high in visited]
+    sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
+    exact = all(x <= MOST for x in sizes) and np.prod([x + 1 for x in sizes]) <= TOGETHER
+    columns = []
+    for i, (low, high) in enumerate(visited):
+        restarts, measure = terms.restarts[:, i], measures[i]
+        if exact and measure is not None:
+            columns.append(_regular(low, high, measure / parts, restarts))
             continue
-        points = _breakpoints(layout, terms, start, i, low, high) if len(layout.levels) == 1 else None
+        points = _breakpoints(layout, terms, start, i, low, high) if count == 1 else None
         if points is None:
-            if len(layout.levels) > 1:
-                name = layout.levels[i].name
-                raise ValueError(f"the volumes of {name!r} have no common measure, so it has no grid")
-            exact = False
-            width = widest / (COARSE - 1) / parts
-            points = _regular(low, high, width, terms.restarts[:, i], ends=True)
+            width = widest[i] / (COARSE[min(count, 3)] - 1) / parts
+            points = _regular(low, high, width or 1.0, restarts, ends=True)
+        else:
+            exact = True
         columns.append(points)
     before = [tuple(c[0][t] for c in columns) for t in range(horizon + 1)]
     after = [tuple(c[1][t] for c in columns) for t in range(horizon)]
@@ -173,44 +171,6 @@ def _extremes(layout: Layout, terms, t: int, i: int) -> np.ndarray:
             ends = terms.least[t, flow], terms.most[t, flow]
             result |= {move.changes[i] + effect * volume for volume in ends}
     return np.array(sorted(result))
-
-
-def _measures(layout: Layout, terms, start) -> list[float | None]:
-    """The largest volume of which all of a level are multiples; one for levels of the same flow."""
-    groups = [{i} for i in range(len(layout.levels))]
-    for flow in layout.flows:
-        touched = {i for i, effect in enumerate(flow.effects) if effect}
-        if touched:
-            joined = set().union(touched, *(g for g in groups if g & touched))
-            groups = [g for g in groups if not g & touched] + [joined]
-    result: list[float | None] = [None] * len(layout.levels)
-    for group in groups:
-        volumes: set[float] = set()
-        for i in group:
-            volumes.add(float(start[i]))
-            volumes |= {move.changes[i] for move in layout.every_move}
-            for numbers in (terms.low[:, i], terms.high[:, i], terms.owed[:, i]):
-                volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
-            for flow in range(len(layout.flows)):
-                effect = layout.flows[flow].effects[i]
-                for numbers in (terms.least[:, flow], terms.most[:, flow]):
-                    volumes |= set(np.unique(effect * numbers).tolist())
-        found = common_measure(volumes)
-        for i in group:
-            result[i] = found
-    return result
-
-
-def common_measure(volumes: Iterable[float]) -> float | None:
-    """The largest number of which all are multiples; None where they are no simple fractions."""
-    sizes = [abs(x) for x in volumes if x]
-    fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
-    if not sizes:
-        return 1.0
-    if any(abs(float(part) - x) > 1e-12 * x for part, x in zip(fractions, sizes)):
-        return None
-    below = reduce(lcm, (f.denominator for f in fractions))
-    return reduce(gcd, (int(f * below) for f in fractions)) / below
 
 
 def _regular(low, high, width: float, restarts, ends: bool = False):
@@ -271,20 +231,20 @@ def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndar
 
 
 def _passages(layout: Layout, terms, t: int, before, after, near: float):
-    shape, strides = [len(x) for x in before], _strides(after)
-    result = []
+    opposed, result = opposed_levels(layout), []
     for move in layout.every_move:
         passages: list[Passage] = []
+        changes = np.array(move.changes)
         still = all(terms.least[t, flow] <= near for flow in move.flows)
         if still:
-            passages += _moved(-1, 0.0, np.array(move.changes), before, after, shape, strides, near)
+            passages += _moved(-1, 0.0, changes, before, after, opposed, near)
         for flow in move.flows:
             effects = np.array(layout.flows[flow].effects)
-            changes, ends = np.array(move.changes), (terms.least[t, flow], terms.most[t, flow])
+            ends = terms.least[t, flow], terms.most[t, flow]
             for volume in _possible(effects, changes, ends, before, after, near):
                 if volume > near or not still:
                     change = changes + volume * effects
-                    passages += _moved(flow, volume, change, before, after, shape, strides, near)
+                    passages += _moved(flow, volume, change, before, after, opposed, near)
         result.append(tuple(passages))
     return tuple(result)
 
@@ -302,31 +262,72 @@ def _possible(effects, changes, ends, before, after, near: float) -> list[float]
     return [volumes[k] for k in np.unique(rounded, return_index=True)[1]]
 
 
-def _moved(flow: int, volume: float, change, before, after, shape, strides, near: float):
-    """The passage of one volume, from the nodes where it is possible; two where some of them lead
-    between nodes, which only a single level may."""
-    parts = []
-    for i, points in enumerate(before):
-        goal, nodes = points + change[i], after[i]
+def _moved(flow: int, volume: float, change, before, after, opposed: bool, near: float):
+    """The passages of one volume: from the nodes that it leads to a node, and from the others that
+    it leads between nodes."""
+    if not before:
+        return [Passage(flow, volume, np.zeros(1, int), np.zeros((1, 1), int), None)]
+    goals, on, inside = [], [], []
+    for points, nodes, moved in zip(before, after, change):
+        goal = points + moved
         right = np.clip(np.searchsorted(nodes, goal - 2 * near), 0, len(nodes) - 1)
-        on = np.abs(nodes[right] - goal) <= 4 * near
-        inside = (goal >= nodes[0] - near) & (goal <= nodes[-1] + near)
-        parts.append((right, on, inside, goal))
-    exact = [np.flatnonzero(on) for _, on, _, _ in parts]
-    result = []
-    if all(len(x) for x in exact):
-        rows = _flat(exact, _strides_of(shape))
-        goal = _flat([p[0][x] for p, x in zip(parts, exact)], strides)
-        result.append(Passage(flow, volume, rows, goal, goal, None))
-    if len(parts) == 1:
-        right, on, inside, goal = parts[0]
-        rows = np.flatnonzero(inside & ~on)
-        if len(rows):
-            nodes, last = after[0], right[rows]
-            left = np.maximum(last - 1, 0)
-            share = (goal[rows] - nodes[left]) / (nodes[last] - nodes[left])
-            result.append(Passage(flow, volume, rows, left, last, share[:, None]))
+        goals.append(goal)
+        on.append(np.abs(nodes[right] - goal) <= 4 * near)
+        inside.append((goal >= nodes[0] - near) & (goal <= nodes[-1] + near))
+    strides, result = _strides(before), []
+    exact = [np.flatnonzero(x) for x in on]
+    if all(map(len, exact)):
+        places = [np.searchsorted(n, g[x] - 4 * near) for n, g, x in zip(after, goals, exact)]
+        goal = _flat(places, _strides(after))
+        result.append(Passage(flow, volume, _flat(exact, strides), goal[None], None))
+    if all(x.any() for x in inside) and not all(
+        np.array_equal(a, b) for a, b in zip(on, inside)
+    ):
+        possible = [np.flatnonzero(x) for x in inside]
+        rows = _flat(possible, strides)
+        mesh = np.meshgrid(*(g[x] for g, x in zip(goals, possible)), indexing="ij")
+        levels = np.stack([x.ravel() for x in mesh], axis=1)
+        found, weights = corners(after, levels, opposed)
+        result.append(Passage(flow, volume, rows, found, weights[:, :, None]))
     return result
+
+
+def opposed_levels(layout: Layout) -> bool:
+    """Whether a flow moves two levels in opposite directions."""
+    return any(np.min(f.effects, initial=0.0) < 0 < np.max(f.effects, initial=0.0)
+               for f in layout.flows)  # fmt: skip
+
+
+def corners(nodes, levels: np.ndarray, opposed: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
+
+    One level is cut at its nodes; two are cut along their flows too, into triangles, so that a
+    function between nodes is linear along every flow and the best volumes lead to nodes.
+    """
+    count, sizes = len(levels), [len(x) for x in nodes]
+    if not sizes:
+        return np.zeros((1, count), int), np.ones((1, count))
+    lefts, shares = [], []
+    for i, x in enumerate(nodes):
+        position = np.interp(levels[:, i], x, np.arange(len(x), dtype=float))
+        left = np.minimum(position.astype(int), max(len(x) - 2, 0))
+        lefts.append(left)
+        shares.append(position - left)
+    if len(sizes) == 1:
+        right = np.minimum(lefts[0] + 1, sizes[0] - 1)
+        return np.stack([lefts[0], right]), np.stack([1 - shares[0], shares[0]])
+    if len(sizes) > 2:
+        raise ValueError("a contract of three levels that its volumes do not share has no grid")
+    first, second = shares[0], 1 - shares[1] if opposed else shares[1]
+
+    def at(i, j) -> np.ndarray:
+        row = np.minimum(lefts[0] + i, sizes[0] - 1)
+        return row * sizes[1] + np.minimum(lefts[1] + (1 - j if opposed else j), sizes[1] - 1)
+
+    zero, wide = np.zeros(count, int), first >= second
+    middle = at(np.where(wide, 1, 0), np.where(wide, 0, 1))
+    weights = [1 - np.maximum(first, second), np.abs(first - second), np.minimum(first, second)]
+    return np.stack([at(zero, zero), middle, at(zero + 1, zero + 1)]), np.stack(weights)
 
 
 def _strides(nodes) -> list[int]:

@@ -14,10 +14,9 @@ import numpy as np
 from snapo.problem.problem import Problem
 
 from ...gas_storage.bounds.regression import product
-from ..core.contract import Layout
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
-from .grid import arrived, best, grid_of
+from .grid import arrived, best, corners, grid_of, opposed_levels
 
 BLOCK = 128  # paths at once
 PARTS = 3  # of the penalty: polynomials, hinges, the constant
@@ -30,7 +29,7 @@ class EnergyRelaxation:
 
     def __init__(self, problem: Problem):
         simulator = simulator_of(problem)
-        self.layout: Layout = simulator.layout
+        self.layout = simulator.layout
         self.process, self.schedule = simulator.process, problem.schedule
         self.prices, result = price_schedule(problem), fitted_value(problem)
         self.fitted = None if result is None else result.fitted
@@ -65,7 +64,7 @@ class EnergyRelaxation:
         for nodes, table, moved, level, now in zip(
             self.grid.nodes, self.fitted.coefficients, innovations, levels, mode
         ):
-            rows, weights = corners(nodes, level, _opposed(self.layout))
+            rows, weights = corners(nodes, level, opposed_levels(self.layout))
             for row, weight in zip(rows, weights):
                 total += weight * np.einsum("pk,kp->p", table[now, row], moved)
         return total
@@ -108,45 +107,3 @@ class EnergyRelaxation:
         moved = basis.increments(np.ascontiguousarray(np.moveaxis(factors, 1, 2)))
         counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
         return moved * np.repeat(scale, counts)[:, None]
-
-
-def _opposed(layout: Layout) -> bool:
-    """Whether a flow moves two levels in opposite directions."""
-    return any(np.min(f.effects, initial=0.0) < 0 < np.max(f.effects, initial=0.0)
-               for f in layout.flows)  # fmt: skip
-
-
-def corners(nodes, levels: np.ndarray, opposed: bool):
-    """Nodes [corners, paths] around levels [paths, levels], and their weights.
-
-    One level is cut at its nodes; two are cut along their flows too, into triangles, so that the
-    function between nodes is linear along every flow and the best volumes lead to nodes.
-    """
-    sizes = [len(x) for x in nodes]
-    paths = len(levels)
-    if not sizes:
-        return np.zeros((1, paths), int), np.ones((1, paths))
-    lefts, shares = [], []
-    for i, x in enumerate(nodes):
-        position = np.interp(levels[:, i], x, np.arange(len(x), dtype=float))
-        left = np.minimum(position.astype(int), max(len(x) - 2, 0))
-        lefts.append(left)
-        shares.append(position - left)
-    if len(sizes) == 1:
-        right = np.minimum(lefts[0] + 1, sizes[0] - 1)
-        return np.stack([lefts[0], right]), np.stack([1 - shares[0], shares[0]])
-    if len(sizes) > 2:
-        raise ValueError("a contract of three levels has no upper bound yet")
-    a, b = shares[0], (1 - shares[1] if opposed else shares[1])
-    flip = 1 if opposed else 0
-
-    def at(i, j) -> np.ndarray:
-        first = np.minimum(lefts[0] + i, sizes[0] - 1)
-        second = np.minimum(lefts[1] + (1 - j if flip else j), sizes[1] - 1)
-        return first * sizes[1] + second
-
-    one, zero = np.ones(paths, int), np.zeros(paths, int)
-    wide = a >= b
-    rows = [at(zero, zero), at(np.where(wide, 1, 0), np.where(wide, 0, 1)), at(one, one)]
-    weights = [1 - np.maximum(a, b), np.abs(a - b), np.minimum(a, b)]
-    return np.stack(rows), np.stack(weights)

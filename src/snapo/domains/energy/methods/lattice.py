@@ -10,7 +10,7 @@ from ...gas_storage.references.marginal import FactorGrid, factor_grid
 from ..core.contract import Layout
 from .grid import Grid, arrived, best, grid_of
 
-SPACINGS = {1: 0.15, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
+SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
 SLOW = 17
 MOVED, HALVED = 1e-4, 3  # see `refined`
 

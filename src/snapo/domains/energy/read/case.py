@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,8 +28,16 @@ from ...gas_storage.prices.process import Delivery, PriceProcess
 from ...gas_storage.prices.registry import check_curve, kinds, read_prices
 from ...gas_storage.read.case import read_market
 from ...gas_storage.read.tables import MarketTable
+from ..contracts.battery import (
+    BatteryTable,
+    ChargeTable,
+    CyclesTable,
+    DischargeTable,
+    read_battery,
+)
 from ..contracts.swing import AnnualTable, RightsTable, SwingTable, read_swing
 from ..core.contract import Contract
+from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 
 
 class EnergyTable(CaseTable):
@@ -46,17 +54,34 @@ class EnergyTable(CaseTable):
 
 
 class ContractKind(NamedTuple):
-    """What a kind of contract brings: its table, its reader, tables within it, a title."""
+    """What a kind of contract brings: its table, its reader, tables within it, a title.
+
+    `hourly`: whether its steps are hours of the local calendar, not days.
+    """
 
     table: type[CaseTable]
     read: Callable[[TableContext, Any, Sequence[datetime.date]], Contract]
     title: str
     inner: Mapping[str, type[CaseTable]]
+    hourly: bool = False
+
+    @property
+    def market(self) -> type[CaseTable]:
+        """The format of its `[market]`."""
+        return HourlyMarketTable if self.hourly else MarketTable
 
 
+BY_HOUR = ("one-factor", "multi-factor")  # kinds of prices whose steps may be hours
 KINDS: dict[str, ContractKind] = {
     "swing": ContractKind(
         SwingTable, read_swing, "Swing contract", {"annual": AnnualTable, "rights": RightsTable}
+    ),
+    "battery": ContractKind(
+        BatteryTable,
+        read_battery,
+        "Battery",
+        {"charge": ChargeTable, "discharge": DischargeTable, "cycles": CyclesTable},
+        hourly=True,
     ),
 }
 
@@ -110,16 +135,27 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     top = parse(EnergyTable, data, name, "")
     kind = KINDS[top.kind]
     table: Any = parse(kind.table, top.contract, name, "contract", notes)
-    market_table = parse(MarketTable, top.market, name, "market", notes)
+    market_table: Any = parse(kind.market, top.market, name, "market", notes)
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
-    days = decision_days(where, table.start, table.end, valuation)
-    unit = f"{table.currency}/{table.volume_unit}"
-    moving = np.ones(len(days), bool)
-    section = TableContext(file, "market", notes)
-    market = read_market(section, market_table, days, days, moving, unit)
+    section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
+    delivery: Any
+    if kind.hourly:
+        hours = hours_of(where, table, valuation)
+        market = read_hourly(section, market_table, hours, unit)
+        days, delivery = hours.days, replace(hours, curve=market.forward_curve)
+        time = np.array(hours.ahead[:-1]) / HOURS
+    else:
+        days = decision_days(where, table.start, table.end, valuation)
+        moving = np.ones(len(days), bool)
+        market = read_market(section, market_table, days, days, moving, unit)
+        delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
+        time = np.array([(date - valuation).days for date in days]) / 365.0
     contract = kind.read(where, table, days)
-    delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
-    model = read_prices(TableContext(file, "model", notes), top.model, delivery)
+    section = TableContext(file, "model", notes)
+    if kind.hourly and top.model.get("kind") not in BY_HOUR:
+        allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
+        raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
+    model = read_prices(section, top.model, delivery)
     check_curve(market_table.forward_curve, model, delivery)
     objective, training = read_objective(top.objective, name), read_training(top.training, name)
     check_window(training, [objective.kind], name)
@@ -133,8 +169,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         valuation,
         days,
         day,
-        day / 365.0,
-        int(day[0]),
+        time,
+        delivery.ahead[0],
         contract,
         market,
         model,
@@ -164,7 +200,7 @@ def formats(kind: str) -> Formats:
         "": EnergyTable,
         "contract": this.table,
         **inner,
-        "market": MarketTable,
+        "market": this.market,
         "model": [process.table for process in kinds().values()],
         "objective": ObjectiveTable,
         "training": TrainingTable,
@@ -175,3 +211,8 @@ def formats(kind: str) -> Formats:
 def swing_formats() -> Formats:
     """The tables of a swing contract."""
     return formats("swing")
+
+
+def battery_formats() -> Formats:
+    """The tables of a battery."""
+    return formats("battery")
