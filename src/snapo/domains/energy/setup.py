@@ -38,10 +38,10 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
-    policy = WorthPolicy(
-        simulator_of(problem).layout, problem.features, key=jax.random.key(seed)
+    policy = WorthPolicy(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
+    return Setup(
+        problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
     )
-    return Setup(problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case)
 
 
 def setup_at(setup: Setup, case: EnergyCase) -> Setup:

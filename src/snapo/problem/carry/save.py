@@ -110,6 +110,7 @@ KINDS = {
     "Frozen": "snapo.problem.inputs",
     "Stages": "snapo.problem.policies.composed",
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
+    "WorthPolicy": "snapo.domains.energy.core.policy",
     "PensionPolicy": "snapo.domains.pension.policies.network",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",

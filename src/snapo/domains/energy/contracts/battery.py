@@ -143,7 +143,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         raise where.error("cycles", None, message)
     ends = [day != following for day, following in zip(days, [*days[1:], None])]
     return Battery(  # pyright: ignore[reportCallIssue]
-        table.energy,
+        table.energy,  # pyright: ignore[reportCallIssue]
         table.stored,
         charge.power,
         charge.efficiency,

@@ -243,4 +243,3 @@ def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
     if len(ends):
         ends[-1] = True
     return ends
-

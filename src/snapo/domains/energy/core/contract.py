@@ -61,6 +61,20 @@ class Layout(NamedTuple):
     modes: tuple[str, ...] = ("",)
     moves: tuple[Move, ...] = ()
 
+    def plain(self) -> tuple:
+        """The same in plain tuples, as a file of a policy holds it."""
+        levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
+        return levels, flows, self.modes, moves
+
+    @classmethod
+    def of_plain(cls, parts: tuple) -> "Layout":
+        """The inverse of `plain`."""
+        levels, flows, modes, moves = parts
+        levels, flows = (
+            tuple(kind(*x) for x in part) for kind, part in ((Level, levels), (Flow, flows))
+        )
+        return cls(levels, flows, modes, tuple(Move(*x) for x in moves))
+
     @property
     def every_move(self) -> tuple[Move, ...]:
         """The moves; of a contract without any, that in which everything may flow."""

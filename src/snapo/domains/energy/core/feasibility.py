@@ -83,7 +83,7 @@ def volumes(layout: Layout, move: int, now: Any, levels: Array, smooth, scale) -
             need, leave = (low, high) if effect > 0 else (high, low)
             least = smooth.maximum(least, need / effect, scale)
             room = smooth.minimum(room, leave / effect, scale)
-        # One feasible volume where rounding leaves the least above the most; see `StorageSimulator`.
+        # One feasible volume where rounding leaves the least above the most.
         least, room = jax.lax.optimization_barrier((least, room))
         room = jnp.maximum(room, 0.0)
         least = jnp.clip(least, 0.0, jnp.maximum(room, now.terms.least[flow]))

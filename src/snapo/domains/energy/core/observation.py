@@ -12,33 +12,34 @@ from .contract import Layout
 from .feasibility import volumes
 from .tables import Worth, along, nearest_row
 
+POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
+
 
 class Head(NamedTuple):
     """Numbers of the decision rule, at the start of the observation; prices over their scale.
 
-    - `first`, `last` [pairs]: gains of the first and the last feasible unit of each volume.
+    - `units` [pairs, POINTS]: gains of units of each feasible volume, evenly spaced in it.
     - `room` [pairs]: the free volume, over the largest volume of a step.
     - `base` [moves]: gain of each move without its free volume, over price and volume scale; those
       that are not open are far below. Empty where there is no choice.
     """
 
-    first: Array
-    last: Array
+    units: Array
     room: Array
     base: Array
 
     @classmethod
     def of(cls, observation: Array, layout: Layout) -> "Head":
         """From the start of an observation."""
-        pairs, moves = len(layout.pairs), len(layout.moves)
-        ends = [pairs, 2 * pairs, 3 * pairs]
-        parts = [observation[a:b] for a, b in zip([0, *ends], [*ends, 3 * pairs + moves])]
-        return cls(*parts)
+        pairs, size = len(layout.pairs), head_size(layout)
+        units = observation[: pairs * POINTS].reshape((pairs, POINTS))
+        end = pairs * (POINTS + 1)
+        return cls(units, observation[pairs * POINTS : end], observation[end:size])
 
 
 def head_size(layout: Layout) -> int:
     """How many numbers a head has."""
-    return 3 * len(layout.pairs) + len(layout.moves)
+    return (POINTS + 1) * len(layout.pairs) + len(layout.moves)
 
 
 CLOSED = -1e4
@@ -50,36 +51,40 @@ def head(
     """The gains of one step at one state; `free` [moves]: which are open."""
     price, size = constants.price_scale, constants.volume_scale
     worth = None if now.worth is None else jax.lax.stop_gradient(now.worth)
-    read = None if worth is None else worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
-    first, last, rooms, base = [], [], [], []
+    read = (
+        None if worth is None else worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
+    )
+    units, rooms, base = [], [], []
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
         forced_gain = now.terms.fixed[i] / price / size
         if move.flows:
             room = volumes(layout, i, now, state.levels, EXACT, size)
             for k, flow in enumerate(move.flows):
-                effects = layout.flows[flow].effects
+                effects = jnp.asarray(layout.flows[flow].effects)
                 unit = now.terms.price[flow] * spot + now.terms.money[flow]
-                ends = unit, unit
+                gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
                 if worth is not None:
-                    pair = layout.pairs.index((i, flow))
-                    spread = room.forced[k] * jnp.asarray(effects), room.most[k] * jnp.asarray(effects)
-                    slopes = _slopes(worth, pair, effects, [start + x for x in spread])
-                    ends = tuple(unit + row @ read for row in slopes)
-                free_volume = room.most[k] - room.forced[k]
-                first.append(ends[0] / price)
-                last.append(ends[1] / price)
+                    table = worth.slopes[layout.pairs.index((i, flow))]
+                    for j in range(POINTS):
+                        volume = room.forced[k] + free_volume * j / (POINTS - 1)
+                        last, place = j == POINTS - 1, start + volume * effects
+                        row = _slope(worth, table, layout.flows[flow].effects, place, last)
+                        gains[j] = unit + jnp.sum(row * read)
+                units.append(jnp.stack(gains) / price)
                 rooms.append(free_volume / size)
-                forced_gain = forced_gain + room.forced[k] / size * ends[0] / price
+                forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
         if layout.moves:
             if worth is not None and worth.moves is not None:
-                position = _position(worth, state.levels)
-                row = nearest_row(worth.moves[i].reshape((-1, worth.moves.shape[-1])),
-                                  jnp.round(position), worth.moves.shape[1:-1])  # fmt: skip
-                forced_gain = forced_gain + (row @ read) / price / size
+                table = worth.moves[i]
+                flat, position = (
+                    table.reshape((-1, table.shape[-1])),
+                    _position(worth, state.levels),
+                )
+                row = nearest_row(flat, jnp.round(position), table.shape[:-1])
+                forced_gain = forced_gain + jnp.sum(row * read) / price / size
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
-    none = jnp.zeros(0)
-    return Head(*(jnp.stack(part) if part else none for part in (first, last, rooms, base)))
+    return Head(jnp.concatenate(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
 
 
 def _position(worth: Worth, levels: Array) -> Array:
@@ -87,14 +92,14 @@ def _position(worth: Worth, levels: Array) -> Array:
     return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
 
 
-def _slopes(worth: Worth, pair: int, effects: tuple[float, ...], levels: list[Array]) -> list[Array]:
-    """Rows of the first unit from a level, and of the last unit up to another."""
-    table = worth.slopes[pair]
+def _slope(
+    worth: Worth, table: Array, effects: tuple[float, ...], levels: Array, last: bool
+) -> Array:
+    """The row of the unit that starts at a level, or of the last one up to it."""
     dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
     if not dims:
-        return [flat[0], flat[0]]
-    places = [along(_position(worth, x), effects, k == 0) for k, x in enumerate(levels)]
-    return [nearest_row(flat, place, dims) for place in places]
+        return flat[0]
+    return nearest_row(flat, along(_position(worth, levels), effects, not last), dims)
 
 
 def observation(
@@ -109,8 +114,8 @@ def observation(
     features = [
         jnp.stack([jnp.sin(year), jnp.cos(year), jnp.tanh(left), jnp.tanh(20 * left)]),
         2 * filling - 1,
-        jnp.tanh(5 * gains.first),
-        jnp.tanh(5 * gains.last),
+        jnp.tanh(5 * gains.units[::POINTS]),
+        jnp.tanh(5 * gains.units[POINTS - 1 :: POINTS]),
         process.observe(constants.price, now.price, state.price),
         now.ahead,
     ]

@@ -15,7 +15,7 @@ from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
 from .contract import Layout
-from .observation import Head, head_size
+from .observation import POINTS, Head, head_size
 
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
@@ -24,13 +24,18 @@ class WorthPolicy(Policy):
     """The action is a share of each volume, and a weight of each move."""
 
     network: Network
-    layout: Layout = eqx.field(static=True)
+    form: tuple = eqx.field(static=True)
 
     def __init__(self, layout: Layout, features: int, *, key, hidden: tuple[int, ...] = (32, 32)):
         outputs = max(2 * len(layout.levels) + len(layout.modes) - 1, 1)
         widths = (features - head_size(layout), *hidden, outputs)
         self.network = Network(widths, key=key, activation=jax.nn.tanh)
-        self.layout = layout
+        self.form = layout.plain()
+
+    @property
+    def layout(self) -> Layout:
+        """Levels, flows, modes and moves."""
+        return Layout.of_plain(self.form)
 
     @property
     def head(self) -> int:
@@ -40,28 +45,30 @@ class WorthPolicy(Policy):
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         layout, gains = self.layout, Head.of(observation, self.layout)
-        first, last, base = self.corrected(gains, observation[self.head :])
-        shares = [smooth.share(first[i], last[i]) for i in range(len(layout.pairs))]
+        units, base = self.corrected(gains, observation[self.head :])
+        parts = [[smooth.share(unit[k], unit[k + 1]) for k in range(POINTS - 1)] for unit in units]
+        shares = [sum(part) / (POINTS - 1) for part in parts]
         if not layout.moves:
             return jnp.stack(shares)
         scores = [base[m] for m in range(len(layout.moves))]
         for i, (m, _) in enumerate(layout.pairs):
-            gain = shares[i] * gains.room[i] * (first[i] + shares[i] * (last[i] - first[i]) / 2)
-            scores[m] = scores[m] + gain
+            unit, width = units[i], gains.room[i] / (POINTS - 1)
+            for k, share in enumerate(parts[i]):
+                mean = unit[k] + share * (unit[k + 1] - unit[k]) / 2
+                scores[m] = scores[m] + width * share * mean
         return jnp.concatenate([jnp.stack(shares), _weights(layout, jnp.stack(scores), smooth)])
 
-    def corrected(self, gains: Head, seen: Array) -> tuple[Array, Array, Array]:
-        """First and last gains of each volume, and the gain of each move."""
+    def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
+        """Gains of the units of each volume, and the gain of each move."""
         layout, numbers = self.layout, CORRECTION * self.network(seen)
         levels, count = numbers[: len(layout.levels)], len(layout.levels)
         bends, modes = numbers[count : 2 * count], numbers[2 * count :]
         effects, changes = layout.effects, layout.changes
-        first, last = [], []
+        units, along = [], jnp.linspace(0.0, 1.0, POINTS)
         for i, (_, flow) in enumerate(layout.pairs):
             more = sum((effects[flow, j] * levels[j] for j in range(count)), jnp.zeros(()))
             bend = sum((effects[flow, j] * bends[j] for j in range(count)), jnp.zeros(()))
-            first.append(gains.first[i] + more)
-            last.append(gains.last[i] + more + bend * gains.room[i])
+            units.append(gains.units[i] + more + bend * gains.room[i] * along)
         base = gains.base
         if layout.moves:
             worths = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
@@ -71,7 +78,7 @@ class WorthPolicy(Policy):
                 for m, move in enumerate(layout.moves)
             ]  # fmt: skip
             base = base + jnp.stack(shift)
-        return jnp.stack(first), jnp.stack(last), base
+        return units, base
 
     @property
     def value_rule(self) -> "WorthPolicy":

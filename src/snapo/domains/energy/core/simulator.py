@@ -171,7 +171,9 @@ class EnergySimulator(Simulator):
             return jnp.ones(1)
         near, result = NEAR * scale, []
         for i, move in enumerate(self.layout.every_move):
-            room = volumes(self.layout, i, now, state.levels, Exact(), scale) if move.flows else None
+            room = (
+                volumes(self.layout, i, now, state.levels, Exact(), scale) if move.flows else None
+            )
             after = state.levels + jnp.asarray(move.changes)
             for k, flow in enumerate(move.flows):
                 assert room is not None
@@ -182,9 +184,7 @@ class EnergySimulator(Simulator):
             result.append(jnp.all(within) * 1.0)
         return jnp.stack(result)
 
-    def observe(
-        self, constants: Constants, now: Step, state: State
-    ) -> Float[Array, " features"]:
+    def observe(self, constants: Constants, now: Step, state: State) -> Float[Array, " features"]:
         spot = self.spot(constants, now, state)
         free = self.open_moves(now, state, constants.volume_scale)
         return observation(self.layout, self.process, constants, now, state, spot, free)
@@ -230,13 +230,16 @@ class EnergySimulator(Simulator):
         layout = self.layout
         if len(layout.every_move) == 1:
             return jnp.ones(1)
-        asked = action[len(layout.pairs) :] + NEAR
-        asked = asked * self.open_moves(now, state, constants.volume_scale)
+        free = self.open_moves(now, state, constants.volume_scale)
+        asked = action[len(layout.pairs) :] * free
         before = np.array([move.before for move in layout.every_move])
         result = []
         for mode in range(len(layout.modes)):
-            of_mode = jnp.where(before == mode, asked, 0.0)
-            result.append(state.mode[mode] * of_mode / jnp.maximum(jnp.sum(of_mode), NEAR**2))
+            wanted, possible = (jnp.where(before == mode, x, 0.0) for x in (asked, free))
+            # A policy that wants only closed moves gets the open ones.
+            wanted = jnp.where(jnp.sum(wanted) > 0, wanted, possible)
+            total = jnp.sum(wanted)
+            result.append(state.mode[mode] * wanted / jnp.where(total > 0, total, 1.0))
         return jnp.sum(jnp.stack(result), axis=0)
 
     def terminal(self, constants: Constants, state: State, smooth):

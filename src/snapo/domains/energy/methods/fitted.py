@@ -106,7 +106,9 @@ def _row_counts(layout: Layout, grid: Grid) -> tuple[int, ...]:
     counts = []
     for i in range(len(layout.levels)):
         finest = [
-            np.ptp(x.after[i]) / np.diff(x.after[i]).min() for x in grid.steps if len(x.after[i]) > 1
+            np.ptp(x.after[i]) / np.diff(x.after[i]).min()
+            for x in grid.steps
+            if len(x.after[i]) > 1
         ]
         counts.append(int(min(round(max(finest, default=1.0)) + 1, most)))
     return tuple(counts)

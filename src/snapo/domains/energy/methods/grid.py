@@ -8,6 +8,7 @@ backwards. Only where these are too many are nodes evenly spaced, and values bet
 (`exact` is false then: they are approximate, and no bound).
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -103,9 +104,8 @@ def best(
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
         here, there = value[move.before], after[move.after]
         for flow, volume, rows, goals, weights in passages:
-            if weights is None:
-                reached = there[goals[0]]
-            else:
+            reached = there[goals[0]]
+            if weights is not None:
                 reached = np.sum(weights * there[goals], axis=0)
             if flow >= 0 and volume:
                 reached = reached + volume * cash[flow]
@@ -128,7 +128,8 @@ def _nodes(layout: Layout, terms, found, start, parts: int):
     visited = [_visited(layout, terms, found, start, i) for i in range(count)]
     widest = [float(np.max(high - low)) for low, high in visited]
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
-    exact = all(x <= MOST for x in sizes) and np.prod([x + 1 for x in sizes]) <= TOGETHER
+    together = math.prod(x + 1 for x in sizes)
+    exact = all(x <= MOST for x in sizes) and together <= TOGETHER
     columns = []
     for i, (low, high) in enumerate(visited):
         restarts, measure = terms.restarts[:, i], measures[i]
@@ -280,9 +281,7 @@ def _moved(flow: int, volume: float, change, before, after, opposed: bool, near:
         places = [np.searchsorted(n, g[x] - 4 * near) for n, g, x in zip(after, goals, exact)]
         goal = _flat(places, _strides(after))
         result.append(Passage(flow, volume, _flat(exact, strides), goal[None], None))
-    if all(x.any() for x in inside) and not all(
-        np.array_equal(a, b) for a, b in zip(on, inside)
-    ):
+    if all(x.any() for x in inside) and not all(np.array_equal(a, b) for a, b in zip(on, inside)):
         possible = [np.flatnonzero(x) for x in inside]
         rows = _flat(possible, strides)
         mesh = np.meshgrid(*(g[x] for g, x in zip(goals, possible)), indexing="ij")

@@ -73,7 +73,9 @@ def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
 def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
     selected = selected_factors(factors)
     if len(selected) > 2:
-        raise ValueError(f"a lattice holds one or two price factors, and {len(selected)} move prices")
+        raise ValueError(
+            f"a lattice holds one or two price factors, and {len(selected)} move prices"
+        )
     return factor_grid(factors, selected, SPACINGS[len(selected)] / finer, slow)
 
 
@@ -82,7 +84,9 @@ def refined(layout: Layout, schedule: Any, factors: GaussianFactors | None) -> R
     first = lattice(layout, schedule, factors)
     sides = []
     if not first.grid.exact:
-        sides.append(_halved(first.value, lambda n: lattice(layout, schedule, factors, parts=n).value))
+        sides.append(
+            _halved(first.value, lambda n: lattice(layout, schedule, factors, parts=n).value)
+        )
     if factors is not None:
         keep = first.grid
         sides.append(_halved(first.value, lambda n: lattice(

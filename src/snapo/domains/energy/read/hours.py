@@ -1,4 +1,4 @@
-"""Hours of the local calendar: the steps of a contract by the hour, their prices and their times."""
+"""Hours of the local calendar: steps of a contract, their prices and times."""
 
 import datetime
 from collections.abc import Sequence
