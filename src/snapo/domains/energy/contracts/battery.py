@@ -143,7 +143,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         raise where.error("cycles", None, message)
     ends = [day != following for day, following in zip(days, [*days[1:], None])]
     return Battery(  # pyright: ignore[reportCallIssue]
-        table.energy,  # pyright: ignore[reportCallIssue]
+        table.energy,
         table.stored,
         charge.power,
         charge.efficiency,
@@ -153,5 +153,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         cycles.day,
         cycles.term,
         np.array(ends, bool),
-        layout=layout_of(cycles.day is not None, cycles.term is not None),
+        layout=layout_of(  # pyright: ignore[reportCallIssue]
+            cycles.day is not None, cycles.term is not None
+        ),
     )

@@ -207,7 +207,9 @@ def _made(where: TableContext, table: SwingTable, annual: AnnualTable | None, da
         table.taken,
         short if minimum is not None else None,
         year_ends(where, table, days),
-        layout=layout_of(table.volume_unit, limited, rights),
+        layout=layout_of(  # pyright: ignore[reportCallIssue]
+            table.volume_unit, limited, rights
+        ),
         sign=1.0 if table.side == "call" else -1.0,
         at_strike=table.shortfall == "strike",
         firm=firm,

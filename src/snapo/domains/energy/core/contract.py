@@ -70,10 +70,8 @@ class Layout(NamedTuple):
     def of_plain(cls, parts: tuple) -> "Layout":
         """The inverse of `plain`."""
         levels, flows, modes, moves = parts
-        levels, flows = (
-            tuple(kind(*x) for x in part) for kind, part in ((Level, levels), (Flow, flows))
-        )
-        return cls(levels, flows, modes, tuple(Move(*x) for x in moves))
+        made = tuple(Level(*x) for x in levels), tuple(Flow(*x) for x in flows)
+        return cls(*made, modes, tuple(Move(*x) for x in moves))
 
     @property
     def every_move(self) -> tuple[Move, ...]:

@@ -78,7 +78,9 @@ class EnergySimulator(Simulator):
             np.ones(()),
             layout=layout,
             first=int(case.first_step),
-            action=Box(0.0, 1.0, len(layout.pairs) + len(layout.moves)),
+            action=Box(  # pyright: ignore[reportCallIssue]
+                0.0, 1.0, len(layout.pairs) + len(layout.moves)
+            ),
         )
         return made.scaled({x.name: x.values for x in case.numbers()})
 
