@@ -44,11 +44,11 @@ def battery(**changes: Any) -> EnergyCase:
     return case_at(HOME / "template_battery", named)
 
 
-def exact(case: EnergyCase, forward: bool = False) -> float:
-    """The value on a lattice; `forward`: at forward prices."""
+def exact(case: EnergyCase, forward: bool = False, finer: int = 2) -> float:
+    """The value on a lattice, `finer` than its first one; `forward`: at forward prices."""
     problem = bare_problem(case)
     factors = None if forward else factors_of(problem)
-    return lattice(case.contract.layout, problem.schedule, factors, finer=1 if forward else 2).value
+    return lattice(case.contract.layout, problem.schedule, factors, finer=finer).value
 
 
 def plain(tree):

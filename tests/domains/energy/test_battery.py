@@ -28,7 +28,8 @@ def test_forward_prices():
 )
 def test_a_week(changes, value, error):
     """D5, exact."""
-    assert exact(battery(**changes)) == pytest.approx(value, abs=error)
+    finer = 2 if "wear" in changes else 1  # kinks at a price of zero wear need more nodes
+    assert exact(battery(**changes), finer=finer) == pytest.approx(value, abs=error)
 
 
 @pytest.mark.prove

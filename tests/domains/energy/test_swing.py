@@ -1,6 +1,8 @@
 """Swing contracts against the exact numbers of D3 and D4 (shared/cases/desk.md)."""
 
 import datetime
+import math
+import shutil
 
 import numpy as np
 import pytest
@@ -143,6 +145,45 @@ def test_rights_with_rest_by_brute_force():
     value = exact(case)
     assert 0.99 * value <= rule.value + 3 * rule.standard_error
     assert rule.value <= value + 3 * rule.standard_error
+
+
+def bermudan(folder, rights):
+    """D4: puts struck at 40 on 50 dates of a year, here days with rates and volatility to match."""
+    shutil.copytree(HOME / "template_swing", folder)
+    days = [datetime.date(2026, 10, 1) + datetime.timedelta(n) for n in range(1, 51)]
+    rows = [f"{day},{40 * math.exp(0.06 * n / 50)!r}" for n, day in enumerate(days, 1)]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    settings = {
+        "contract.start": days[0],
+        "contract.end": days[-1] + datetime.timedelta(1),
+        "contract.side": "put",
+        "contract.strike": 40.0,
+        "contract.annual": None,
+        "contract.shortfall": None,
+        "contract.rights": rights,
+        "market.interest_rate": 0.06 * 365 / 50,
+        "model.mean_reversion": 0.0,
+        "model.volatility": 0.2 * math.sqrt(365 / 50),
+    }
+    return case_at(folder, settings)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("rights", "value"),
+    [
+        ({"most": 1}, 2.31407),
+        ({"most": 2}, 4.60443),
+        ({"most": 5}, 11.33102),
+        ({"most": 50}, 78.72618),
+        ({"most": 2, "rest": 4}, 4.50935),
+        ({"most": 5, "rest": 4}, 10.31617),
+    ],
+)
+def test_rights_of_a_bermudan_put(rights, value, tmp_path):
+    """D4, exact."""
+    result = exact(bermudan(tmp_path / "case", rights), finer=4)
+    assert result == pytest.approx(value, rel=2e-4)
 
 
 def test_no_file_of_the_core_names_a_contract():

@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -43,7 +43,7 @@ from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 class EnergyTable(CaseTable):
     """The whole file."""
 
-    kind: str = Field(description='a kind such as "swing"')
+    kind: Literal["swing", "battery"]
     title: Title = Field("", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
