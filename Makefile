@@ -1,4 +1,4 @@
-# make demo: install and solve the flagship case.
+# make demo: install and solve the flagship case; its figures and picture go into docs/figures.toml and the pages.
 # make docs: the site, in site/html. make test: minutes. make prove: all that takes longer. make study: long trainings. make lint, make bench.
 PYTHON ?= python3
 VENV := .venv
@@ -10,12 +10,13 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/python -m pytest
 SHARED := -n 2 --dist worksteal
 
-.PHONY: demo docs test prove lint bench study picture clean
+.PHONY: demo docs test prove lint bench study clean
 
 demo: $(READY)
 	rm -rf demo
 	$(BIN)/snapo new gas-storage demo
 	$(BIN)/snapo solve demo
+	$(BIN)/python -m benchmarks.figures demo demo/run
 
 test: $(READY)
 	$(PYTEST) $(SHARED)
@@ -33,6 +34,8 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/codespell README.md CHANGELOG.md CONTRIBUTING.md docs examples src
+	$(BIN)/python -m tests.house.style
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks
@@ -55,7 +58,3 @@ $(VENV)/.docs: $(READY)
 
 clean:
 	rm -rf $(VENV) demo site
-
-# The README's picture, from the demo's run folder.
-picture: demo
-	$(BIN)/python -c "import pathlib, snapo.domains.gas_storage.report as r; pathlib.Path('docs/storage.svg').write_text(r.readme_picture(pathlib.Path('demo/run')))"

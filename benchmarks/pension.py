@@ -15,7 +15,7 @@ import argparse
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -187,11 +187,11 @@ def _resident() -> float:
     return most * (1 if sys.platform == "darwin" else 1024) / GIGABYTE
 
 
-def picture(rows: Sequence[Row]) -> str:
+def picture(speed_ups: Mapping[int, float], about: str) -> str:
     """Speed-up over the number of inputs as SVG, with the speed-up needed and the machine."""
     from snapo.report.drawing import LIGHT, draw_alone
 
-    inputs, found = [row.inputs for row in rows], [row.speed_up for row in rows]
+    inputs, found = list(speed_ups), list(speed_ups.values())
 
     def paint(axes) -> None:
         axes.loglog(inputs, found, "o-", color=LIGHT["main"], label="One adjoint pass, measured")
@@ -205,7 +205,7 @@ def picture(rows: Sequence[Row]) -> str:
         axes.set_xlabel("Inputs of the fund, each with a sensitivity")
         axes.set_title("Times faster than bumping every input", loc="left", pad=18)
         place = {"transform": axes.transAxes, "color": LIGHT["muted"], "fontsize": 7.5}
-        axes.text(0, 1.02, f"{PATHS} paths, float64, native engine; {machine()}", **place)
+        axes.text(0, 1.02, f"{PATHS} paths, float64, native engine; {about}", **place)
         axes.legend(loc="upper left")
 
     title = "Speed-up of one adjoint pass over bumping every input: " + ", ".join(
@@ -232,7 +232,8 @@ def main(arguments: Sequence[str]) -> None:
         for line in part:
             print(line, flush=True)
     if asked.picture is not None and rows:
-        asked.picture.write_text(picture(rows), encoding="utf-8")
+        speed_ups = {row.inputs: row.speed_up for row in rows}
+        asked.picture.write_text(picture(speed_ups, machine()), encoding="utf-8")
 
 
 if __name__ == "__main__":

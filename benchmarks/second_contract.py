@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -84,6 +85,46 @@ def stores(second: bool) -> Setup:
     return setup.make_setup(read_network(file, data), "native")
 
 
+def fund(second: bool) -> Setup:
+    """The template of a small fund; the second one is a year later, and its members older."""
+    return _fund("small", second)
+
+
+def pots(second: bool) -> Setup:
+    """The template of a fund of personal pots; the second one as that of a fund."""
+    return _fund("wtp", second)
+
+
+def _fund(name: str, second: bool) -> Setup:
+    from snapo.domains.pension import DOMAIN
+    from snapo.domains.pension.results.setup import make_setup
+
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(str(DOMAIN.templates[name]), folder, dirs_exist_ok=True)
+        file, data = load(Path(folder))
+        if second:
+            day = data["fund"]["valuation_date"]
+            data["fund"] |= {
+                "assets": 1.1 * data["fund"]["assets"],
+                "valuation_date": day.replace(year=day.year + 1),
+            }
+            data["rates"]["volatility"] = 0.009
+            data["plan"]["retirement_age"] = 68.0
+            for table, found, other in (
+                ("cohorts.csv", r"(male,)(\d+)", _older),
+                ("assets.csv", r"(Equity,equity,[\d.]+,[\d.]+,[\d.]+,0,)0.6,", r"\g<1>0.65,"),
+            ):
+                text = (file.parent / table).read_text("utf-8")
+                (file.parent / table).write_text(re.sub(found, other, text), "utf-8")
+        data["training"], data["evaluation"] = SHORT, FEW
+        case = DOMAIN.read(file, data)
+    return make_setup(case, "native")
+
+
+def _older(age: re.Match) -> str:
+    return f"{age[1]}{int(age[2]) + 1}"
+
+
 def plant(second: bool) -> Setup:
     """The template of a pendulum; the second one is heavier, and its cost another."""
     from snapo.domains.control import read, study
@@ -130,7 +171,8 @@ DOMAINS: dict[str, Callable[[bool], Setup]] = {
     "gas-storage": storage,
     "inventory": stores,
     "control": plant,
-    "pharma": reactor,
+    "pension": fund,
+    "pots": pots,
 }
 
 

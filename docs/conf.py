@@ -28,17 +28,19 @@ extensions = [
 ]
 exclude_patterns = ["site", "README.md"]
 html_theme = "pydata_sphinx_theme"
-html_title = "snapo"
+html_title = f"snapo {version}"
 html_static_path = ["site/style"]
 html_css_files = ["snapo.css"]
 html_theme_options = {
     "navigation_with_keys": True,
     "show_toc_level": 2,
     "show_prev_next": True,
+    "header_links_before_dropdown": 8,
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"*": [], "first/*": [], "formats/*": []}  # whose navigation would be empty
+# Every page but those without a chapter has the pages of its chapter at its side.
+html_sidebars = {page: [] for page in ("index", "404", "getting_started", "faq", "troubleshooting")}
 html_show_sourcelink = False
 
 # Plain Markdown with equations; headings are targets of links.
@@ -57,6 +59,6 @@ nb_ipywidgets_js = {}
 
 # Docstrings: a single backtick is code.
 default_role = "literal"
-autodoc_typehints = "none"
+autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"

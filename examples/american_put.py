@@ -15,21 +15,21 @@ class Put(snapo.Simulator):
         steps = {"left": 1 - year, "discount": jnp.exp(-inputs["rate"] * year)}
         return snapo.Schedule(constants={**inputs, **moves}, steps=steps)
 
-    def initial(self, terms, noise):
-        return {"spot": terms["spot"], "right": self.action.initial()}
+    def initial(self, constants, noise):
+        return {"spot": constants["spot"], "right": self.action.initial()}
 
-    def observe(self, terms, now, state):
-        return jnp.stack([5 * jnp.log(state["spot"] / terms["strike"]), now["left"]])
+    def observe(self, constants, now, state):
+        return jnp.stack([5 * jnp.log(state["spot"] / constants["strike"]), now["left"]])
 
-    def step(self, terms, now, state, action, noise, smooth):
+    def step(self, constants, now, state, action, noise, smooth):
         right, used = self.action.use(state["right"], action)
-        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
-        spot = state["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
+        payoff = jnp.maximum(constants["strike"] - state["spot"], 0.0)
+        spot = state["spot"] * jnp.exp(constants["drift"] + constants["deviation"] * noise[0])
         return {"spot": spot, "right": right}, {"cash": used * now["discount"] * payoff}
 
-    def terminal(self, terms, state, smooth):  # after a year, whoever still holds the right
-        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
-        return {"cash": self.action.left(state["right"]) * jnp.exp(-terms["rate"]) * payoff}
+    def terminal(self, constants, state, smooth):  # after a year, whoever still holds the right
+        payoff = jnp.maximum(constants["strike"] - state["spot"], 0.0)
+        return {"cash": self.action.left(state["right"]) * jnp.exp(-constants["rate"]) * payoff}
 
 
 inputs = {"spot": snapo.Input(36, "EUR"), "strike": snapo.Input(40, "EUR")}

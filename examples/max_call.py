@@ -16,23 +16,23 @@ class MaxCall(snapo.Simulator):
         steps = {"left": 1 - year / 3, "discount": jnp.exp(-inputs["rate"] * year)}
         return snapo.Schedule({**inputs, **moves}, steps)
 
-    def initial(self, terms, noise):
-        spots = jnp.full(self.noise_size, terms["spot"])
+    def initial(self, constants, noise):
+        spots = jnp.full(self.noise_size, constants["spot"])
         return {"spots": spots, "right": self.action.initial()}
 
-    def observe(self, terms, now, state):
-        ordered = jnp.sort(2 * jnp.log(state["spots"] / terms["strike"]))
+    def observe(self, constants, now, state):
+        ordered = jnp.sort(2 * jnp.log(state["spots"] / constants["strike"]))
         return jnp.concatenate([ordered, now["left"][None]])
 
-    def step(self, terms, now, state, action, noise, smooth):
+    def step(self, constants, now, state, action, noise, smooth):
         right, used = self.action.use(state["right"], action)
-        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
-        spots = state["spots"] * jnp.exp(terms["drift"] + terms["deviation"] * noise)
+        payoff = jnp.maximum(state["spots"].max() - constants["strike"], 0.0)
+        spots = state["spots"] * jnp.exp(constants["drift"] + constants["deviation"] * noise)
         return {"spots": spots, "right": right}, {"cash": used * now["discount"] * payoff}
 
-    def terminal(self, terms, state, smooth):
-        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
-        return {"cash": self.action.left(state["right"]) * jnp.exp(-3 * terms["rate"]) * payoff}
+    def terminal(self, constants, state, smooth):
+        payoff = jnp.maximum(state["spots"].max() - constants["strike"], 0.0)
+        return {"cash": self.action.left(state["right"]) * jnp.exp(-3 * constants["rate"]) * payoff}
 
 
 inputs = {"spot": snapo.Input(100, "EUR"), "strike": snapo.Input(100, "EUR")}

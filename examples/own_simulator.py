@@ -5,23 +5,23 @@ import snapo
 
 
 class Reservoir(snapo.Simulator):
-    horizon, noise_size = 52, 2  # weeks; and the standard normals of one: rain and price
+    horizon, noise_size = 52, 2  # weeks; normals a week: rain and price
     action = snapo.Box(0.0, 1.0)  # the share of the turbines' capacity
 
     def prepare(self, inputs):  # the numbers that all paths share
         return snapo.Schedule(constants=inputs, steps={"week": jnp.arange(52.0)})
 
-    def initial(self, inputs, noise):
-        return {"water": inputs["water"], "price": inputs["price"]}
+    def initial(self, constants, noise):
+        return {"water": constants["water"], "price": constants["price"]}
 
-    def observe(self, inputs, now, state):  # what the policy sees, of order one
+    def observe(self, constants, now, state):  # what the policy sees, of order one
         return jnp.stack([now["week"] / 26 - 1, state["water"] / 50 - 1, state["price"] / 50 - 1])
 
-    def step(self, inputs, now, state, action, noise, smooth):  # one week of one path
+    def step(self, constants, now, state, action, noise, smooth):  # one week of one path
         release = smooth.minimum(10 * action[0], state["water"], scale=10.0)
-        rain = inputs["rain"] * jnp.exp(0.5 * noise[0] - 0.125)
+        rain = constants["rain"] * jnp.exp(0.5 * noise[0] - 0.125)
         water = smooth.minimum(state["water"] - release + rain, 100.0, scale=10.0)  # or it spills
-        price = state["price"] ** 0.8 * inputs["price"] ** 0.2 * jnp.exp(0.2 * noise[1])
+        price = state["price"] ** 0.8 * constants["price"] ** 0.2 * jnp.exp(0.2 * noise[1])
         return {"water": water, "price": price}, {"cash": state["price"] * release}
 
 

@@ -3,6 +3,7 @@
 import ast
 import doctest
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,12 @@ import pytest
 import snapo
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 PAGES += sorted((ROOT / "examples").rglob("*.md")) + sorted((ROOT / "src").rglob("*.md"))
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Where a page may count its paths from; rooms.md counts them from the package.
@@ -107,10 +113,32 @@ def test_every_extra_is_told():
 
 def test_every_page_is_on_the_site():
     trees = re.findall(r"```{toctree}(.*?)```", "".join(p.read_text() for p in PAGES), re.S)
-    listed = {line.split("/")[-1] for tree in trees for line in tree.split()}
+    listed = {line.strip("<>").split("/")[-1] for tree in trees for line in tree.split()}
     for page in PAGES:
-        if page.is_relative_to(ROOT / "docs") and page.name != "index.md":
+        orphan = page.name == "index.md" or "\norphan: true\n" in page.read_text()
+        if page.is_relative_to(ROOT / "docs") and not orphan:
             assert page.stem in listed, relative(page)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_columns_of_tables_have_heads(page):
+    """A reader of a screen, and a reader in a hurry, needs the head of every column."""
+    lines = prose(page).splitlines()
+    heads = [head for head, rule in pairwise(lines) if re.match(r"\|(?:-+\|)+$", rule)]
+    assert not [head for head in heads if re.search(r"\|\s*\|", head)]
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_package():
+    package = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
+    package = re.sub(r'"\s*f?"', "", package)
+    rows = re.findall(r"^\| (`.+?) \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.M)
+    messages = [code for row in rows for code in re.findall(r"`([^`]+)`", row)]
+    assert len(messages) > 15
+    assert not [text for text in messages if text.split("[")[0].replace("…", "{") not in package]
 
 
 @pytest.mark.prove

@@ -57,8 +57,8 @@ def lines(points: Sequence[Point], shown: dict) -> Iterator[str]:
     `shown`: {problem: function from a value to the number in the table}.
     """
     yield (
-        "| problem | method, seed | best value | its steps | its s | snapo there: steps | s "
-        "| steps, times fewer | s, times fewer |"
+        "| problem | method, seed | best value | steps to it | CPU seconds to it "
+        "| snapo to the same value: steps | CPU seconds | times fewer steps | times faster |"
     )
     yield "|---|---|---|---|---|---|---|---|---|"
     found = runs(points)
@@ -89,8 +89,8 @@ def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
     times and more are bold.
     """
     yield (
-        "| problem | method, seeds | best value, by seed | its s | s, times fewer, by seed "
-        "| steps, times fewer |"
+        "| problem | method, seeds | best value, by seed | CPU seconds to it "
+        "| snapo: times faster, by seed | snapo: times fewer steps |"
     )
     yield "|---|---|---|---|---|---|"
     found = runs(points)

@@ -144,7 +144,7 @@ class Fund(PensionSimulator):
 def fund(seed: int) -> Task:
     """The small fund that comes with snapo, over 120 months; risk aversion 5."""
     case = read_fund(Path(str(PENSION.templates["small"])))
-    simulator = Fund(case)  # pyright: ignore[reportCallIssue]
+    simulator = Fund.of(case)
     problem = snapo.Problem(simulator, pension_inputs(case), snapo.Mean("utility"))
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(seed))
     limits, start = AllocationLimits(case), np.asarray(present(case), np.float32)

@@ -1,11 +1,14 @@
-"""`python docs/site/links.py HTML`: every local link of a built site leads somewhere, and no page
-asks another machine for anything."""
+"""`python docs/site/links.py HTML`: every local link of a built site leads somewhere, no page asks
+another machine for anything, and every cell that plots has its picture."""
 
+import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+PLOT = re.compile(r"^```\{code-cell\}.*?\n(?:(?!```).*\n)*?.*\.plot\.\w+\(.*\)\n```", re.M)
+UNTRUE = ("&lt;Figure size", "does better than the trained policy", "diverged")  # of a tutorial
 LOADS = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src"}
 
 
@@ -52,7 +55,24 @@ def mistakes(top: Path) -> list[str]:
     return found
 
 
+def missing_pictures(top: Path, docs: Path) -> list[str]:
+    """Sentences on executed pages whose plots are text, or whose outputs no reader may believe."""
+    found = []
+    for source in sorted(docs.rglob("*.md")):
+        text = source.read_text(encoding="utf-8")
+        page = top / source.relative_to(docs).with_suffix(".html")
+        if "{code-cell}" not in text or not page.exists():
+            continue
+        html = page.read_text(encoding="utf-8")
+        plots, outputs = len(PLOT.findall(text)), re.findall(r"cell_output.*?<img ", html, re.S)
+        if plots != len(outputs):
+            found.append(f"{page.relative_to(top)}: {len(outputs)} pictures of {plots} plots")
+        found += [f"{page.relative_to(top)}: prints {each!r}" for each in UNTRUE if each in html]
+    return found
+
+
 if __name__ == "__main__":
-    wrong = mistakes(Path(sys.argv[1]))
-    print("\n".join(wrong) or "all links lead somewhere, and nothing comes from elsewhere")
+    site = Path(sys.argv[1])
+    wrong = mistakes(site) + missing_pictures(site, Path(__file__).parents[1])
+    print("\n".join(wrong) or "all links lead somewhere, nothing comes from elsewhere, plots show")
     sys.exit(bool(wrong))

@@ -1,6 +1,6 @@
 """Links of a page to files outside of docs/, such as examples: on a code host they open the file.
 
-On the site a file is downloaded, and a folder is only named.
+On the site a file is downloaded; a folder and a page, such as CHANGELOG.md, are only named.
 """
 
 import re
@@ -21,7 +21,7 @@ def _settled(app, name, source):
 
     def shown(match: re.Match) -> str:
         target = (folder / match[2]).resolve()
-        if target.is_relative_to(docs) or target.is_file():
+        if target.is_relative_to(docs) or (target.is_file() and target.suffix != ".md"):
             return match[0]
         return f"`{match[1].strip('`')}`"
 

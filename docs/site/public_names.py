@@ -4,7 +4,6 @@ Docstrings are written to be read in an editor: a backtick is code, and a bar or
 """
 
 import re
-from collections import defaultdict
 from pathlib import Path
 from types import ModuleType
 
@@ -14,40 +13,53 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.parsing import nested_parse_to_nodes
 
 import snapo
-from snapo import _homes
 
-HEADS = {
-    "problem": "A problem: simulator, inputs, decisions, objective",
-    "engine": "Engines",
-    "checker": "The check of a simulator",
-    "solver": "Solving, and how far to trust the answer",
-    "case": "Tables of cases",
-    "gym": "Environments that cannot be differentiated",
+# {heading: its names, the most needed ones first}; the rest of a module follows where it belongs.
+CONCEPTS = {
+    "Solve a problem": "solve Solution Training Evaluation check Findings Finding",
+    "Describe a problem: simulator and inputs": "Simulator Schedule Input Frozen Problem Interface "
+    "Smooth Exact EXACT angle_features wrap_angle",
+    "Decisions": "Box Simplex Integers Choice Stop Product Actions",
+    "Objectives and constraints": "Mean CVaR MeanVariance Entropic CRRA Target Probability "
+    "ExpectedUtility Objective AtMost AtLeast Limit LimitFound",
+    "Noise and scenarios": "noise Noise Process Schwartz SchwartzInputs Pseudo Sobol Supplied "
+    "Sources Scenarios Counter Stored",
+    "Policies": "MLP GRU LastObservations Linear BaseStock Threshold Constant Residual Stages "
+    "Policy Network Memory imitate Imitation",
+    "Values, derivatives and bounds": "evaluate Value Estimate Sampled simulate Simulation "
+    "sensitivities Sensitivities SensitivityRow Interval Reported bound Bound Between second_order "
+    "value_and_gradient Gradient bump_check Bump feasibility Feasibility Verdict",
+    "Several trainings": "solve_seeds Seeds Chain Family",
+    "Save, export and show": "load_policy to_onnx decision_table TableDecisions PolicyFileError "
+    "write_table Figures log Progress Record",
+    "Environments that cannot be differentiated": "learn Learned LearningRound Compared",
+    "Advanced: engines and relaxations": "Engine Native Xla Engines BoundEngine Rollout Adjoint "
+    "Window Clip Growth Relaxation nested_mean",
 }
 PLAIN = re.compile(r"(``[^`]*``|`[^`]*`|\*\*[^*\n]+\*\*)")
 
 
 class PublicNames(SphinxDirective):
-    """A section for each room of the package, with all of its public names."""
+    """A section for each concept, with all of its public names."""
 
     def run(self) -> list[nodes.Node]:
-        rooms = defaultdict(list)
-        for name, home in _homes().items():
-            thing = getattr(snapo, name)
-            if isinstance(thing, ModuleType):  # `snapo.noise`: in the room of what it offers
-                home = getattr(thing, thing.__all__[0]).__module__
-            rooms[home.split(".")[1]].append((name, home))
+        concepts = {head: names.split() for head, names in CONCEPTS.items()}
+        listed = {name for names in concepts.values() for name in names}
+        if unknown := listed - {*snapo.__all__}:
+            raise self.error(f"snapo has no {sorted(unknown)}: see CONCEPTS in {__file__}")
+        if more := sorted({*snapo.__all__} - listed - {"__version__"}):
+            concepts["Further names"] = more
         found = []
-        for room, names in rooms.items():
-            section = nodes.section(ids=[nodes.make_id(f"room-{room}")])
-            section += nodes.title("", HEADS.get(room, room))
+        for head, names in concepts.items():
+            section = nodes.section(ids=[nodes.make_id(head)])
+            section += nodes.title("", head)
             section += self._written(names)
             found.append(section)
         return found
 
     def _written(self, names) -> list[nodes.Node]:
         lines = []
-        things = {name: getattr(snapo, name) for name, _ in names}
+        things = {name: getattr(snapo, name) for name in names}
         for name, module in list(things.items()):
             if isinstance(module, ModuleType):
                 del things[name]
@@ -86,8 +98,13 @@ def _as_written(app, what, name, thing, options, lines):
 
 
 def _plain_defaults(app, what, name, thing, options, signature, returns):
-    """Defaults that are functions, without their addresses."""
-    return (re.sub(r"<(\w+ )?(\w+)[^>]*at 0x\w+>", r"\2", signature), "") if signature else None
+    """Defaults that are functions without their addresses, and types without their modules."""
+    return (_short(signature), _short(returns or "")) if signature else None
+
+
+def _short(signature: str) -> str:
+    text = re.sub(r"<(\w+ )?(\w+)[^>]*at 0x\w+>", r"\2", signature)
+    return re.sub(r"\b(?:~?[a-z_]\w*\.)+(?=[A-Z])", "", text).replace("Any | None", "Any")
 
 
 def setup(app):

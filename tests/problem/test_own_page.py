@@ -1,4 +1,4 @@
-"""Examples of docs/own_simulator.md, as they stand there, with few steps of training."""
+"""Examples of docs/simulator/, as they stand there, with few steps of training."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 import snapo
 from snapo.solver.evaluate import path_totals
 
-PAGE = Path(__file__).parents[2] / "docs" / "own_simulator.md"
+PAGES = sorted((Path(__file__).parents[2] / "docs" / "simulator").glob("*.md"))
 FEW = """
     training=snapo.Training(steps=3, paths=64, validation_paths=64),
     evaluation=snapo.Evaluation(512, 256, 0, 0),
@@ -20,7 +20,8 @@ FEW = """
 def written(what: str) -> dict:
     """The names that the block with these words makes; where it solves, with few steps."""
     found = {"snapo": snapo, "jnp": jnp}
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+    text = "\n".join(page.read_text() for page in PAGES)
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
     found = {"snapo": snapo, "jnp": jnp}
     code, verb, rest = next(b for b in blocks if what in b).partition("solution = snapo.solve(")
     if verb:

@@ -25,7 +25,7 @@ from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem, all_versions
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
-from snapo.problem.simulator import Simulator
+from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
 from snapo.problem.unseen import note
 
@@ -35,13 +35,13 @@ from .findings import Findings, Notes, StopCheck
 from .indices import moving_indices, within
 from .jumps import jumps
 from .rollout import CheckedRollout, observed, rollouts
-from .shapes import declared, one_step, prepared, require
+from .shapes import Shapes, declared, one_step, prepared, require
 from .slices import TABLE, short_slices, tables
 from .traces import loops, lost_derivatives, repeatable
 from .watch import moments
 
 KEPT = 64
-_faultless: OrderedDict[Hashable, None] = OrderedDict()  # forms of snapo's simulators
+_faultless: OrderedDict[Hashable, Shapes] = OrderedDict()  # by form, of snapo's simulators
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
@@ -60,11 +60,10 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
     def look(notes: Notes) -> None:
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)
-        library = of_preparation(simulator, inputs) is None
-        form = form_of((simulator, unnamed(inputs), schedule)) if library else None
-        if library and form in _faultless:
+        form = _library_form(simulator, inputs, schedule)
+        if form in _faultless:
             return
-        one_step(notes, simulator, schedule)
+        shapes, library = one_step(notes, simulator, schedule), form is not None
         if not library:  # tests cover these for snapo's code
             short_slices(notes, simulator, inputs, schedule)
             repeatable(notes, simulator, inputs, schedule)
@@ -73,7 +72,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
             tables(notes, simulator, schedule)
         within(notes, simulator, inputs, schedule)
         if library and not notes.items:
-            _faultless[form] = None
+            _faultless[form] = shapes
             while len(_faultless) > KEPT:
                 _faultless.popitem(last=False)
 
@@ -84,11 +83,19 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
     """Mistakes in an objective, limits and a policy for a simulator that has none."""
 
     def look(notes: Notes) -> None:
-        shapes = one_step(notes, problem.simulator, problem.schedule)
+        form = _library_form(problem.simulator, problem.inputs, problem.schedule)
+        shapes = _faultless.get(form) or one_step(notes, problem.simulator, problem.schedule)
         require(notes, problem.objective, problem.constraints, shapes.outputs)
         _decides(notes, problem, policy, shapes.observation.shape[0])
 
     return _looked(problem.simulator, problem.inputs, look)
+
+
+def _library_form(simulator: Simulator, inputs: PyTree, schedule: Schedule) -> Hashable:
+    """The form of one of snapo's simulators; None of any other, whose code may read all numbers."""
+    if of_preparation(simulator, inputs) is not None:
+        return None
+    return form_of((simulator, unnamed(inputs), schedule))
 
 
 def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None]) -> Findings:

@@ -9,6 +9,7 @@ from snapo import __version__
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
+ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
 SHELLS = ("bash", "zsh", "fish")
 CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
@@ -65,14 +66,20 @@ def _add_new(commands) -> None:
     )
     new.add_argument("kind", metavar="KIND", nargs="?", help="such as gas-storage")
     new.add_argument(
-        "folder", metavar="DIR", type=Path, nargs="?", help="made if missing; overwrites nothing"
+        "folder",
+        metavar="DIR",
+        type=Path,
+        nargs="?",
+        help="created if it does not exist; never overwrites files",
     )
-    new.add_argument("--size", metavar="SIZE", help="of the example, where the kind has several")
-    new.add_argument("--xlsx", action="store_true", help="as a workbook, case.xlsx")
+    new.add_argument("--size", metavar="SIZE", help="size of the example, if the kind has several")
+    new.add_argument("--xlsx", action="store_true", help="write a workbook, case.xlsx, instead")
 
 
 def _add_check(commands) -> None:
-    check = commands.add_parser("check", help="read a case and name its mistakes")
+    check = commands.add_parser(
+        "check", help="validate a case and list its errors, without training"
+    )
     _add_case(check)
 
 
@@ -82,7 +89,7 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--out", metavar="DIR", type=Path, help="folder of the run (default: run, next to the case)"
     )
-    solve.add_argument("--engine", choices=ENGINES, default="auto")
+    solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
         "--reference", action="store_true", help="compute the exact references as well"
     )
@@ -91,14 +98,13 @@ def _add_solve(commands) -> None:
         "--policy",
         metavar="RUN",
         type=Path,
-        help="begin with the policy of this run (or of a file of policy.save), not with a new one",
+        help="start from the policy of this run, or of a file of policy.save",
     )
     solve.add_argument(
         "--seeds",
         metavar="N",
         type=_seeds,
-        help="train with this number of seeds, or those of a list (0,3,7); the run is that of the "
-        "best",
+        help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
     )
 
 
@@ -140,14 +146,16 @@ def _add_book(commands) -> None:
 def _add_certify(commands) -> None:
     certify = commands.add_parser("certify", help="bound the value of a run from both sides")
     certify.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
-    certify.add_argument("--paths", metavar="N", type=_paths, help="to bound on (default: 1024)")
+    certify.add_argument(
+        "--paths", metavar="N", type=_paths, help="number of paths for the bound (default: 1024)"
+    )
     certify.add_argument(
         "--penalty",
         choices=PENALTIES,
         default="value",
         help="for foresight: none, a fitted value function, or one scaled by descent on the bound",
     )
-    certify.add_argument("--engine", choices=ENGINES, default="auto")
+    certify.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(certify)
 
 
@@ -155,7 +163,9 @@ def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
     report.add_argument(
-        "--pdf", action="store_true", help="also print it as report.pdf, with a local browser"
+        "--pdf",
+        action="store_true",
+        help="also write report.pdf, with an installed Chrome, Chromium or Edge",
     )
     report.add_argument(
         "--xlsx", action="store_true", help="also write its tables as a workbook, tables.xlsx"
@@ -166,16 +176,25 @@ def _add_open(commands) -> None:
     page = commands.add_parser("open", help="move the inputs of a run and see its value, live")
     page.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
     page.add_argument(
-        "--port", metavar="N", type=_port, default=0, help="of this machine (default: a free one)"
+        "--port",
+        metavar="N",
+        type=_port,
+        default=0,
+        help="port of this machine (default: a free one)",
     )
     page.add_argument("--no-browser", action="store_true", help="print the address only")
-    page.add_argument("--paths", metavar="N", type=_paths, help="to value on (default: 12288)")
-    page.add_argument("--engine", choices=ENGINES, default="auto")
+    page.add_argument(
+        "--paths",
+        metavar="N",
+        type=_paths,
+        help="number of paths for the value (default: chosen for a small error, 1024 to 12288)",
+    )
+    page.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(page)
 
 
 def _add_compare(commands) -> None:
-    compare = commands.add_parser("compare", help="say how two runs differ")
+    compare = commands.add_parser("compare", help="compare two runs")
     compare.add_argument("first", metavar="RUN", type=Path)
     compare.add_argument("second", metavar="RUN", type=Path)
 
@@ -183,7 +202,7 @@ def _add_compare(commands) -> None:
 def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
     bench.add_argument("kind", metavar="KIND", nargs="?", help="default: all that are installed")
-    bench.add_argument("--engine", choices=ENGINES, default="auto")
+    bench.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
 
 
 def _add_schema(commands) -> None:
@@ -212,7 +231,7 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
         dest="assignments",
         action="append",
         default=[],
-        help="a key of the case that has another value for this run: contract.inventory=2000, "
+        help="change a key of the case for this run: contract.inventory=2000, "
         "assets.equity.weight=0.4 (an element of an array by its name or number); repeatable",
     )
     parser.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
@@ -240,7 +259,7 @@ def _add_simulator(parser: argparse.ArgumentParser) -> None:
         "--simulator",
         metavar="MODULE:CLASS",
         type=_simulator,
-        help='the code of a case of kind "own", next to the case or in the working folder',
+        help='simulator class of a case of kind "own", next to the case or in the working folder',
     )
 
 

@@ -51,7 +51,7 @@ class Interface(NamedTuple):
 
 
 class Simulator(eqx.Module):
-    """One path of a sequential decision problem. Subclass it and fill in the five methods.
+    """One path of a sequential decision problem. Subclass it and write the four methods.
 
     **Attributes:**
 

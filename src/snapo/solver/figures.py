@@ -11,8 +11,10 @@ and returns the figure.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -265,6 +267,14 @@ def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
         message = "solution.plot needs matplotlib: pip install 'snapo[cli]'"
         raise ModuleNotFoundError(message) from None
     figure = Figure(figsize=(7.2, height), layout="constrained")
+    # A kernel shows a bare figure as text unless `%matplotlib inline` has run; this is its picture.
+    figure._repr_png_ = partial(_png, figure)  # pyright: ignore[reportAttributeAccessIssue]
     ax = figure.subplots()
     ax.spines[["top", "right"]].set_visible(False)
     return figure, ax
+
+
+def _png(figure: Any) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=144)
+    return file.getvalue()

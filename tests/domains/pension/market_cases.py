@@ -276,7 +276,7 @@ def full(steps: int = 6, **changes) -> PensionCase:
         ),
         "correlation": Correlation(names, given("correlation", lower)),
         "overlay": Overlay(
-            maturity=np.array([120, 240]),
+            maturities=np.array([120, 240]),
             notional=given("overlay_notional", [8.0, 10.0]),
             low=np.zeros(2),
             high=np.array([0.4, 0.5]),

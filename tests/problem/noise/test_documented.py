@@ -1,4 +1,4 @@
-"""The example of docs/own_simulator.md, as it stands there."""
+"""The example of docs/simulator/noise.md, as it stands there."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 import snapo
 from snapo.solver.certificate import certify_derivatives
 
-PAGE = Path(__file__).parents[3] / "docs" / "own_simulator.md"
+PAGE = Path(__file__).parents[3] / "docs" / "simulator" / "noise.md"
 
 
 @pytest.mark.prove

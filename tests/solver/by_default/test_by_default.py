@@ -2,7 +2,7 @@
 
 Each in less than 60 s on two quiet cores, which is 120 s of processor time. The regulator stands in
 `learning/test_convergence.py`, the pendulum in `learning/test_pendulum.py`; figures in
-docs/own_simulator.md.
+docs/simulator/defaults.md.
 """
 
 import time

@@ -279,11 +279,14 @@ class NativeCall:
         def stepwise(leaf, array, requested):
             if not requested:
                 return None
-            full = np.zeros((*lead, *np.shape(array)), dtype)
-            if leaf.active:
-                full[(slice(None),) * len(lead) + (slice(first, first + length),)] = layouts[
-                    "step_sums"
-                ].view(memory, leaf)
+            of_all = (*lead, *np.shape(array))
+            if not leaf.active:
+                return np.broadcast_to(np.zeros((), dtype), of_all)  # takes no memory
+            part = layouts["step_sums"].view(memory, leaf)
+            if part.shape == of_all:
+                return part.astype(dtype)
+            full = np.zeros(of_all, dtype)
+            full[(slice(None),) * len(lead) + (slice(first, first + length),)] = part
             return full
 
         steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.requested[1]))

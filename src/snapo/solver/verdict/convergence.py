@@ -115,14 +115,13 @@ def ending(
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
         taken = _decisions(problem, progress.best, held_paths, decisions, engine)
-        actions = np.concatenate([item[2] for item in taken], axis=1)
-        still = constant_decisions(problem.action, actions)
+        still = constant_decisions(problem.action, taken.actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
             notes.append(f"{describe(still, of)}: if that is not meant, {TRY_OTHERS}.")
         if len(still) < of and not over_constant.is_significant:
             notes.append(_as_well(problem, constant, over_constant))
-        if unused := never_taken(problem.action, actions):
+        if unused := never_taken(problem.action, taken.actions):
             notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
     if progress.status == "diverged":
         return Ending("", tuple(notes))
@@ -257,44 +256,47 @@ def _decisions(
     held_paths: int,
     recorded: np.ndarray | None,
     engine: Engine,
-) -> list[tuple[np.ndarray, Draws, np.ndarray]]:
-    """The paths, their scenarios and the decisions [T, paths, size], by block."""
+) -> "_Decisions":
+    """The decisions on the first blocks of the paths of the held derivatives."""
     bound, source = engine.bind(problem), problem.sources.evaluation
-    rows = []
-    for paths in _first(source.blocks(source.available(held_paths))):
-        draws = source.draws(paths, problem.simulator)
-        if recorded is None:
-            taken = bound.values(policy, draws, Exact(), record=DECIDED).record["action"]
-        else:
-            taken = recorded[:, in_a_row(paths)]
-        rows.append((paths, draws, np.asarray(taken)))
-    return rows
+    blocks = _first(source.blocks(source.available(held_paths)))
+    if recorded is None:
+        draws = [source.draws(block, problem.simulator) for block in blocks]
+        rolled = [bound.values(policy, part, Exact(), record=DECIDED) for part in draws]
+        actions = [np.asarray(rollout.record["action"]) for rollout in rolled]
+    else:
+        actions = [recorded[:, in_a_row(block)] for block in blocks]
+    paths, sizes = np.concatenate(blocks), [len(block) for block in blocks]
+    draws = source.draws(paths, problem.simulator)
+    return _Decisions(paths, sizes, draws, np.concatenate(actions, axis=1))
+
+
+class _Decisions(NamedTuple):
+    """Paths, how many of them are in each block, their scenarios, and actions [T, paths, size]."""
+
+    paths: np.ndarray
+    sizes: list[int]
+    draws: Draws
+    actions: np.ndarray
 
 
 def _over_constants(
-    problem: Problem,
-    exact: Totals,
-    taken: list[tuple[np.ndarray, Draws, np.ndarray]],
-    engine: Engine,
+    problem: Problem, exact: Totals, taken: _Decisions, engine: Engine
 ) -> tuple[np.ndarray, Gain]:
     """The best constant decision [size] of some, and the gain over it: see `constant_baselines`."""
     unpriced = _unpriced(problem)
     bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
-    paths = np.concatenate([entry[0] for entry in taken])
+    paths, sizes, draws, actions = taken
+    weights = dict.fromkeys(outputs, np.full(len(paths), 1 / len(paths)))
     pairs = []
-    for constant in constant_baselines(
-        problem.action, np.concatenate([value[2] for value in taken], axis=1)
-    ):
-        parts: list[Totals] = []
-        for _, draws, like in taken:
-            item = np.full(like.shape[1], 1 / like.shape[1])
-            weights = dict.fromkeys(outputs, item)
-            same = np.broadcast_to(constant.astype(like.dtype), like.shape)
-            # The held derivatives have this kernel compiled already.
-            passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
-            parts.append(float64(passed.totals))
-        pairs.append((constant, _gain(problem, exact, parts, paths)))
-    return min(pairs, key=lambda each: each[1].value)
+    for constant in constant_baselines(problem.action, actions):
+        same = np.broadcast_to(constant.astype(actions.dtype), actions.shape)
+        # The held derivatives have this kernel compiled already.
+        passed = bound.adjoints(
+            None, draws, Exact(), weights, sizes, actions=same, wrt=("schedule",)
+        )
+        pairs.append((constant, _gain(problem, exact, [float64(passed.totals)], paths)))
+    return min(pairs, key=lambda pair: pair[1].value)
 
 
 def _first(blocks: list[np.ndarray], enough: int = ENOUGH) -> list[np.ndarray]:

@@ -33,7 +33,7 @@ def test_bonds_and_swaps_of_every_kind_are_worth_what_they_cost_under_q():
     assert one.overlay is not None
     swaps = replace(
         one.overlay,
-        maturity=np.array([240, 120, 120]),
+        maturities=np.array([240, 120, 120]),
         notional=given("overlay_notional", np.zeros(3)),
         cost=given("overlay_cost", np.zeros(3)),
         low=np.zeros(3),
@@ -43,7 +43,7 @@ def test_bonds_and_swaps_of_every_kind_are_worth_what_they_cost_under_q():
     )
     together = Correlation(("rate", "rate 2", "inflation"), given("correlation", [-0.2, 0.1, 0.3]))
     one = replace(one, overlay=swaps, correlation=together)
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
         schedule = simulator.prepare(plain(pension_inputs(one)))
         now = jax.tree.map(lambda leaf: leaf[1], schedule.steps)

@@ -24,7 +24,7 @@ from snapo.solver.bound import bound
 @pytest.fixture(scope="module")
 def merton():
     one = fund()
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     problem = Problem(simulator, inputs, OBJECTIVE, Sources.of(Pseudo(3)))
     policy = Constant(np.array([1 - WEIGHT, WEIGHT]))
     return problem, policy, FundRelaxation(problem, policy, 512)
@@ -63,7 +63,7 @@ def test_the_levered_mix_of_a_logarithm_is_certified_too():
     one, logarithm = fund(), ExpectedUtility("assets", CRRA(1.0))
     weight = 0.04 / 0.18**2
     held = replace(one.assets, low=np.array([-1.0, 0.0]), high=np.array([1.0, 2.0]))
-    simulator = PensionSimulator(replace(one, assets=held))  # pyright: ignore
+    simulator = PensionSimulator.of(replace(one, assets=held))
     problem = Problem(simulator, pension_inputs(one), logarithm, Sources.of(Pseudo(3)))
     policy = Constant(np.array([1 - weight, weight]))
     found = bound(problem, policy, relaxation=FundRelaxation(problem, policy, 512), paths=512)

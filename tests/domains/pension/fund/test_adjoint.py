@@ -86,7 +86,7 @@ CASES = [
 @pytest.fixture(scope="module", params=CASES)
 def problem(request):
     one = request.param()
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     inputs = pension_inputs(one)
     schedule = prepare(simulator, inputs)
     policy = new_policy(one, simulator, schedule, jax.random.key(0))

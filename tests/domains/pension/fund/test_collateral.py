@@ -37,7 +37,7 @@ def fund(gilts: float, cash: float, swap: float, zero_coupon=(0,)):
         held_assets=held,
         curve=curve("zero_rate", [1.0, 30.0], [0.03, 0.03]),
         overlay=Overlay(
-            maturity=np.array([20]),
+            maturities=np.array([20]),
             notional=given("overlay_notional", [swap]),
             low=np.zeros(1),
             high=np.ones(1),
@@ -94,7 +94,7 @@ def test_the_policy_and_the_count_of_a_path_see_the_same_need(zero_coupon):
     with jax.enable_x64(True):
         place = np.asarray(cover(jnp.asarray(wanted), jnp.asarray(weights), Exact()))
         assert place == pytest.approx(30.0 / 40.0, rel=1e-9)
-        schedule = prepare(PensionSimulator(one), pension_inputs(one))  # pyright: ignore
+        schedule = prepare(PensionSimulator.of(one), pension_inputs(one))
         state, action = opening(schedule.constants), jnp.asarray([*weights, 1.0])
         held = trade(one, schedule.constants, state, action, 40.0, None, Exact())
     beyond = stressed(one, 1e-4 * known.headroom).need[0] * 10.0

@@ -11,6 +11,7 @@ from tests.domains.pension.market_cases import full
 from snapo.domains.pension.fund.dealing import dealt
 from snapo.domains.pension.fund.observation import slots
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.policies.classical import PresentMix, present_mixes
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
@@ -40,7 +41,13 @@ def column(default, **values):
 def traded(assets, wanted, step=1.0, smooth=None):
     with jax.enable_x64(True):
         return np.asarray(
-            dealt(assets, step, jnp.asarray(wanted), jnp.asarray(NOW), smooth or Exact())
+            dealt(
+                CASH,
+                trading_limits(assets, step),
+                jnp.asarray(wanted),
+                jnp.asarray(NOW),
+                smooth or Exact(),
+            )
         )
 
 
@@ -118,7 +125,7 @@ def test_the_present_mix_rebalanced_yearly_drifts_in_between_on_both_engines():
         assert found == pytest.approx(want, abs=1e-7)
     illiquid = limited(max_sale=column(np.inf, **{f"i{FIRST}": 0.1}), turnover=0.5)
     fund = replace(one, assets=illiquid)
-    simulator = PensionSimulator(fund)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(fund)
     problem = Problem(simulator, pension_inputs(fund), Mean("funding_ratio"))
     draws = Pseudo(seed=1).draws(np.arange(16), simulator)
     totals = [
@@ -139,7 +146,7 @@ def test_within_the_bands_derivatives_are_finite_while_training(wide):
         size = jnp.float64 if wide else jnp.float32
 
         def weighted(wanted, now, warm):
-            found = dealt(assets, 1 / 12, wanted, now, Smooth(warm))
+            found = dealt(assets.cash, trading_limits(assets, 1 / 12), wanted, now, Smooth(warm))
             return found @ jnp.arange(COUNT, dtype=size)
 
         slopes = jax.jit(jax.vmap(jax.grad(weighted, (0, 1)), (0, None, None)))

@@ -81,7 +81,7 @@ def fund():
 def solved():
     """The network, trained on time alone."""
     one = fund()
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     problem = Problem(simulator, inputs, OBJECTIVE)
     start = new_policy(one, simulator, problem.schedule, jax.random.key(0))
     training = Training(steps=400, paths=2048, learning_rate=0.02, validation_every=200)

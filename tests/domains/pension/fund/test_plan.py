@@ -189,7 +189,7 @@ def test_payments_agreed_in_money_are_paid_on_top_whatever_the_limits(engine):
     capped = {"has_cap": True, "schedule": agreed}
     rule = contributing("spread", normal_cost="rate", **capped)
     case = full(6, plan=hand_plan(contribution=rule), flows=cash_flows([200.0], [30]))
-    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(case)
     draws = Pseudo(1).draws(np.arange(8), simulator)
     schedule = prepare(simulator, pension_inputs(case))
     made = engine("float64").values(

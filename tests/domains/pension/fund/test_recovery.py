@@ -46,7 +46,7 @@ def fund(timing: str, horizon: int, years: float = YEARS, level: bool = True):
 
 def paths(one):
     """Contributions by step and the gap after the last one."""
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     draws = Pseudo(1).draws(np.arange(1), simulator)
     schedule = prepare(simulator, inputs)
     rolled = Xla("float64").values(

@@ -40,7 +40,7 @@ def borrowing(weight, *, volatility=0.0, drift=DRIFT, flows=None, **held):
 
 
 def totals(one, engine, paths=8, policy=None):
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = prepare(simulator, pension_inputs(one))
     draws = Pseudo(3).draws(np.arange(paths), simulator)
     policy = PresentMix(one, 1) if policy is None else policy
@@ -82,7 +82,7 @@ def test_mean_log_growth_and_its_derivatives_of_a_levered_mix():
 
     for weight in ((DRIFT - RATE) / volatility**2, 1.8):
         one = borrowing(weight, volatility=volatility)
-        simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+        simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
         problem = Problem(simulator, inputs, Mean("log_relative"))
         problem = replace(problem, sources=replace(problem.sources, evaluation=Sobol(5)))
         value, gradient = value_and_gradient(
@@ -106,7 +106,7 @@ def test_training_finds_the_levered_weight_of_a_logarithm():
     logarithm, best = ExpectedUtility("assets", CRRA(1.0)), (DRIFT - RATE) / 0.156**2
     for start in (0.5, 1.9):
         one = borrowing(start, volatility=0.156)
-        simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+        simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
         problem = Problem(simulator, inputs, logarithm)
         training = Training(steps=300, paths=2048, learning_rate=0.05, validation_every=100)
         policy = ConstantMix(one, np.array([1 - start, start]))
@@ -127,7 +127,7 @@ def test_a_fund_that_lost_everything_owes_its_debt_in_cash(engine):
     found = totals(one, ENGINES[engine])["assets"]
     np.testing.assert_allclose(found, first * np.exp(RATE * (STEPS - 1) / 12), rtol=1e-12)
     # Derivatives pass through the ruin: all money scales with the assets at the start.
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     problem = Problem(simulator, inputs, Mean("assets"))
     _, gradient = value_and_gradient(
         problem, PresentMix(one, 1), paths=8, decisions="held", engine=ENGINES[engine]
@@ -151,7 +151,7 @@ def short_of_everything():
 @pytest.mark.prove
 def test_engines_agree_and_every_derivative_is_that_of_central_differences():
     one = short_of_everything()
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     schedule = prepare(simulator, inputs)
     policy = new_policy(one, simulator, schedule, jax.random.key(0))
     assert unsupported(simulator, schedule, policy, Exact()) is None

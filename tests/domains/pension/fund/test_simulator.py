@@ -42,14 +42,14 @@ NATIVE = Native("float64")
 
 
 def simulated(one):
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     inputs = pension_inputs(one)
     return simulator, inputs, prepare(simulator, inputs)
 
 
-def totals_of(simulator, policy, source, paths):
+def totals_of(simulator, inputs, policy, source, paths):
     """Path totals on the native engine."""
-    problem = Problem(simulator, pension_inputs(simulator.case), Mean("funding_ratio"))
+    problem = Problem(simulator, inputs, Mean("funding_ratio"))
     return path_totals(problem, policy, paths, engine=NATIVE, source=source)
 
 
@@ -78,7 +78,7 @@ def curve_case(flows, observation, steps=24):
         fee=[0.0, 0.002],
     )
     swaps = Overlay(
-        maturity=np.array([120]),
+        maturities=np.array([120]),
         notional=given("overlay_notional", [20.0]),
         low=np.zeros(1),
         high=np.array([0.8]),
@@ -145,7 +145,7 @@ def test_a_stream_is_met_payment_by_payment_with_decisions_held():
     policy = shaken(new_policy(one, simulator, schedule, jax.random.key(0)), 0.3)
     slopes = path_slopes(NATIVE, simulator, inputs, policy, schedule, paths, held=True)
     # P(T, tau) at each path's factor, which a longer horizon has on record.
-    longer = PensionSimulator(curve_case(cash_flows(amounts, months), SEEN, steps + 1))  # pyright: ignore
+    longer = PensionSimulator.of(curve_case(cash_flows(amounts, months), SEEN, steps + 1))
     draws = Pseudo(3).draws(np.arange(paths), longer)
     given_up = prepare(longer, pension_inputs(longer.case))
     rolled = Xla("float64").values(
@@ -201,10 +201,10 @@ def test_a_constant_mix_with_outflow_has_the_known_moments():
         flows=cash_flows(np.full(steps, 0.5), np.arange(steps)),
         correlation=Correlation(("Equity", "Other"), given("correlation", [correlation])),
     )
-    simulator, _, _ = simulated(one)
+    simulator, inputs, _ = simulated(one)
     policy = Constant(np.array([0.0, 0.5, 0.5]))
     source, paths = Pseudo(5), 2**15
-    total = totals_of(simulator, policy, source, paths)["assets"]
+    total = totals_of(simulator, inputs, policy, source, paths)["assets"]
     pairs = total.reshape(-1, 2).mean(1)
     assert abs(pairs.mean() - 81.20917249) < 3 * pairs.std() / np.sqrt(pairs.size)
     spread = (total - 81.20917249) ** 2
@@ -242,15 +242,15 @@ def fair():
 )
 def test_values_are_consistent_with_the_market(fair, kind):
     """P8: assets, liability and cash are worth what they cost, whatever the policy does."""
-    simulator, _, schedule = fair
-    one = simulator.case
+    simulator, inputs, schedule = fair
+    one = consistent()
     policy = {
         "constant": lambda: ConstantMix(one),
         "driven": lambda: shaken(LiabilityDriven(one, ConstantMix(one)), 0.3),
         "network": lambda: shaken(new_policy(one, simulator, schedule, jax.random.key(0)), 0.5),
     }[kind]()
     source, paths = Pseudo(7), 2**16
-    total = totals_of(simulator, policy, source, paths)
+    total = totals_of(simulator, inputs, policy, source, paths)
     flows = total["pv_benefit"] - total["pv_contribution"]
     added = total["pv_accrual"] + total["pv_indexation"]
     start = schedule.constants
@@ -274,7 +274,7 @@ def test_values_are_consistent_with_the_market(fair, kind):
 def test_derivatives_are_consistent_with_the_market(fair):
     """The assets' worth does not depend on volatilities or spreads, nor cash on anything else."""
     simulator, inputs, schedule = fair
-    policy = ConstantMix(simulator.case)
+    policy = ConstantMix(consistent())
     rows = []
     for block in range(16):
         draws = Pseudo(9).draws(np.arange(block * 256, (block + 1) * 256), simulator)
@@ -339,13 +339,13 @@ def test_ready_made_scenarios_take_the_generators_place():
         inflation=inflation(steps, case(1, held_assets=held).inflation.break_even),
         observation=("time", "rates", "long_rate", "weights"),
     )
-    simulator, _, schedule = simulated(one)
+    simulator, inputs, schedule = simulated(one)
     source = Supplied(np.ascontiguousarray(np.swapaxes(table, 0, 1)))
     policy = new_policy(one, simulator, schedule, jax.random.key(0))
     constant = Constant(np.array([0.0, 0.5]))
     for each in (policy, constant):
         assert unsupported(simulator, schedule, each, Exact()) is None
-    total = totals_of(simulator, constant, source, paths)
+    total = totals_of(simulator, inputs, constant, source, paths)
     assert total["assets"] == pytest.approx(100 * 1.0105**2, rel=1e-14)
     left = 10 - 2 / 12
     assert total["liability"] == pytest.approx(50 * np.exp(-0.03 * left), rel=1e-3)
@@ -360,7 +360,7 @@ def test_swaps_under_ready_made_scenarios_earn_what_their_payments_do():
     table = np.tile([0.02, 0.0, 0.0, 0.01, 0.04], (2, 1, 1))
     held = assets(1, [CASH], weight=[1.0])
     swaps = Overlay(
-        maturity=np.array([3, 4]),
+        maturities=np.array([3, 4]),
         notional=given("overlay_notional", [0.0, 0.0]),
         low=np.zeros(2),
         high=np.ones(2),
@@ -377,9 +377,9 @@ def test_swaps_under_ready_made_scenarios_earn_what_their_payments_do():
         scenarios=SuppliedScenarios(table, table, columns, np.array([1.0, 10.0])),
         overlay=swaps,
     )
-    simulator, _, _ = simulated(one)
+    simulator, inputs, _ = simulated(one)
     source = Supplied(np.ascontiguousarray(np.swapaxes(table, 0, 1)))
-    total = totals_of(simulator, Constant(np.array([1.0, 0.5, 0.25])), source, 2)
+    total = totals_of(simulator, inputs, Constant(np.array([1.0, 0.5, 0.25])), source, 2)
     left = np.arange(3)
     price = np.exp(-left * np.interp(left, [1, 10], [0.01, 0.04]))
     par = (np.expm1(0.02) + (left == 2)) @ price - 1.02

@@ -50,7 +50,7 @@ def test_a_new_policy_holds_about_the_present_notionals(unit):
         assert worth.tolist() == [100.0, 100.0]
     else:
         # Payments of 40 years, nearest to 10 and to 20: most of the liability each.
-        simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+        simulator = PensionSimulator.of(one)
         whole = float(prepare(simulator, pension_inputs(one)).constants.liability)
         assert worth.sum() == pytest.approx(whole, rel=1e-12)
     found = notionals(one, places(one), worth)
@@ -100,7 +100,7 @@ def test_derivatives_where_no_swaps_are_held():
     """Nothing held and nothing wanted: both engines are finite, and at the kink of the trading
     cost the derivative by the notional is that of one more."""
     one = swaps(notional=given("overlay_notional", [0.0, 0.0]))
-    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+    simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     draws = Pseudo(4).draws(np.arange(4), simulator)
     policy = Constant(np.array([0, 0.2, 0.1, 0.1, 0.2, 0.2, 0.1, 0, 0]))
     weights: dict[str, Any] = {"funding_ratio": np.full(4, 0.25)}

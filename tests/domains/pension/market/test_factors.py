@@ -143,7 +143,7 @@ def test_prices_follow_the_break_evens_and_cash_the_curve():
     )
     from snapo.domains.pension.fund.simulator import PensionSimulator
 
-    simulator = PensionSimulator(still)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(still)
     with jax.enable_x64(True):
         schedule = simulator.prepare(plain(pension_inputs(still)))
         market = schedule.constants.market.start

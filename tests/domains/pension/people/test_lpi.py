@@ -3,6 +3,7 @@
 from dataclasses import replace
 from math import erf, exp, log, sqrt
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -121,9 +122,9 @@ def test_independent_years_are_products_of_blacks_caplets_and_floorlets(floor, c
 def ready():
     """LPI(0, 2.5): the fund's schedule, drawn paths and totals of the native engine."""
     one, paths = scheme(cap=0.025), 8192
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
-        made = jax.jit(simulator.prepare)(plain(pension_inputs(one)))
+        made = eqx.filter_jit(simulator.prepare)(plain(pension_inputs(one)))
         schedule = jax.tree.map(np.asarray, made)
     draws = Pseudo(3, antithetic=True).draws(np.arange(paths), simulator)
     found = Native("float64").values(

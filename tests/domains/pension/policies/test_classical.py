@@ -10,6 +10,7 @@ from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, full,
 
 from snapo.domains.pension.fund.observation import FEATURES, slots
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.policies.classical import ConstantMix, StockBond, followers
@@ -27,7 +28,7 @@ from snapo.problem.smooth import Exact, Smooth
 @pytest.fixture(scope="module")
 def problem():
     one = full()
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = prepare(simulator, pension_inputs(one))
     policies = {"network": new_policy(one, simulator, schedule, jax.random.key(0))}
     policies["constant_mix"] = mix = ConstantMix(one)
@@ -54,7 +55,16 @@ def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
             action = np.asarray(policy(jnp.asarray(2 * rng.standard_normal(size)), smooth))
             assert action.shape == (count + 2,)
             assert action.min() >= 0 and action.max() <= 1
-            assert float(excess(one.assets, jnp.asarray(action[:count]))) < 1e-6
+            assert (
+                float(
+                    excess(
+                        one.assets,
+                        trading_limits(one.assets, one.step),
+                        jnp.asarray(action[:count]),
+                    )
+                )
+                < 1e-6
+            )
             assert action[:count].sum() == pytest.approx(1, abs=1e-6)
 
 
@@ -76,7 +86,14 @@ def test_weights_within_the_limits_are_their_own_nearest(problem):
         found = np.asarray(limits.nearest(jnp.asarray(within, jnp.float32), Exact()))
         assert found == pytest.approx(within, abs=1e-5)
     outside = jnp.asarray([0.0, 0.9, 0.0, 0.0, 0.1, 0.0, 0.0], jnp.float32)
-    assert float(excess(one.assets, limits.nearest(outside, Exact()))) < 1e-6
+    assert (
+        float(
+            excess(
+                one.assets, trading_limits(one.assets, one.step), limits.nearest(outside, Exact())
+            )
+        )
+        < 1e-6
+    )
 
 
 @pytest.mark.prove
@@ -86,7 +103,7 @@ def test_swaps_are_held_as_far_as_weights_back_them():
     steps = 6
     held = assets(steps, [CASH, EQUITY], mean=[0.04], volatility=[0.18], weight=[0.75, 0.25])
     swap = Overlay(
-        maturity=np.array([240]), notional=given("overlay_notional", [0.0]), low=np.zeros(1),
+        maturities=np.array([240]), notional=given("overlay_notional", [0.0]), low=np.zeros(1),
         high=np.array([2.0]), unit="assets", leverage=given("overlay_leverage", 2.0),
         cost=given("overlay_cost", [0.0]),
         collateral_stress=given("overlay_collateral_stress", 0.035), zero_coupon=(0,),

@@ -13,6 +13,7 @@ from tests.domains.pension.market_cases import given as given_
 
 from snapo.domains.pension.fund.observation import FEATURES
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.policies.classical import ConstantMix, PresentMix, followers
@@ -129,7 +130,7 @@ def test_the_lower_limits_alone_are_the_shifted_softmax():
 
 @pytest.mark.parametrize("one", [LEVERED, BORROWED], ids=["bonds", "shares"])
 def test_all_rules_start_at_the_levered_mix_and_stay_within_its_bounds(one):
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = prepare(simulator, pension_inputs(one))
     mix = ConstantMix(one, one.assets.weight.used())
     rules = {"network": new_policy(one, simulator, schedule, jax.random.key(0)), "mix": mix}
@@ -144,7 +145,10 @@ def test_all_rules_start_at_the_levered_mix_and_stay_within_its_bounds(one):
             seen = jnp.asarray(2 * rng.standard_normal(size))
             action = np.asarray(rule(seen, smooth))
             assert np.all(action >= least) and np.all(action <= most)
-            assert float(excess(one.assets, jnp.asarray(action))) < 1e-6
+            assert (
+                float(excess(one.assets, trading_limits(one.assets, one.step), jnp.asarray(action)))
+                < 1e-6
+            )
             assert action.sum() == pytest.approx(1, abs=1e-6)
     held = PresentMix(one, 1)(jnp.zeros(size), Exact())
     assert np.asarray(held).tolist() == pytest.approx(one.assets.weight.used().tolist())
@@ -153,7 +157,7 @@ def test_all_rules_start_at_the_levered_mix_and_stay_within_its_bounds(one):
 def test_borrowed_cash_backs_no_swaps():
     """Shares on borrowed cash leave no collateral: notionals are zero, and slopes finite."""
     swap = Overlay(
-        maturity=np.array([240]), notional=given_("overlay_notional", [0.0]), low=np.zeros(1),
+        maturities=np.array([240]), notional=given_("overlay_notional", [0.0]), low=np.zeros(1),
         high=np.array([2.0]), unit="assets", leverage=given_("overlay_leverage", 2.0),
         cost=given_("overlay_cost", [0.0]),
         collateral_stress=given_("overlay_collateral_stress", 0.035),

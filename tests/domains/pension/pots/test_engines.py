@@ -25,7 +25,7 @@ def test_both_engines_agree_and_the_adjoint_is_that_of_differences():
     """Pensions of the horizon by every number of every input, decisions of the policy held."""
     case = fund(steps=3, step=1.0)
     case = replace(case, pots=pots(case, [0.2, 0.6, 0.4, 0.9, 1.0], [1.5, 1.0, 1.2, 0.5, 0.3]))
-    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator: Any = PotSimulator.of(case)
     source = Pseudo(1)
     problem = nudged(
         Problem(simulator, pension_inputs(case), Mean("pension"), Sources(source, source, source))

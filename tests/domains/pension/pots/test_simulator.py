@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,11 +25,11 @@ ROUND_OFF = 1e-12 * 8000  # of the assets
 
 def rolled(case, paths=6, actions=None):
     """Every state [T+1, N, …] and output [T, N] on paths with weights drawn at random, or these."""
-    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator: Any = PotSimulator.of(case)
     rng = np.random.default_rng(3)
     inputs = plain(pension_inputs(case))
     with jax.enable_x64(True):
-        schedule = jax.jit(simulator.prepare)(inputs)
+        schedule = eqx.filter_jit(simulator.prepare)(inputs)
         terms, steps = schedule.constants, schedule.steps
         states = [simulator.initial(terms, None)]
         states[0] = jax.tree.map(lambda a: jnp.broadcast_to(a, (paths, *jnp.shape(a))), states[0])

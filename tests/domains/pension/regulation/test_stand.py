@@ -63,7 +63,7 @@ def test_coupon_bonds_and_par_swaps_move_by_their_payments():
     bond = CouponBond("Bond", maturity=10, coupon=0.05)
     one = fund(insurance_risk=0.0)
     swap = Overlay(
-        maturity=np.array([20]),
+        maturities=np.array([20]),
         notional=given("overlay_notional", [5.0]),
         low=np.zeros(1),
         high=np.ones(1),

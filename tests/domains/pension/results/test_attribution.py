@@ -27,7 +27,7 @@ from snapo.problem.smooth import Exact
 
 def explained(one, action, paths=4):
     """{part side: [paths]} of a case under a constant action, and F before and after."""
-    simulator = Explained(one)  # pyright: ignore[reportCallIssue]
+    simulator = Explained.of(one)
     schedule = prepare(simulator, pension_inputs(one))
     draws = Pseudo(2).draws(np.arange(paths), simulator)
     policy = Constant(np.asarray(action))

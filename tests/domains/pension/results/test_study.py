@@ -50,7 +50,7 @@ def test_figures_and_shocks_come_before_training(study, tmp_path):
 
 @pytest.mark.prove
 def test_sources_of_variance_are_the_volatilities_of_the_case(study):
-    case = study.setup().problem.simulator.case
+    case = study.setup().case
     names = {name: [each.name for each in found] for name, found in sources(case).items()}
     assert names["interest rates"] == ["rate_volatility"]
     assert names["inflation and wages"] == [

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 
 
 class MixBounds(NamedTuple):
@@ -22,8 +22,8 @@ class MixBounds(NamedTuple):
     maximum: np.ndarray
 
 
-def limits(case: PensionCase) -> MixBounds:
-    """The bounds of a case; of swaps that are sized by payments, those implied by leverage."""
+def limits(case: PensionModel, leverage: float) -> MixBounds:
+    """Those of a fund; of swaps that are sized by payments, what leverage leaves to each."""
     assets, overlay = case.assets, case.overlay
     low, high = np.array(assets.low, float), np.array(assets.high, float)
     group = np.full(len(low), -1)
@@ -42,7 +42,7 @@ def limits(case: PensionCase) -> MixBounds:
     elif overlay.unit == "assets":
         minimum, maximum = np.array(overlay.low, float), np.array(overlay.high, float)
     else:
-        maximum = np.full(case.buckets, float(overlay.leverage.used()))
+        maximum = np.full(case.buckets, leverage)
         minimum = -maximum
     return MixBounds(low, high, group, np.array(group_low), np.array(group_high), minimum, maximum)
 

@@ -34,7 +34,7 @@ def extremes(
     simulator: PensionSimulator, terms: FundTerms, steps: Period, before: Market, after: Market
 ) -> Extremes:
     """Of a path whose markets `before` and `after` each step have leaves [T, …]."""
-    case = simulator.case
+    case = simulator.model
 
     def step(rights: tuple[FundState, FundState], values):
         now, market, then = values
@@ -54,8 +54,8 @@ def extremes(
 def _most_received(
     simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
 ) -> Array:
-    """Contributions without assets and with the largest rights, less benefits on the smallest."""
-    case = simulator.case
+    """Contributions without assets against the most rights, less benefits on the least."""
+    case = simulator.model
     books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(
         case.plan,
@@ -78,13 +78,13 @@ def _most_received(
 
 def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: Market, last: Array):
     """(least, most) net increase at the end of the step, whatever the funding ratio."""
-    rule = simulator.case.plan.indexation
+    rule = simulator.model.plan.indexation
     if rule.kind == "none" and not rule.cut_years:
         return jnp.zeros_like(last), jnp.zeros_like(last)
     growth = jnp.expm1(then.log_price - last)
     poor, rich = (
         indexation(
-            simulator.case.plan, terms.plan, ratio=ratio, price_growth=growth, smooth=Exact()
+            simulator.model.plan, terms.plan, ratio=ratio, price_growth=growth, smooth=Exact()
         )
         for ratio in (jnp.zeros_like(growth), jnp.full_like(growth, FUNDED))
     )

@@ -11,7 +11,7 @@ from ..fund.schedule import FundTerms, Period
 from ..market.assets.asset_class import by_kind
 from ..market.dynamics import move, noise_size
 from ..market.state import Market
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 
 
 class GaussianReturns(NamedTuple):
@@ -36,7 +36,7 @@ ACROSS = GaussianReturns(0, 0, None, None, 0)  # pyright: ignore
 
 
 def gaussian_returns(
-    case: PensionCase, terms: FundTerms, now: Period, market: Market
+    case: PensionModel, terms: FundTerms, now: Period, market: Market
 ) -> GaussianReturns:
     """Those of one step on one path."""
 
@@ -63,7 +63,7 @@ class Worth(NamedTuple):
 
 
 def discounted_growth(
-    case: PensionCase, returns: GaussianReturns, price: Float[Array, " Z"]
+    case: PensionModel, returns: GaussianReturns, price: Float[Array, " Z"]
 ) -> Worth:
     """E[exp(-price @ noise - price^2 / 2) exp(return over cash)]."""
     exponent = _exponent(returns.mean, returns.load, price)

@@ -71,7 +71,8 @@ class FundRelaxation:
         fund = self.schedule.constants
         minimum = max(float(fund.liability), MINIMUM * float(fund.assets))
         self.conjugate = conjugate(problem.objective, float(fund.assets) / minimum)
-        self.limits = limits(simulator.case)
+        swaps = fund.swaps
+        self.limits = limits(simulator.model, 0.0 if swaps is None else float(swaps.leverage))
         self.price, self.y = self._fitted(problem, policy, paths)
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
@@ -118,7 +119,7 @@ class FundRelaxation:
         before = rollout.record["state"].market
         across = jax.vmap(gaussian_returns, (None, None, None, 0), ACROSS)
         terms, steps = self.schedule.constants, self.schedule.steps
-        returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.case, terms, steps, before)
+        returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.model, terms, steps, before)
         return FundPaths(returns, self._noise(draws))
 
     def _extremes(self, rollout: Rollout) -> Extremes:
@@ -132,12 +133,12 @@ class FundRelaxation:
 
     def _noise(self, draws: Draws) -> Array:
         steps = draws.steps(jnp.zeros((), jnp.uint32), self.simulator.horizon)
-        size = noise_size(self.simulator.case)
+        size = noise_size(self.simulator.model)
         one = jax.vmap(lambda d, s: d.noise(s, size, jnp.float64), (draws.axes(), None))
         return jax.vmap(one, (None, 0))(draws, steps)
 
     def _deflated(self, price: Any, paths: FundPaths) -> Deflated:
-        case = self.simulator.case
+        case = self.simulator.model
         price = jnp.asarray(price)
 
         def step(returns: GaussianReturns, noise):
@@ -163,7 +164,7 @@ class FundRelaxation:
 
     def _counts(self, result: Deflated) -> Array:
         """[T, N] by which money received in a step is deflated: at its start or at its end."""
-        if self.simulator.case.plan.timing == "advance":
+        if self.simulator.model.plan.timing == "advance":
             ones = jnp.ones_like(result.after[:1])
             return jnp.concatenate([ones, result.after[:-1]])
         return result.over * result.growth.money
@@ -185,7 +186,7 @@ class FundRelaxation:
                 mean = mean + done.flows.net * units.money
             return done.after.assets, mean
 
-        case = simulator.case
+        case = simulator.model
         across = jax.vmap(step, (None, 0, 0, 0, 0))
         after, mean = jax.vmap(across)(
             self.schedule.steps, states, actions, paths.noise, result.growth

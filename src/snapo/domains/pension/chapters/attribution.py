@@ -38,7 +38,7 @@ from snapo.study.study import StudyRun
 
 from ..fund.books import MINIMUM, balance
 from ..fund.simulator import Happened, PensionSimulator
-from ..records.case import PensionCase
+from ..records.case import PensionCase, PensionModel
 from ..records.inputs import every_given
 from ..results.setup import case_of
 from ..run import PensionRun, points, share, with_measure
@@ -92,7 +92,7 @@ def measure(run: StudyRun) -> RatioParts:
     """The mean effect of every part over the first paths of the evaluation."""
     case, setup, policy = case_of(run), run.setup, run.solution.policy
     assert policy is not None
-    simulator = Explained(case)  # pyright: ignore
+    simulator = Explained.of(case)
     with jax.enable_x64(True):
         schedule = jax.tree.map(np.asarray, _moments(setup.problem.schedule))
     problem = replace(setup.problem, simulator=simulator).prepared(schedule)
@@ -150,12 +150,12 @@ class Explained(PensionSimulator):
     def step(self, constants, now: Moment, state, action, noise, smooth):
         done = self.happen(constants, now.period, state, action, noise, smooth)
         before, after = done.books.liability, done.after
-        owed = balance(self.case, constants, now.people, now.shape, after).liability
+        owed = balance(self.model, constants, now.people, now.shape, after).liability
         # As if nothing about mortality had been learned in the step.
         market = after.market._replace(mortality=state.market.mortality)
         expected = after._replace(market=market)
-        as_expected = balance(self.case, constants, now.people, now.shape, expected).liability
-        gained = _assets(self.case, done)
+        as_expected = balance(self.model, constants, now.people, now.shape, expected).liability
+        gained = _assets(self.model, done)
         added = self._liability(done, owed, as_expected, constants.plan.reserved)
         by_assets = (1 / before + 1 / owed) / 2
         by_liability = -(state.assets + after.assets) / (2 * before * owed)
@@ -194,7 +194,7 @@ class Explained(PensionSimulator):
         return {}
 
 
-def _assets(case: PensionCase, done: Happened) -> dict[str, Array]:
+def _assets(case: PensionModel, done: Happened) -> dict[str, Array]:
     """Parts of the change of the assets, money."""
     cash, flows, held = done.move.cash, done.flows, done.held
     working = done.invested - held.cost

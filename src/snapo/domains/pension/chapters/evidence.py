@@ -27,7 +27,7 @@ from ..market.state import log_factor
 from ..people.cash_flows import reserved
 from ..people.liability import nodes
 from ..read.cells import empty
-from ..records.case import PensionCase
+from ..records.case import PensionCase, PensionModel
 from ..results.figures.lines import examine
 from ..results.setup import case_of
 from ..run import PensionRun, name_of
@@ -48,9 +48,9 @@ class BondsPriced(PensionSimulator):
     def terminal(self, constants, state, smooth):
         market = state.market
         value = log_factor(constants.market, constants.last_shape, market) + market.log_discount
-        if _real(self.case):
+        if _real(self.model):
             value = value + market.log_price
-        years = np.rint(nodes(self.case.step) * self.case.step * 1e6) / 1e6
+        years = np.rint(nodes(self.model.step) * self.model.step * 1e6) / 1e6
         bonds = {f"bond {u}": jnp.exp(value[np.flatnonzero(years == u)[0]]) for u in TENORS}
         return super().terminal(constants, state, smooth) | bonds
 
@@ -80,7 +80,7 @@ def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     if case.scenarios is not None:
         return ()
     free = replace(case.currencies, hedge_cost=empty("hedge_cost", (len(case.currencies.names),)))
-    simulator = BondsPriced(replace(case, measure="Q", currencies=free))  # pyright: ignore
+    simulator = BondsPriced.of(replace(case, measure="Q", currencies=free))
     source = Pseudo(setup.training.seed, stream=stream(EVALUATE, 3))
     problem, policy = replace(setup.problem, simulator=simulator), run.solution.policy
     assert policy is not None
@@ -103,7 +103,7 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
             values = totals[f"bond {u}"] * then / now
             name = f"Refit of the curve: {kind.lower()} of {u}y bought after {years:g}y"
             tests.append((name, values, then))
-    if not case.assets.smoothed.size:
+    if not case.assets.smoothed:
         paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]
         left = totals["pv_assets"] + paid - totals["pv_contribution"]
         tests.append(("Assets: remainder and payments", left, float(case.assets.amount.used())))
@@ -116,7 +116,7 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
     return tests
 
 
-def _real(case: PensionCase) -> bool:
+def _real(case: PensionModel) -> bool:
     return case.liability.future_indexation == "full"
 
 

@@ -19,6 +19,7 @@ from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
 from ..fund.dealing import dealt
+from ..fund.terms import trading_limits
 from ..records.case import PensionCase
 from ..regulation.stand import RecoveryCourse, recovery, stand
 from ..results.setup import case_of
@@ -146,7 +147,7 @@ class RecordedPaths:
         problem, bound = setup.problem, setup.engines.evaluate.bind(setup.problem)
         source, actions, outputs, last = problem.sources.evaluation, [], [], []
         paths = source.available(min(MAXIMUM, setup.evaluation.paths))
-        limited = case_of(run).assets.dealing
+        limited = trading_limits(case_of(run).assets, case_of(run).step).dealing
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
             # The whole trajectory, whose program the certificate uses too.
@@ -181,9 +182,10 @@ def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
     requested = action[:, :, :count].astype(np.float64)
     requested[:, :, case.assets.cash] += 1 - requested.sum(2)
     with jax.enable_x64(True):
+        limits = trading_limits(case.assets, case.step)
 
         def one(target, held):
-            return dealt(case.assets, case.step, target, held, Exact())
+            return dealt(case.assets.cash, limits, target, held, Exact())
 
         weights = jax.jit(jax.vmap(jax.vmap(one)))(requested, np.asarray(held, np.float64))
     return np.concatenate([np.asarray(weights), action[:, :, count:]], 2)

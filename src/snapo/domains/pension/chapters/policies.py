@@ -73,12 +73,12 @@ def compare(setup: Setup, solution: Solution, progress: ProgressCallback) -> lis
     """The policies of `measure`."""
     problem, case = setup.problem, case_in(setup)
     local = {name: np.asarray(total) for name, total in solution.totals.items()}
-    policies = [_worth(problem, LEARNED, "Learned policy", local, local)]
+    policies = [_worth(setup, LEARNED, "Learned policy", local, local)]
 
     def evaluate(key: str, name: str, policy: Policy) -> Totals:
         paths, engine = setup.evaluation.paths, setup.engines.evaluate
         totals = path_totals(problem, policy, paths, engine=engine)
-        policies.append(_worth(problem, key, name, totals, local))
+        policies.append(_worth(setup, key, name, totals, local))
         return totals
 
     progress("tuning constant mix")
@@ -117,9 +117,9 @@ def tuned(setup: Setup, policy: OneOf) -> OneOf:
     return result.best  # pyright: ignore[reportReturnType]
 
 
-def _worth(problem: Problem, key: str, name: str, totals, local) -> PolicyWorth:
+def _worth(setup: Setup, key: str, name: str, totals, local) -> PolicyWorth:
+    case, problem = case_in(setup), setup.problem
     objective, source = problem.objective, problem.sources.evaluation
-    case = problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
     value, mine = value_of(objective, totals), value_of(objective, local)
     with np.errstate(invalid="ignore"):
         # Ruin in both is no difference that can be measured.

@@ -8,7 +8,7 @@ from jaxtyping import Array
 from ..market.state import Market, log_factor
 from ..people.lpi import limited
 from ..people.lpi import log_factor as lpi_factor
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from .schedule import FundTerms
 
 MINIMUM = 1e-6  # of the assets now: the liability counts as at least this much in ratios
@@ -63,7 +63,7 @@ def opening(terms: FundTerms) -> FundState:
 
 
 def balance(
-    case: PensionCase, terms: FundTerms, people, shape: Array, state: FundState
+    case: PensionModel, terms: FundTerms, people, shape: Array, state: FundState
 ) -> FundBalance:
     """Values on the case's basis, at the market of `state`."""
     market = state.market

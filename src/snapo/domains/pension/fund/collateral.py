@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..market.assets.asset_class import ratios
 from ..market.assets.swaps import swap_gains
 from ..market.bonds.payments import curve_prices
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 
 
 class Stress(NamedTuple):
@@ -35,7 +35,14 @@ class Stress(NamedTuple):
         return jnp.asarray(self.need @ notional - jnp.where(there >= 0, there, 0.0))
 
 
-def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
+def eligible(case: PensionModel) -> np.ndarray:
+    """[n] share of each class that counts as collateral."""
+    if case.derived is not None:
+        return case.derived.eligible
+    return np.array([class_.eligible for class_ in case.assets.classes])
+
+
+def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
     """The collateral after a `rise` of rates, 0.01 is 100 basis points."""
     overlay = case.overlay
     assert overlay is not None
@@ -46,12 +53,11 @@ def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
         years = steps * case.step * (real if linked else 1)
         return before(steps, linked) * jnp.exp(-rise * years)
 
-    eligible = np.array([class_.eligible for class_ in case.assets.classes])
-    return Stress(eligible * ratios(case, before, after), -swap_gains(case, before, after))
+    return Stress(eligible(case) * ratios(case, before, after), -swap_gains(case, before, after))
 
 
-def stressed(case: PensionCase, rise: ArrayLike) -> Stress:
-    """The same at the case's numbers, in 64 bits; for many rises [r] at once, [r, n] and
+def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
+    """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
     with jax.enable_x64(True):
         item = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
@@ -59,7 +65,7 @@ def stressed(case: PensionCase, rise: ArrayLike) -> Stress:
         return Stress(*map(np.asarray, result))
 
 
-def slope(case: PensionCase) -> np.ndarray:
+def slope(case: PensionModel) -> np.ndarray:
     """[b] d need / d rise at once: durations of the swaps, in years."""
     with jax.enable_x64(True):
         return np.asarray(jax.jacfwd(lambda x: stress(case, {}, x).need)(jnp.zeros(())))

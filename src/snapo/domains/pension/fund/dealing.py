@@ -12,27 +12,25 @@ from jaxtyping import Array, Float
 
 from snapo.problem.smooth import Constraints
 
-from ..records.assets import Assets
+from .terms import TradingLimits
 
 NEAR = 0.001  # of a weight, over which corners are rounded while training
 NONE = 1e-12  # of the assets: fewer purchases than this are none
 
 
 def dealt(
-    assets: Assets, step: float, requested: Array, now: Array, smooth: Constraints
+    cash: int, limits: TradingLimits, requested: Array, now: Array, smooth: Constraints
 ) -> Float[Array, " n"]:
     """The weights after trading, from those `now` [n] towards those `requested` [n]; both add up to
     1, and so do the result's."""
-    cash, count = assets.cash, len(assets.classes)
-    is_cash = np.arange(count) == cash
+    is_cash = np.arange(len(now)) == cash
     move = jnp.where(is_cash, 0.0, requested - now)
-    if assets.band is not None:
-        band = jnp.asarray(assets.band, move.dtype)
-        far = smooth.indicator(jnp.abs(move) - band, NEAR)
-        move = jnp.where(assets.band > 0, far * move, move)
-    if assets.max_sale is not None:
-        limited = np.isfinite(assets.max_sale)
-        maximum = jnp.asarray(np.where(limited, assets.max_sale, 0.0) * step, move.dtype) * now
+    if limits.band is not None:
+        far = smooth.indicator(jnp.abs(move) - limits.band, NEAR)
+        move = jnp.where(limits.band > 0, far * move, move)
+    if limits.max_sale is not None:
+        limited = jnp.isfinite(limits.max_sale)
+        maximum = jnp.where(limited, limits.max_sale, 0.0) * now
         move = jnp.where(limited, smooth.maximum(move, -maximum, NEAR), move)
     bought = jnp.sum(jnp.maximum(move, 0.0))
     free = now[cash] - requested[cash] - jnp.sum(jnp.minimum(move, 0.0))
@@ -41,8 +39,8 @@ def dealt(
     room = jnp.where(some, bought, 1.0)
     paid = smooth.clip(free, 0.0, room, NEAR) / room
     move = jnp.where(some & (move > 0), move * paid, move)
-    if assets.turnover is not None:
-        maximum = assets.turnover * step
+    if limits.turnover is not None:
+        maximum = limits.turnover
         turnover = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
         move = move * maximum / smooth.maximum(turnover, maximum, NEAR)
     return now + move - jnp.where(is_cash, jnp.sum(move), 0.0)

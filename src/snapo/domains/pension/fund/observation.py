@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 
 if TYPE_CHECKING:
     from .books import FundState
@@ -26,22 +25,22 @@ MIN_RATIO = 1e-3  # the logarithm's argument stays above this where assets are g
 class View(NamedTuple):
     """One path at the start of a step; `ratio` is the funding ratio F."""
 
-    case: PensionCase
+    case: PensionModel
     terms: "FundTerms"
     now: "Period"
     state: "FundState"
     ratio: Array
 
 
-def _one(case: PensionCase) -> int:
+def _one(case: PensionModel) -> int:
     return 1
 
 
-def _yes(case: PensionCase) -> bool:
+def _yes(case: PensionModel) -> bool:
     return True
 
 
-def _no(case: PensionCase) -> bool:
+def _no(case: PensionModel) -> bool:
     return False
 
 
@@ -54,27 +53,27 @@ class Feature:
     """
 
     see: Callable[[View], Any]
-    size: Callable[[PensionCase], int] = _one
-    usual: Callable[[PensionCase], bool] = _yes
+    size: Callable[[PensionModel], int] = _one
+    usual: Callable[[PensionModel], bool] = _yes
 
 
-def _generated(case: PensionCase) -> bool:
+def _generated(case: PensionModel) -> bool:
     return case.scenarios is None
 
 
-def _ready_made(case: PensionCase) -> bool:
+def _ready_made(case: PensionModel) -> bool:
     return case.scenarios is not None
 
 
-def _rate_count(case: PensionCase) -> int:
-    return case.rates.count() if case.scenarios is None else len(case.scenarios.tenor)
+def _rate_count(case: PensionModel) -> int:
+    return case.rates.count() if case.scenarios is None else len(case.scenarios.tenors)
 
 
 def _rates(view: View) -> Array:
     factors = view.state.market.factors
     if view.case.scenarios is not None:
         return factors / RATE
-    return factors[:-1] / scales(view.case)[:-1]
+    return factors[:-1] / view.terms.scales.factors[:-1]
 
 
 def _level(position: int) -> Callable[[View], Array]:
@@ -105,7 +104,7 @@ FEATURES: dict[str, Feature] = {
     "long_rate": Feature(_level(0), usual=_ready_made),
     "short_rate": Feature(_level(1), usual=_ready_made),
     "inflation": Feature(
-        lambda view: view.state.market.factors[-1] / scales(view.case)[-1],
+        lambda view: view.state.market.factors[-1] / view.terms.scales.factors[-1],
         lambda case: int(_generated(case)),
         _generated,
     ),
@@ -113,12 +112,12 @@ FEATURES: dict[str, Feature] = {
         lambda view: (view.state.market.log_price - view.state.log_price_last) / RATE
     ),
     "spreads": Feature(
-        lambda view: view.state.market.spread / spread_scales(view.case),
+        lambda view: view.state.market.spread / view.terms.scales.spread,
         lambda case: len(case.credit.names) if _generated(case) else 0,
         lambda case: bool(case.credit.names) and _generated(case),
     ),
     "mortality": Feature(
-        lambda view: view.state.market.mortality / mortality_scale(view.case),
+        lambda view: view.state.market.mortality / view.terms.scales.mortality,
         usual=lambda case: case.lee_carter is not None,
     ),
     "weights": Feature(lambda view: view.state.weights, lambda case: len(case.assets.classes)),
@@ -131,7 +130,7 @@ FEATURES: dict[str, Feature] = {
 }
 
 
-def slots(case: PensionCase) -> dict[str, slice]:
+def slots(case: PensionModel) -> dict[str, slice]:
     """The slice of each observed name in the observation."""
     slices, start = {}, 0
     for name in case.observation:
@@ -142,36 +141,9 @@ def slots(case: PensionCase) -> dict[str, slice]:
 
 
 def observe(
-    case: PensionCase, terms: "FundTerms", now: "Period", state: "FundState", ratio: Array
+    case: PensionModel, terms: "FundTerms", now: "Period", state: "FundState", ratio: Array
 ) -> Float[Array, " features"]:
     """The observation of one path at the start of a step; `ratio` is the funding ratio F."""
     view = View(case, terms, now, state, ratio)
     observed = [FEATURES[name] for name in case.observation if FEATURES[name].size(case)]
     return jnp.concatenate([jnp.reshape(feature.see(view), (-1,)) for feature in observed])
-
-
-def scales(case: PensionCase) -> np.ndarray:
-    """[g] standard deviation of each factor after ten years, from the case's numbers."""
-    rates, inflation = case.rates, case.inflation
-    a = np.append(rates.mean_reversion.used(), inflation.mean_reversion.used())
-    used = np.column_stack([rates.volatility.used(), inflation.volatility.used()]).mean(axis=0)
-    return _after_ten_years(used, a)
-
-
-def spread_scales(case: PensionCase) -> np.ndarray:
-    """[R] the same of ln(s / mean)."""
-    a, values = case.credit.mean_reversion.used(), case.credit.volatility
-    return _after_ten_years(values.used() if values.values.size else np.zeros(len(a)), a)
-
-
-def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:
-    """Standard deviation of mean-reverting factors; 1 where they do not move."""
-    deviation = volatility * np.sqrt(-np.expm1(-20 * mean_reversion) / (2 * mean_reversion))
-    return np.where(deviation > 0, deviation, 1.0)
-
-
-def mortality_scale(case: PensionCase) -> float:
-    """The same of Lee-Carter's k."""
-    if case.lee_carter is None:
-        return 1.0
-    return max(float(case.lee_carter.volatility.used()) * 10**0.5, 1e-9)

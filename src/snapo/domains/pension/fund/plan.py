@@ -8,7 +8,7 @@ from jaxtyping import Array
 from snapo.problem.smooth import Constraints
 
 from ..people.fixed_increases import due as increases_due
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.plan import PensionPlan
 from .contributions import CONTRIBUTIONS, ContributionDue
 from .increases import INCREASES, RATIO
@@ -75,7 +75,7 @@ def indexation(
     return granted, cut
 
 
-def indexation_flags(case: PensionCase) -> tuple[np.ndarray, np.ndarray]:
+def indexation_flags(case: PensionModel) -> tuple[np.ndarray, np.ndarray]:
     """(due, averaging), each [T], the same for all paths.
 
     `due`: 1 in the step that ends on the first of the calendar month of indexation, with yearly

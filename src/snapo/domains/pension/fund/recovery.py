@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..market.curve import log_bond
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 
 
-def log_discount(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> Array:
+def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
     """[n] ln of the discount factors of money at times `years` on the basis of the valuation."""
     basis = case.liability
     added = 0.0 if basis.basis == "risk-free" else -use(inputs, basis.rate) * years
@@ -27,7 +27,7 @@ def log_discount(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -
     return jnp.asarray(added)
 
 
-def annuity(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
+def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
     """Worth at each step of 1 a year until the end of its recovery period; None without level
     payments."""
     period = case.plan.contribution.level_steps

@@ -1,6 +1,5 @@
 """From the inputs of a pension case to the numbers that all its paths share."""
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -15,13 +14,13 @@ from ..market.dynamics import market_schedule
 from ..market.state import MarketSteps, MarketTerms, without_empty
 from ..people.liability import People, nodes, people
 from ..people.lpi import limited, log_growth, lpi
-from ..records.case import PensionCase
+from ..records.case import PensionModel, Scales
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .collateral import Stress, stress
 from .plan import indexation_flags
 from .recovery import annuity
-from .terms import PlanTerms, plan_terms
+from .terms import PlanTerms, TradingLimits, plan_terms, scales, trading_limits
 
 
 class Swaps(NamedTuple):
@@ -41,7 +40,8 @@ class Swaps(NamedTuple):
 
 class FundTerms(NamedTuple):
     """The numbers of the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
-    the people and `last_shape` [J] the curve at the horizon; `liability` its value now."""
+    the people and `last_shape` [J] the curve at the horizon; `liability` its value now. No
+    input moves `limits` and the features' `scales`."""
 
     market: MarketTerms
     plan: PlanTerms
@@ -51,6 +51,8 @@ class FundTerms(NamedTuple):
     cost: Array
     fee: Array
     swaps: Swaps | None
+    limits: TradingLimits
+    scales: Scales
     last: People
     last_shape: Array
 
@@ -70,7 +72,7 @@ class Period(NamedTuple):
     annuity: Array | None = None
 
 
-def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
+def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
     result = people(case, inputs, basis_log_bond(case, inputs))
@@ -90,6 +92,8 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         cost=use(inputs, assets.cost),
         fee=use(inputs, assets.fee) * case.step,
         swaps=_swaps(case, inputs, payment_nodes),
+        limits=trading_limits(assets, case.step),
+        scales=jax.tree.map(jnp.asarray, scales(case)),
         last=jax.tree.map(lambda leaf: leaf[-1], result),
         last_shape=shape[-1],
     )
@@ -108,7 +112,7 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     )
 
 
-def agreed(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
+def agreed(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
     """Payments agreed in money, by step; None without any."""
     plan = case.plan.contribution.schedule
     if plan is None:
@@ -116,7 +120,7 @@ def agreed(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | No
     return jnp.zeros(case.steps).at[plan.step.copy()].add(use(inputs, plan.amount))
 
 
-def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray) -> Swaps | None:
+def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray) -> Swaps | None:
     overlay = case.overlay
     if overlay is None:
         return None
@@ -139,7 +143,7 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
     )
 
 
-def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
+def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability`'s: payments that
@@ -147,9 +151,8 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     the options in it; under ready-made scenarios the curve
     comes with the path, and only the addition to it is left here.
     """
-    basis, count = case.liability, case.steps + round(PAYMENT_YEARS / case.step)
-    years = np.arange(count + 1) * case.step
-    added = jnp.zeros(count + 1)
+    basis, years = case.liability, payment_years(case)
+    added = jnp.zeros(len(years))
     if basis.basis != "risk-free":
         added = -added_rate(case, inputs, years) * years
     if limited(case):
@@ -164,7 +167,12 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     return result
 
 
-def added_rate(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> Array:
+def payment_years(case: PensionModel) -> np.ndarray:
+    """The times of payments, in years."""
+    return np.arange(case.steps + round(PAYMENT_YEARS / case.step) + 1) * case.step
+
+
+def added_rate(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
     """The continuous rate at which a basis discounts for `years`, beyond that of the curve.
 
     An annual spread s on an annual zero rate i is ln(1 + s / (1 + i)). The rates are those of the
@@ -175,12 +183,14 @@ def added_rate(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> 
         return rate * jnp.ones(len(years))
     if basis.basis == "fixed":
         return jnp.log1p(rate) * jnp.ones(len(years))
-    return jnp.log1p(rate * jnp.asarray(_annual_bond(case, tuple(years))))
+    derived = case.derived
+    if derived is None or derived.annual_bond is None:
+        return jnp.log1p(rate * jnp.asarray(annual_bond(case, years)))
+    return jnp.log1p(rate * jnp.asarray(derived.annual_bond[: len(years)]))
 
 
-@lru_cache(maxsize=4)
-def _annual_bond(case: PensionCase, years: tuple[float, ...]) -> np.ndarray:
-    """1 / (1 + annual zero rate) of the case's curve, at each of `years`."""
+def annual_bond(case: PensionModel, years: np.ndarray) -> np.ndarray:
+    """1 / (1 + annual zero rate) of the case's own curve, at each of `years`."""
     when = np.maximum(years, case.step)  # a payment now needs no rate
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
         return np.exp(np.asarray(log_bond(case.curve, {}, when)) / when)

@@ -7,9 +7,11 @@ and present values discount by the return of cash on the path until then.
 Signs: contributions are received, benefits, expenses and costs are paid; all are positive.
 """
 
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,12 +21,16 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..market.dynamics import move, noise_size
 from ..market.state import Move
-from ..people.lpi import limited
-from ..records.case import PensionCase
+from ..people.lpi import factor_width, limited
+from ..people.mortality import divided
+from ..records.case import DerivedNumbers, PensionCase, PensionModel
+from ..records.inputs import model_of
 from .books import MINIMUM, FundBalance, FundState, balance, opening
+from .collateral import eligible
 from .observation import observe
 from .plan import contribution, indexation
-from .schedule import FundTerms, Period, make_schedule
+from .schedule import FundTerms, Period, annual_bond, make_schedule, payment_years
+from .terms import scales
 from .trading import Holdings, drifted, trade
 
 # Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
@@ -91,30 +97,58 @@ class Happened(NamedTuple):
     cut: Array
 
 
-class PensionSimulator(Simulator):
-    """The fund of a case; see `snapo.domains.pension.records` for its terms."""
+def actions(case: PensionCase) -> Box:
+    """Weights, then the places of swaps in their ranges."""
+    assets, swaps = case.assets, np.zeros(case.buckets)
+    if not assets.short:
+        return Box(0.0, 1.0, len(assets.classes) + case.buckets)
+    low = np.concatenate([np.minimum(assets.low, 0.0), swaps])
+    return Box(low, np.concatenate([np.maximum(assets.high, 1.0), swaps + 1]), len(low))
 
-    case: PensionCase = eqx.field(static=True)
-    fully_observed = True  # its rules use more of the state, with a negligible effect
+
+def derived(case: PensionCase) -> DerivedNumbers:
+    """What a simulator has of the case's own numbers."""
+    basis = case.liability
+    spread = basis.annual and basis.basis == "spread"
+    return DerivedNumbers(
+        eligible(case),
+        scales(case),
+        np.asarray(factor_width(case)),
+        divided(case),
+        annual_bond(case, payment_years(case)) if spread else None,
+    )
+
+
+class PensionSimulator(Simulator):
+    """The fund of a case; see `snapo.domains.pension.records` for its terms.
+
+    It has no case: all in which two funds of one form differ is an array, or an input. What a step
+    reads of these is in the schedule.
+    """
+
+    model: PensionModel
+    action: Box = eqx.field(static=True)
+    fully_observed = True  # its rules see more, which moves too little to matter
+
+    @classmethod
+    def of(cls, case: PensionCase) -> Self:
+        """The fund of a case."""
+        model = model_of(case, derived(case))
+        return cls(model, actions(case))  # pyright: ignore[reportCallIssue]
+
+    def on_paths(self):
+        return replace(self, model=jax.tree.map(lambda leaf: None, self.model))
 
     @property
     def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.case.steps
-
-    @property
-    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        assets, swaps = self.case.assets, np.zeros(self.case.buckets)
-        if not assets.short:
-            return Box(0.0, 1.0, len(assets.classes) + self.case.buckets)
-        low = np.concatenate([np.minimum(assets.low, 0.0), swaps])
-        return Box(low, np.concatenate([np.maximum(assets.high, 1.0), swaps + 1]), len(low))
+        return self.model.steps
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return noise_size(self.case)
+        return noise_size(self.model)
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
-        return make_schedule(self.case, inputs)
+        return make_schedule(self.model, inputs)
 
     def initial(self, constants: FundTerms, noise) -> FundState:
         return opening(constants)
@@ -122,8 +156,8 @@ class PensionSimulator(Simulator):
     def observe(
         self, constants: FundTerms, now: Period, state: FundState
     ) -> Float[Array, " features"]:
-        books = balance(self.case, constants, now.people, now.shape, state)
-        return observe(self.case, constants, now, state, books.ratio)
+        books = balance(self.model, constants, now.people, now.shape, state)
+        return observe(self.model, constants, now, state, books.ratio)
 
     def step(self, constants: FundTerms, now: Period, state: FundState, action, noise, smooth):
         done = self.happen(constants, now, state, action, noise, smooth)
@@ -131,7 +165,7 @@ class PensionSimulator(Simulator):
 
     def happen(self, constants: FundTerms, now: Period, state: FundState, action, noise, smooth):
         """One step in all its parts: a `Happened`."""
-        case = self.case
+        case = self.model
         books = balance(case, constants, now.people, now.shape, state)
         flows = self._flows(constants, now, state, books, smooth)
         invested = state.assets + flows.net if self._in_advance else state.assets
@@ -144,7 +178,7 @@ class PensionSimulator(Simulator):
 
     @property
     def _in_advance(self) -> bool:
-        return self.case.plan.timing == "advance"
+        return self.model.plan.timing == "advance"
 
     def _flows(
         self, constants: FundTerms, now: Period, state: FundState, books, smooth
@@ -152,14 +186,14 @@ class PensionSimulator(Simulator):
         """Money received and paid; the rules look at the books before the step."""
         people, market = now.people, state.market
         received = contribution(
-            self.case.plan,
+            self.model.plan,
             constants.plan,
             assets=state.assets,
             liability=books.liability,
             normal_cost=books.accrual,
             payroll=people.payroll,
             wage=jnp.exp(market.log_wage),
-            step=self.case.step,
+            step=self.model.step,
             smooth=smooth,
             annuity=now.annuity,
         )
@@ -187,7 +221,7 @@ class PensionSimulator(Simulator):
             grown = jnp.exp(move.cash + move.swaps)
             rollout = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
             overlay = rollout / jnp.where(assets > minimum, assets, constants.assets)
-        weights = drifted(self.case.assets, held.weights * move.gross, growth)
+        weights = drifted(self.model.assets, held.weights * move.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
     def _outputs(self, constants: FundTerms, state: FundState, done: Happened, smooth):
@@ -210,21 +244,21 @@ class PensionSimulator(Simulator):
             "pv_cost": before * held.cost,
             "pv_accrual": before * books.accrual,
             "pv_indexation": self._indexation_value(before, books, state),
-            "shortfall_square": self.case.step * below**2,
-            "collateral_shortfall": self.case.step * held.collateral_shortfall / constants.assets,
+            "shortfall_square": self.model.step * below**2,
+            "collateral_shortfall": self.model.step * held.collateral_shortfall / constants.assets,
             "funding": books.ratio,
             "bound_excess": held.bound_excess,
         }
 
     def _indexed(self, constants: FundTerms, now: Period, state: FundState, books, market, smooth):
         """The state at the end of a step but for assets, and indexation granted and cut."""
-        rule = self.case.plan.indexation
+        rule = self.model.plan.indexation
         granted = cut = jnp.zeros_like(state.theta)
         ratio_sum = state.ratio_sum + now.averaging * books.ratio
         if rule.kind != "none" or rule.cut_years:
             growth = jnp.expm1(market.log_price - state.log_price_last)
             values = indexation(
-                self.case.plan, constants.plan, ratio=ratio_sum, price_growth=growth, smooth=smooth
+                self.model.plan, constants.plan, ratio=ratio_sum, price_growth=growth, smooth=smooth
             )
             granted, cut = (now.due * item for item in values)
         after = self.rights(now, state, market, granted, cut)
@@ -234,7 +268,7 @@ class PensionSimulator(Simulator):
         self, now: Period, state: FundState, market, granted: Array, cut: Array
     ) -> FundState:
         """The rights at the end of a step, after an indexation `granted` and `cut`."""
-        case, people = self.case, now.people
+        case, people = self.model, now.people
         theta, last, jump = state.theta, state.log_price_last, jnp.zeros_like(state.theta)
         rule = case.plan.indexation
         if rule.kind != "none" or rule.cut_years:
@@ -265,7 +299,7 @@ class PensionSimulator(Simulator):
         return discount * books.liability * -jnp.expm1(-state.jump)
 
     def terminal(self, constants: FundTerms, state: FundState, smooth):
-        books = balance(self.case, constants, constants.last, constants.last_shape, state)
+        books = balance(self.model, constants, constants.last, constants.last_shape, state)
         discount = jnp.exp(state.market.log_discount)
         surplus = state.assets - books.liability
         ratio = jnp.where(books.ratio > 1e-3, books.ratio, 1e-3)

@@ -31,10 +31,10 @@ def limit_unit(case: PensionCase) -> np.ndarray:
     payments nearest to each bucket."""
     if case.overlay is None or case.overlay.unit == "assets":
         return np.full(case.buckets, float(case.assets.amount.used()))
-    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(case)
     schedule = prepare(simulator, pension_inputs(case))
     terms, steps = schedule.constants, schedule.steps
     people = jax.tree.map(lambda rows: rows[0], steps.people)
     with jax.enable_x64(True):
-        books = balance(case, terms, people, steps.shape[0], opening(terms))
+        books = balance(simulator.model, terms, people, steps.shape[0], opening(terms))
         return np.asarray(terms.swaps.nearest @ books.by_node)

@@ -1,11 +1,14 @@
-"""The numbers of a plan's rules, from the inputs of a case."""
+"""The numbers of a plan's rules, from the inputs of a case; limits and scales, which none moves."""
 
 from typing import Any, NamedTuple
 
-from jaxtyping import Array
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
 from ..people.cash_flows import reserved
-from ..records.case import PensionCase
+from ..records.assets import Assets
+from ..records.case import PensionModel, Scales
 from ..records.inputs import use
 
 
@@ -34,7 +37,7 @@ class PlanTerms(NamedTuple):
     reserved: Array
 
 
-def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
+def plan_terms(case: PensionModel, inputs: dict[str, Any]) -> PlanTerms:
     """The numbers of a case's rules, from its inputs; zeros where a rule does not need one."""
     indexed, paid = case.plan.indexation, case.plan.contribution
     values = (
@@ -53,3 +56,61 @@ def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
         paid.sponsor_limit,
     )
     return PlanTerms(*(use(inputs, item) for item in values), reserved=reserved(case, inputs))
+
+
+class TradingLimits(NamedTuple):
+    """Limits of weights and of trading (see `records.assets.Assets`): of the classes [n], and
+    `group_low`, `group_high` of the groups [k]; `max_sale` and `turnover` are those of a step."""
+
+    low: Float[Array, " n"]
+    high: Float[Array, " n"]
+    group_low: Float[Array, " k"]
+    group_high: Float[Array, " k"]
+    max_sale: Float[Array, " n"] | None
+    band: Float[Array, " n"] | None
+    turnover: Array | None
+
+    @property
+    def dealing(self) -> bool:
+        """Whether trading has limits, in addition to those of the weights."""
+        return any(item is not None for item in (self.max_sale, self.band, self.turnover))
+
+
+def trading_limits(assets: Assets, step: float) -> TradingLimits:
+    """Those of a case."""
+    groups = [
+        jnp.array([getattr(group, side) for group in assets.groups], float)
+        for side in ("low", "high")
+    ]
+    return TradingLimits(
+        # Copies: JAX remembers an array of the case in the type it met first.
+        jnp.array(assets.low),
+        jnp.array(assets.high),
+        *groups,
+        max_sale=None if assets.max_sale is None else jnp.array(assets.max_sale) * step,
+        band=None if assets.band is None else jnp.array(assets.band),
+        turnover=None if assets.turnover is None else jnp.array(assets.turnover) * step,
+    )
+
+
+def scales(case: PensionModel) -> Scales:
+    """Of the case's own numbers, whatever its inputs are moved to."""
+    if case.derived is not None:
+        return case.derived.scales
+    rates, inflation, credit = case.rates, case.inflation, case.credit
+    a = np.append(rates.mean_reversion.used(), inflation.mean_reversion.used())
+    used = np.column_stack([rates.volatility.used(), inflation.volatility.used()]).mean(axis=0)
+    reverting, values = credit.mean_reversion.used(), credit.volatility
+    spread = values.used() if values.values.size else np.zeros(len(reverting))
+    mortality = 1.0
+    if case.lee_carter is not None:
+        mortality = max(float(case.lee_carter.volatility.used()) * 10**0.5, 1e-9)
+    return Scales(
+        _after_ten_years(used, a), _after_ten_years(spread, reverting), np.asarray(mortality)
+    )
+
+
+def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:
+    """Standard deviation of mean-reverting factors; 1 where they do not move."""
+    deviation = volatility * np.sqrt(-np.expm1(-20 * mean_reversion) / (2 * mean_reversion))
+    return np.where(deviation > 0, deviation, 1.0)

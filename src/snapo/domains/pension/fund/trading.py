@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..records.assets import Assets
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from .dealing import dealt
+from .terms import TradingLimits
 
 LEFT = 1e-3  # of the assets at the start of a step: with less at its end, they are gone
 SHARE = 0.01  # width over which the cost of a trade is rounded while training
@@ -34,21 +35,22 @@ class Holdings(NamedTuple):
     collateral_shortfall: Array
 
 
-def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> Holdings:
+def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> Holdings:
     """Moves from the holdings of `state` to the action's; `assets`: money to invest, `buckets` [b]
     value of the liability payments nearest to each swap."""
     count, cash = len(case.assets.classes), case.assets.cash
     others = action[:count] * (np.arange(count) != cash)
     requested = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
     weights = requested
-    if case.assets.dealing:
-        weights = dealt(case.assets, case.step, requested, state.weights, smooth)
+    limits = terms.limits
+    if limits.dealing:
+        weights = dealt(cash, limits, requested, state.weights, smooth)
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
     size = weights
     if case.assets.short:
         # A fee is paid on holdings of either sign.
         either = smooth.absolute(weights, SHARE)
-        size = jnp.where(np.asarray(case.assets.low) < 0, either, weights)
+        size = jnp.where(limits.low < 0, either, weights)
     cost = assets * (traded + jnp.sum(terms.fee * size))
     notional, short = None, jnp.zeros_like(assets)
     swaps = terms.swaps
@@ -60,7 +62,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         gap = swaps.stress.gap(assets * weights, notional)
         short = smooth.positive_part(gap, SHARE * terms.assets)
-    held = Holdings(weights, notional, cost, excess(case.assets, requested), short)
+    held = Holdings(weights, notional, cost, excess(case.assets, limits, requested), short)
     return _while_solvent(case.assets, held, assets) if case.assets.short else held
 
 
@@ -86,7 +88,7 @@ def drifted(classes: Assets, grown: Array, growth: Array) -> Float[Array, " n"]:
     return jnp.where(left, grown / jnp.where(left, growth, 1.0), alone)
 
 
-def _notional(case: PensionCase, swaps, action, assets, buckets, smooth) -> Float[Array, " b"]:
+def _notional(case: PensionModel, swaps, action, assets, buckets, smooth) -> Float[Array, " b"]:
     """Notionals within their ranges, scaled down together where leverage would exceed its limit."""
     share = swaps.low + action * (swaps.high - swaps.low)
     unit = assets
@@ -102,12 +104,11 @@ def _positive(x: Array, minimum: float) -> Array:
     return jnp.where(x > minimum, x, minimum)
 
 
-def excess(assets: Assets, weights: Array) -> Array:
+def excess(assets: Assets, limits: TradingLimits, weights: Array) -> Array:
     """The largest amount by which a weight or a group leaves its bounds."""
-    # In the type of the weights: JAX remembers an array of the case in the type it met first.
-    low, high = (jnp.asarray(item, weights.dtype) for item in (assets.low, assets.high))
-    largest = jnp.maximum(jnp.max(low - weights), jnp.max(weights - high))
-    for group in assets.groups:
-        total = sum(weights[i] for i in group.members)
-        largest = jnp.maximum(largest, jnp.maximum(group.low - total, total - group.high))
+    largest = jnp.maximum(jnp.max(limits.low - weights), jnp.max(weights - limits.high))
+    for i, group in enumerate(assets.groups):
+        total = sum(weights[j] for j in group.members)
+        over = jnp.maximum(limits.group_low[i] - total, total - limits.group_high[i])
+        largest = jnp.maximum(largest, over)
     return largest

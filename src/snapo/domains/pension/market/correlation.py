@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..records.assets import Assets
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 
 SMALLEST = 1e-6  # eigenvalue of a repaired matrix
@@ -22,7 +22,7 @@ ROUNDS = 500
 MORTALITY = ""  # the name of a motion that no case can correlate
 
 
-def brownians(case: PensionCase) -> tuple[str, ...]:
+def brownians(case: PensionModel) -> tuple[str, ...]:
     """The names of all Brownian motions, in order."""
     return all_names(case.rates.factors, case.credit.names, case.currencies.names, case.assets)
 
@@ -36,7 +36,7 @@ def all_names(
     return (*factors, *market, *ratings, *currencies, *local)
 
 
-def matrix(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "B B"]:
+def matrix(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "B B"]:
     """Instantaneous correlations; motions that the case does not name are independent."""
     names = brownians(case)
     position = [names.index(name) for name in case.correlation.names]

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 
 
@@ -19,7 +19,7 @@ class CurrencyTerms(NamedTuple):
     hedging: Array
 
 
-def currency_terms(case: PensionCase, inputs: dict[str, Any]) -> CurrencyTerms:
+def currency_terms(case: PensionModel, inputs: dict[str, Any]) -> CurrencyTerms:
     """The numbers of a case's currencies."""
     hedge = use(inputs, case.currencies.hedge_ratio)
     return CurrencyTerms(

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from .shocks import Slots, reach, slots
 
@@ -59,7 +59,7 @@ class Moments(NamedTuple):
     total: Array
 
 
-def factors(case: PensionCase, inputs: dict[str, Any]) -> MarketFactors:
+def factors(case: PensionModel, inputs: dict[str, Any]) -> MarketFactors:
     """Rates first, expected inflation last."""
     rates, inflation = case.rates, case.inflation
     both = [(rates.mean_reversion, inflation.mean_reversion)]
@@ -80,12 +80,12 @@ def factors(case: PensionCase, inputs: dict[str, Any]) -> MarketFactors:
     )
 
 
-def nominal(case: PensionCase) -> BondLoads:
+def nominal(case: PensionModel) -> BondLoads:
     """Bonds that pay money."""
     return BondLoads(np.append(np.ones(case.rates.count()), 0.0), jnp.zeros(case.steps))
 
 
-def real(case: PensionCase, inputs: dict[str, Any]) -> BondLoads:
+def real(case: PensionModel, inputs: dict[str, Any]) -> BondLoads:
     """Bonds that pay the price index."""
     return BondLoads(
         np.append(np.ones(case.rates.count()), -1.0), -use(inputs, case.inflation.index_volatility)
@@ -93,7 +93,7 @@ def real(case: PensionCase, inputs: dict[str, Any]) -> BondLoads:
 
 
 def moments(
-    case: PensionCase, factors: MarketFactors, bond: BondLoads, covariance: Float[Array, "Z Z"]
+    case: PensionModel, factors: MarketFactors, bond: BondLoads, covariance: Float[Array, "Z Z"]
 ) -> Moments:
     """One pass over the steps; see the formulas of `_grow`."""
     position = slots(case)

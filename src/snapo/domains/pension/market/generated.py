@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from .assets.appraisal import shown_now
 from .assets.returns import asset_schedule, returns
@@ -28,7 +28,7 @@ class PriceGrowth(NamedTuple):
 
 
 def growth(
-    case: PensionCase, inputs: dict[str, Any], factors: MarketFactors, shift: Array
+    case: PensionModel, inputs: dict[str, Any], factors: MarketFactors, shift: Array
 ) -> PriceGrowth:
     """`shift` [T] is that of nominal less that of real bonds: the break-even index, fitted.
 
@@ -62,7 +62,7 @@ def grow(price: Array, wage: Array, expected: Array, now, terms, position: Slots
 
 
 def generated_schedule(
-    case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray
+    case: PensionModel, inputs: dict[str, Any], nodes: np.ndarray
 ) -> tuple[MarketTerms, MarketSteps, Array]:
     """Terms, steps and the nodes' `shape` [T+1, J]; see `dynamics.market_schedule`."""
     together, both = covariance(case, inputs), factors(case, inputs)
@@ -106,7 +106,7 @@ def generated_schedule(
     return market, item, node_shape
 
 
-def _nodes(case: PensionCase, both, kinds, result, years: np.ndarray):
+def _nodes(case: PensionModel, both, kinds, result, years: np.ndarray):
     """`slope` [J, g] and `shape` [T+1, J] of the basis on which liabilities are valued."""
     which = 1 if case.liability.future_indexation == "full" else 0
     if case.liability.basis == "fixed":
@@ -115,13 +115,13 @@ def _nodes(case: PensionCase, both, kinds, result, years: np.ndarray):
     return slopes, shape(slopes, result[which])
 
 
-def _mortality_volatility(case: PensionCase, inputs: dict[str, Any]) -> Array:
+def _mortality_volatility(case: PensionModel, inputs: dict[str, Any]) -> Array:
     lee_carter = case.lee_carter
     return jnp.zeros(()) if lee_carter is None else use(inputs, lee_carter.volatility)
 
 
 def generated_move(
-    case: PensionCase, terms: MarketTerms, now: MarketSteps, market: Market, noise: Array
+    case: PensionModel, terms: MarketTerms, now: MarketSteps, market: Market, noise: Array
 ) -> Move:
     """The market over one step; `noise` [Z] independent normals."""
     position = slots(case)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .correlation import matrix
@@ -46,7 +46,7 @@ class PriceGrowth(NamedTuple):
     later: Array
 
 
-def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
+def price_growth(case: PensionModel, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
     """All moments, exact at every time of the grid; `today`: only at time 0, without the scan
     over the steps that the others need."""
     item, d = round(1 / case.step), case.step
@@ -89,7 +89,7 @@ def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False)
 class _Model:
     """The numbers of rates and inflation in a case, and their integrals."""
 
-    def __init__(self, case: PensionCase, inputs: dict[str, Any]):
+    def __init__(self, case: PensionModel, inputs: dict[str, Any]):
         self.case, self.inputs = case, inputs
         prices, count = case.inflation, case.rates.count()
         self.reversion = use(inputs, prices.mean_reversion)

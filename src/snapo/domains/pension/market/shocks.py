@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from .correlation import brownians, matrix
 
@@ -35,7 +35,7 @@ class Slots(NamedTuple):
     size: int
 
 
-def slots(case: PensionCase) -> Slots:
+def slots(case: PensionModel) -> Slots:
     """The places of a case's vector."""
     f = case.rates.count()
     rates = np.arange(f)
@@ -60,7 +60,7 @@ def reach(mean_reversion, years):
     return -jnp.expm1(-mean_reversion * years) / mean_reversion
 
 
-def covariance(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
+def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
     """Of the vector of one step, by Gauss-Legendre quadrature over the step."""
     position, brownian = slots(case), _brownian(case)
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
@@ -83,7 +83,7 @@ def factor(covariance: Float[Array, "Z Z"]) -> Float[Array, "Z Z"]:
     return scale[:, None] * jnp.linalg.cholesky(covariance / scale / scale[:, None])
 
 
-def _brownian(case: PensionCase) -> np.ndarray:
+def _brownian(case: PensionModel) -> np.ndarray:
     """[Z] which Brownian motion drives each component."""
     f = case.rates.count()
     rest = np.arange(f + 1, len(brownians(case)))

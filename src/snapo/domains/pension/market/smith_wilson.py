@@ -51,11 +51,12 @@ def log_bond(
 
 def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
     """The weights that meet the quotes `rate` [n]."""
-    weights, speed = _fitted(curve, rate, ultimate)
+    form = jax.tree.map(lambda leaf: None, curve)
+    weights, speed = _fitted(form, rate, ultimate)
     return CurveFit(_dates(curve), weights, speed)
 
 
-@partial(jax.jit, static_argnums=0)  # once for each curve: the search for a speed takes a second
+@partial(jax.jit, static_argnums=0)  # once for each form: the search for a speed takes a second
 def _fitted(curve: MarketCurve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     dates, flows = cash_flows(curve, rate)
     local = jnp.exp(-ultimate * dates)[:, None] * flows.T

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 
 
@@ -16,14 +16,14 @@ class SpreadTerms(NamedTuple):
     volatility: Array
 
 
-def spread_terms(case: PensionCase, inputs: dict[str, Any]) -> SpreadTerms:
+def spread_terms(case: PensionModel, inputs: dict[str, Any]) -> SpreadTerms:
     """The numbers of a case's ratings."""
     credit = case.credit
     fading = jnp.exp(-use(inputs, credit.mean_reversion) * case.step)
     return SpreadTerms(fading, use(inputs, credit.volatility))
 
 
-def spread_now(case: PensionCase, inputs: dict[str, Any]) -> Array | None:
+def spread_now(case: PensionModel, inputs: dict[str, Any]) -> Array | None:
     """[R] u today; None in a case without ratings."""
     if not case.credit.names:
         return None

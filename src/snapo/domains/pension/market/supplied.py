@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.market import SuppliedScenarios
 from .assets.swaps import fixed_legs
 from .bonds.strips import gain
@@ -16,7 +16,7 @@ from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
 
 def supplied_schedule(
-    case: PensionCase, scenarios: SuppliedScenarios, inputs: dict[str, Any], nodes: np.ndarray
+    case: PensionModel, scenarios: SuppliedScenarios, inputs: dict[str, Any], nodes: np.ndarray
 ) -> tuple[MarketTerms, MarketSteps, Array]:
     """Zero rates of the file take the factors' place: ln P(t, t+u) = -u z(u), linear in them."""
 
@@ -39,14 +39,14 @@ def supplied_schedule(
     return terms, steps, jnp.zeros((case.steps + 1, len(nodes)))
 
 
-def _swap_slope(case: PensionCase, slopes: Callable) -> Array:
+def _swap_slope(case: PensionModel, slopes: Callable) -> Array:
     """[2, J, k] slopes of the swaps' payments before and after a step."""
     due = fixed_legs(case).steps
     both = [slopes(steps * case.step) for steps in (due, due - 1)]
     return jnp.asarray(np.stack(both))
 
 
-def supplied_move(case: PensionCase, terms: MarketTerms, market: Market, noise: Array) -> Move:
+def supplied_move(case: PensionModel, terms: MarketTerms, market: Market, noise: Array) -> Move:
     """A step of a scenario file: returns, inflation, wage growth, zero rates at its end."""
     count = len(case.assets.classes)
     gross, zeros = 1 + noise[:count], noise[count + 2 :]

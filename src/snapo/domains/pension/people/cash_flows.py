@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
-from ..records.inputs import use
+from ..records.case import PensionModel
+from ..records.inputs import is_empty, use
 from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, FundMembers
 from .fixed_increases import grown, in_payment
 from .lives import Lives, drawing, entrants, joined, present, share_before, working
@@ -62,7 +62,7 @@ class Projection(NamedTuple):
     streams: Streams | None
 
 
-def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> Projection:
+def project(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> Projection:
     """Expected payments of a case; `log_bond` as in `liability.people` (given flows only)."""
     if case.cash_flows is not None:
         return _given(case, inputs, case.cash_flows, log_bond)
@@ -82,26 +82,26 @@ def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " 
     return Projection(accrued, fresh, payroll, streams)
 
 
-def reserved(case: PensionCase, inputs: dict[str, Any]) -> Array:
+def reserved(case: PensionModel, inputs: dict[str, Any]) -> Array:
     """What is set aside per value of a payment: one, and the loading for expenses."""
     loading = case.liability.loading
     return jnp.ones(()) if loading is None else 1 + use(inputs, loading)
 
 
-def horizon(case: PensionCase) -> int:
+def horizon(case: PensionModel) -> int:
     """The number N of steps whose payments are projected."""
     return case.steps + round(PAYMENT_YEARS / case.step)
 
 
 def _streams(
-    case: PensionCase, inputs: dict[str, Any], lives: Lives, status: np.ndarray
+    case: PensionModel, inputs: dict[str, Any], lives: Lives, status: np.ndarray
 ) -> Streams:
     plan, count, steps = case.plan, horizon(case), case.steps
     time, shift = np.arange(count), int(plan.timing == "arrears")
     drawn = drawing(case, lives, count)
     alive = lives.alive[:, shift : count + shift]
     growth = grown(case, inputs, lives, drawn)
-    local, paid = case.step * jnp.asarray(drawn) * alive, jnp.asarray(case.step)
+    local, paid = case.step * drawn * alive, jnp.asarray(case.step)
     rights = _accrual(case, inputs, lives)
     if growth is not None:
         local, paid = local * growth.member, paid * growth.payment
@@ -109,10 +109,10 @@ def _streams(
         rights = rights / growth.member[:, :steps]
     groups = np.arange(len(lives.age))
     one, none = np.ones(len(groups)), np.zeros(len(groups))
-    if not (plan.spouse_share.values.size and plan.married_share.values.size):
+    if is_empty(plan.spouse_share) or is_empty(plan.married_share):
         return Streams(local, lives.pension, rights, lives, groups, one, none)
-    insured = np.ones(len(groups), bool)
-    insured[: len(status)] = status != SPOUSE
+    entered = jnp.ones(len(groups) - len(status), bool)
+    insured = jnp.concatenate([jnp.asarray(status) != SPOUSE, entered])
     share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
     widowed = _partner_alive(case, inputs, lives)[:, shift : count + shift]
     widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * paid
@@ -156,7 +156,7 @@ def _left(alive: Array, ratio: Array, shift: int) -> Float[Array, "C N+1"]:
     return jnp.concatenate([jnp.zeros_like(total[:, :1]), total], axis=1)
 
 
-def _accrual(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Float[Array, "C T"]:
+def _accrual(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Float[Array, "C T"]:
     """Yearly pension that each step accrues per member of entry, who must be alive for it."""
     plan, steps = case.plan, case.steps
     if not plan.accruing:
@@ -164,10 +164,10 @@ def _accrual(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Float[A
     since = (np.arange(steps) - lives.entry[:, None]) * case.step
     counts = share_before(plan.max_service, lives.service[:, None] + since, case.step)
     rate = use(inputs, plan.accrual_rate) * case.step
-    return rate * lives.base[:, None] * np.minimum(working(case, lives, steps), counts)
+    return rate * lives.base[:, None] * jnp.minimum(working(case, lives, steps), counts)
 
 
-def _partner_alive(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
+def _partner_alive(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Array:
     """Survival of the spouses from the entry of the members, as `Lives.alive`."""
     count = horizon(case)
     sex, age = partner(case.plan, lives.sex, lives.age)
@@ -178,7 +178,7 @@ def _partner_alive(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> A
 
 
 def _payroll(
-    case: PensionCase, inputs: dict[str, Any], members: FundMembers, lives: Lives
+    case: PensionModel, inputs: dict[str, Any], members: FundMembers, lives: Lives
 ) -> Float[Array, " T+1"]:
     """Salaries per step at wages of time 0: as actives leave, or constant in an open plan."""
     steps = case.steps + 1
@@ -189,7 +189,7 @@ def _payroll(
 
 
 def _given(
-    case: PensionCase, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
+    case: PensionModel, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
 ) -> Projection:
     """The actuary's vector. The accrual of a step is paid like that vector, seen one step earlier.
 
@@ -201,7 +201,7 @@ def _given(
     growth = in_payment(case, inputs, count)
     payroll = jnp.full(steps + 1, use(inputs, flows.salary) * case.step)
     none = jnp.zeros((steps, count))
-    if not (case.plan.accruing and flows.normal_cost.values.size):
+    if not case.plan.accruing or is_empty(flows.normal_cost):
         return Projection(accrued * growth, none, payroll, None)
     shift = int(case.plan.timing == "arrears")
     discount = jnp.exp(log_bond[shift : count + shift])

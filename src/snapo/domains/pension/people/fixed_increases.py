@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from .lives import Lives
 
@@ -24,14 +24,14 @@ class GrownPensions(NamedTuple):
     payment: Array
 
 
-def due(case: PensionCase, count: int) -> np.ndarray:
+def due(case: PensionModel, count: int) -> np.ndarray:
     """[count] whether each step ends on the date of indexation; yearly steps always do."""
     if round(1 / case.step) == 1:
         return np.ones(count, bool)
     return (case.start_month + np.arange(count)) % 12 + 1 == case.plan.indexation.month
 
 
-def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
+def in_payment(case: PensionModel, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
     """[count] a pension in payment, grown, in each step; ones without fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
@@ -40,7 +40,7 @@ def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[A
 
 
 def grown(
-    case: PensionCase, inputs: dict[str, Any], lives: Lives, drawn: np.ndarray
+    case: PensionModel, inputs: dict[str, Any], lives: Lives, drawn: Array
 ) -> GrownPensions | None:
     """The growth of all rights; None where nothing grows by a fixed rate.
 
@@ -58,14 +58,14 @@ def grown(
     active, deferred = ((1 + use(inputs, rate)) ** dates for rate in (apart.active, apart.deferred))
     before = jnp.where(lives.earning[:, None], active, deferred)
     # The first step of payment; a pension that never begins waits to the end.
-    waits = drawn.shape[1] - np.count_nonzero(np.maximum.accumulate(drawn > 0, axis=1), axis=1)
-    first = np.minimum(waits, count - 1)
+    waits = count - jnp.sum(jnp.cumsum(drawn > 0, axis=1) > 0, axis=1)
+    first = jnp.minimum(waits, count - 1)
     started = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
     return GrownPensions(
         jnp.where(np.arange(count) < waits[:, None], before, started * payment), payment
     )
 
 
-def _dates(case: PensionCase, count: int) -> np.ndarray:
+def _dates(case: PensionModel, count: int) -> np.ndarray:
     """[count] how many dates of increase lie before each step."""
     return np.concatenate([[0], np.cumsum(due(case, count))[:-1]])

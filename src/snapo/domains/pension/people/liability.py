@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..records.case import LeeCarter, PensionCase
+from ..records.case import LeeCarter, PensionModel
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .cash_flows import Projection, Streams, horizon, project, reserved
@@ -35,7 +35,7 @@ class Longevity(NamedTuple):
 
 
 def longevity(
-    case: PensionCase, inputs: dict[str, Any], projection: Projection, log_bond: Float[Array, " H"]
+    case: PensionModel, inputs: dict[str, Any], projection: Projection, log_bond: Float[Array, " H"]
 ) -> Longevity | None:
     """The response at every time; None without a factor, or without members."""
     streams = projection.streams
@@ -60,7 +60,7 @@ def longevity(
 
 
 def _response(
-    case: PensionCase, inputs: dict[str, Any], factor: LeeCarter, streams: Streams
+    case: PensionModel, inputs: dict[str, Any], factor: LeeCarter, streams: Streams
 ) -> Float[Array, "K N+1"]:
     """Sum of b h over the lives of each stream from time 0 to each time."""
     lives, count = streams.lives, horizon(case)
@@ -116,7 +116,7 @@ def nodes(step: float) -> np.ndarray:
     return np.union1d([1, 3, 6, 18], years * item)
 
 
-def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
+def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
     """Cash flows as weights on nodes for every time.
 
     **Arguments:**
@@ -151,24 +151,24 @@ def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H
     )
 
 
-def ahead(case: PensionCase) -> np.ndarray:
+def ahead(case: PensionModel) -> np.ndarray:
     """Position [T+1, S] of the payments of steps t, t + 1, ... in a vector by step."""
     later = round(PAYMENT_YEARS / case.step)
     return np.arange(case.steps + 1)[:, None] + np.arange(later)
 
 
-def paid_at(case: PensionCase, step: np.ndarray) -> np.ndarray:
+def paid_at(case: PensionModel, step: np.ndarray) -> np.ndarray:
     """The time, in steps, at which the payment of a step is made."""
     return step + (case.plan.timing == "arrears")
 
 
-def forward_discount(case: PensionCase, log_bond: Array) -> Float[Array, "times S"]:
+def forward_discount(case: PensionModel, log_bond: Array) -> Float[Array, "times S"]:
     """P0(payment) / P0(t) [T+1, S] of the payments of steps t, t + 1, ..."""
     now = log_bond[: case.steps + 1, None]
     return jnp.exp(log_bond[paid_at(case, ahead(case))] - now)
 
 
-def on_nodes(case: PensionCase, flow: Array, discount: Array) -> Float[Array, "times J"]:
+def on_nodes(case: PensionModel, flow: Array, discount: Array) -> Float[Array, "times J"]:
     """Forward values on the nodes at every time, of payments [T+S] or, by time, [times, T+S]."""
     times = discount.shape[0]
     position = ahead(case)[:times]
@@ -176,7 +176,7 @@ def on_nodes(case: PensionCase, flow: Array, discount: Array) -> Float[Array, "t
     return (due * discount) @ jnp.asarray(_split(case))
 
 
-def _split(case: PensionCase) -> np.ndarray:
+def _split(case: PensionModel) -> np.ndarray:
     """The share [S, J] of each payment ahead that goes to each node; rows add up to 1."""
     grid = nodes(case.step)
     due = paid_at(case, np.arange(round(PAYMENT_YEARS / case.step)))
@@ -194,7 +194,7 @@ def _with_row(rows: Array) -> Array:
     return jnp.concatenate([rows, jnp.zeros_like(rows[:1])])
 
 
-def _mix(case: PensionCase, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
+def _mix(case: PensionModel, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
     """Value after step t of its accrual, over that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
@@ -203,7 +203,7 @@ def _mix(case: PensionCase, by_step: Array, fresh: Array, discount: Array) -> Fl
 
 
 def _outlook(
-    case: PensionCase,
+    case: PensionModel,
     deaths: Longevity | None,
     projection: Projection,
     fresh: Array,

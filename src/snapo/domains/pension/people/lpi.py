@@ -25,7 +25,7 @@ from jax.scipy.special import erf
 from jaxtyping import Array, Float
 
 from ..market.price_growth import PriceGrowth, price_growth
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 
@@ -53,7 +53,7 @@ class Lpi(NamedTuple):
     width: Array
 
 
-def limited(case: PensionCase) -> bool:
+def limited(case: PensionModel) -> bool:
     """Whether liabilities hold the options in limited increases."""
     return case.liability.future_indexation == "capped"
 
@@ -72,14 +72,14 @@ def expected(mean, deviation, floor, cap) -> tuple[Array, Array]:
     return jnp.log(value), inside / value
 
 
-def dates_before(case: PensionCase, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
+def dates_before(case: PensionModel, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
     """How many increases rights have had before a payment of `wait` steps later, `first` being the
     steps to the first date."""
     item = round(1 / case.step)
     return np.where(wait >= first, 1 + (wait - first) // item, 0)
 
 
-def log_growth(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
+def log_growth(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the expected growth of rights until each payment at time s * step, seen today, under
     the payment's measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
     result, none = price_growth(case, inputs, today=True), jnp.zeros(1)
@@ -89,13 +89,13 @@ def log_growth(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
     return complete[dates_before(case, result.first[:1], _waits(case, _times(case)))]
 
 
-def lpi(case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
+def lpi(case: PensionModel, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
     """The numbers that all paths share; `nodes` [J] whole steps to a payment."""
     result, observed = price_growth(case, inputs), log_growth(case, inputs)
     points = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     to_chebyshev = np.cos(np.arange(DEGREE + 1)[:, None] * np.arccos(points)) * 2 / len(points)
     to_chebyshev[0] /= 2
-    width = _width(case)
+    width = factor_width(case)
     _, _, later, joint = _parts(case, inputs, result, jnp.asarray(width * points))
     times = np.arange(case.steps + 1)
     dates = dates_before(case, result.first[:, None], _waits(case, nodes))
@@ -136,7 +136,7 @@ def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " 
     return now.later @ basis + now.started * (first + slope * (now.joint @ basis))
 
 
-def _parts(case: PensionCase, inputs: dict[str, Any], result: PriceGrowth, factor: Array):
+def _parts(case: PensionModel, inputs: dict[str, Any], result: PriceGrowth, factor: Array):
     """[T+1, points, N] or [.., 1]: ln E X_1, d_1, and by the number of dates the later dates' part
     and the part that goes with d_1, at values of the factor [points]."""
     rule = case.plan.indexation
@@ -154,16 +154,18 @@ def _parts(case: PensionCase, inputs: dict[str, Any], result: PriceGrowth, facto
     return log[..., :1], slope[..., :1], later, joint
 
 
-def _width(case: PensionCase) -> float:
+def factor_width(case: PensionModel) -> Any:
     """`WIDE` deviations of the factor in the long run; no input moves it."""
+    if case.derived is not None:
+        return case.derived.width
     spread = case.inflation.volatility.used()[0] / np.sqrt(2 * case.inflation.mean_reversion.used())
     return float(WIDE * max(spread, 1e-4))
 
 
-def _times(case: PensionCase) -> np.ndarray:
+def _times(case: PensionModel) -> np.ndarray:
     return np.arange(case.steps + round(PAYMENT_YEARS / case.step) + 1)
 
 
-def _waits(case: PensionCase, at: np.ndarray) -> np.ndarray:
+def _waits(case: PensionModel, at: np.ndarray) -> np.ndarray:
     """Steps until the step whose payment is made `at` this many steps from now."""
     return at - (case.plan.timing == "arrears")

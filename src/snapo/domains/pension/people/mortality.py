@@ -7,7 +7,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from ..records.people import FEMALE, SLOPE_AGES, Mortality
 from ..records.plan import PensionPlan
@@ -16,7 +16,7 @@ CERTAIN = 50.0  # the hazard of a year that no one survives: exp(-50) is 2e-22
 TINY = 1e-9  # of a year: closer to a birthday than this is the birthday
 
 
-def hazard(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
+def hazard(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
     """-ln(1 - q) of a whole year from each birthday, before multipliers and improvement.
 
     A death probability of 1 is a hazard of `CERTAIN`, without a gradient.
@@ -47,16 +47,25 @@ def _hazard(q: Array) -> Array:
     return jnp.where(mortal, -jnp.log1p(-jnp.where(mortal, q, 0.0)), CERTAIN)
 
 
-def rounded_age(plan: PensionPlan, age: np.ndarray) -> np.ndarray:
+def rounded_age(plan: PensionPlan, age: ArrayLike) -> Array:
     """Ages at time 0 as the valuation counts them."""
     if plan.age_basis == "exact":
-        return np.asarray(age, float)
-    return np.floor(np.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
+        return jnp.asarray(age, float)
+    return jnp.floor(jnp.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
 
 
-def partner(plan: PensionPlan, sex: np.ndarray, age: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def divided(case: PensionModel) -> bool:
+    """Whether birthdays lie within steps: of members, their spouses, or who takes their place."""
+    members = case.members if case.plan.age_basis == "exact" else None
+    ages = [] if members is None else members.age
+    steps = np.append(ages, case.plan.entry_age if case.plan.open else 0.0) / case.step
+    return bool(np.any(np.abs(steps - np.round(steps)) * case.step > TINY))
+
+
+def partner(plan: PensionPlan, sex: ArrayLike, age: Array) -> tuple[Array, Array]:
     """Sex and age of the spouse: the other sex, wives being younger by `spouse_age_gap`."""
-    gap = np.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
+    sex = jnp.asarray(sex)
+    gap = jnp.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
     return 1 - sex, age + gap
 
 
@@ -76,7 +85,7 @@ class Yearly(NamedTuple):
 
 
 def yearly(
-    case: PensionCase, inputs: dict[str, Any], sex: np.ndarray, age: np.ndarray, year: np.ndarray
+    case: PensionModel, inputs: dict[str, Any], sex: ArrayLike, age: ArrayLike, year: np.ndarray
 ) -> Yearly:
     """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside it use its
     ends."""
@@ -91,10 +100,10 @@ def yearly(
 
 
 def step_hazards(
-    case: PensionCase,
+    case: PensionModel,
     inputs: dict[str, Any],
-    sex: np.ndarray,
-    age: np.ndarray,
+    sex: ArrayLike,
+    age: ArrayLike,
     steps: int,
     loading: Array | None = None,
     factor: Array | None = None,
@@ -110,34 +119,32 @@ def step_hazards(
     - `factor`: [C] on the death probabilities of each cohort; None: ones.
     """
     time = np.arange(steps) * case.step
-    since_birth = np.asarray(age, float)[:, None] + time
-    complete = np.floor(since_birth + TINY)
-    start = np.maximum(since_birth - complete, 0.0)
-    start = np.where(start < TINY, 0.0, start)
+    since_birth = jnp.asarray(age, float)[:, None] + time
+    complete = jnp.floor(since_birth + TINY)
+    start = jnp.maximum(since_birth - complete, 0.0)
+    start = jnp.where(start < TINY, 0.0, start)
     end = start + case.step
-    end = np.where(np.abs(end - 1) < TINY, 1.0, end)
+    end = jnp.where(jnp.abs(end - 1) < TINY, 1.0, end)
     year = np.floor(time + TINY)
     total, local = jnp.zeros(complete.shape), 1.0 if factor is None else factor[:, None]
-    parts = (
-        (complete, start, np.minimum(end, 1.0)),
-        (complete + 1, 0 * start, np.maximum(end - 1, 0.0)),
-    )
+    parts = [(complete, start, jnp.minimum(end, 1.0))]
+    if case.derived is None or case.derived.divided:
+        parts.append((complete + 1, 0 * start, jnp.maximum(end - 1, 0.0)))
+    sex = jnp.asarray(sex)[:, None]
     for birthday, first, last in parts:
-        if np.all(last <= first):
-            continue
-        rate = yearly(case, inputs, sex[:, None], birthday, year).hazard(local)
+        rate = yearly(case, inputs, sex, birthday, year).hazard(local)
         part = _within(case.plan, rate, last) - _within(case.plan, rate, first)
         if loading is not None:
-            part = part * loading.ravel()[_place(_mortality(case), sex[:, None], birthday)]
+            part = part * loading.ravel()[_place(_mortality(case), sex, birthday)]
         total = total + part
     return total
 
 
 def log_survival(
-    case: PensionCase,
+    case: PensionModel,
     inputs: dict[str, Any],
-    sex: np.ndarray,
-    age: np.ndarray,
+    sex: ArrayLike,
+    age: ArrayLike,
     steps: int,
     factor: Array | None = None,
 ) -> Float[Array, "C steps+1"]:
@@ -150,21 +157,22 @@ def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:
     return jnp.concatenate([jnp.zeros_like(by_step[:, :1]), jnp.cumsum(by_step, axis=1)], axis=1)
 
 
-def _within(plan: PensionPlan, rate: Array, until: np.ndarray) -> Array:
+def _within(plan: PensionPlan, rate: Array, until: Array) -> Array:
     """Hazard from the birthday to a fraction `until` of the year, all of it being `rate`."""
     if plan.fractional_ages == "constant-force":
         return rate * until
     inside = until < 1
     q = -jnp.expm1(-rate)
-    return jnp.where(inside, -jnp.log1p(-np.where(inside, until, 0.0) * q), rate)
+    return jnp.where(inside, -jnp.log1p(-jnp.where(inside, until, 0.0) * q), rate)
 
 
-def _place(mortality: Mortality, sex: np.ndarray, age: np.ndarray) -> np.ndarray:
-    within = np.clip(np.asarray(age).astype(int) - mortality.first_age, 0, mortality.ages - 1)
+def _place(mortality: Mortality, sex: ArrayLike, age: ArrayLike) -> Array:
+    sex = jnp.asarray(sex)
+    within = jnp.clip(jnp.asarray(age).astype(int) - mortality.first_age, 0, mortality.ages - 1)
     return sex * mortality.ages + within
 
 
-def _mortality(case: PensionCase) -> Mortality:
+def _mortality(case: PensionModel) -> Mortality:
     if case.mortality is None:
         raise ValueError("mortality: a case of cash flows without members has none.")
     return case.mortality

@@ -1,5 +1,7 @@
 """Actions within all limits: weights within bounds and groups, swaps backed by collateral."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,13 +32,17 @@ class AllocationLimits(Policy):
 
     low: Frozen
     high: Frozen
-    groups: tuple = eqx.field(static=True)
+    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    group_low: Frozen
+    group_high: Frozen
     cover: "Cover | None"
 
     def __init__(self, case: PensionCase):
         assets, overlay = case.assets, case.overlay
         self.low, self.high = Frozen(assets.low), Frozen(assets.high)
-        self.groups = tuple((group.members, group.low, group.high) for group in assets.groups)
+        self.groups = tuple(group.members for group in assets.groups)
+        self.group_low = Frozen(np.array([float(group.low) for group in assets.groups]))
+        self.group_high = Frozen(np.array([float(group.high) for group in assets.groups]))
         self.cover = None
         if overlay is not None and overlay.unit == "assets":
             after = stressed(case, float(overlay.collateral_stress.used()))
@@ -51,13 +57,18 @@ class AllocationLimits(Policy):
     def weights(self, logits: Array, smooth) -> Float[Array, " n"]:
         """Weights within bounds and groups."""
         low, high = (jnp.asarray(item.array, logits.dtype) for item in (self.low, self.high))
-        return smooth.simplex(logits, low, high, self.groups)
+        return smooth.simplex(logits, low, high, self._bounded(logits.dtype))
+
+    def _bounded(self, kind: Any) -> list[tuple[tuple[int, ...], Array, Array]]:
+        """The members and the bounds of each group."""
+        low, high = (jnp.asarray(x.array, kind) for x in (self.group_low, self.group_high))
+        return [(members, low[i], high[i]) for i, members in enumerate(self.groups)]
 
     def nearest(self, weights: Array, smooth) -> Float[Array, " n"]:
         """Weights within the limits from weights that may leave them: these, where they do not."""
         low, high = (jnp.asarray(item.array, weights.dtype) for item in (self.low, self.high))
         logits = _logit(_inside(weights, low, high))
-        for members, minimum, maximum in self.groups:
+        for members, minimum, maximum in self._bounded(weights.dtype):
             of = np.array(members)
             floor = jnp.maximum(jnp.sum(low[of]), minimum)
             cap = jnp.minimum(jnp.sum(high[of]), maximum)

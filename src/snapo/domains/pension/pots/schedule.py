@@ -14,7 +14,7 @@ from ..market.state import log_factor
 from ..people.cash_flows import horizon, project
 from ..people.liability import forward_discount, on_nodes
 from ..people.lives import Lives, drawing, working
-from ..records.case import PensionCase
+from ..records.case import PensionModel
 from ..records.inputs import use
 from ..records.pots import Pots
 from .sharing import Reserve
@@ -35,7 +35,7 @@ class Cohorts(NamedTuple):
     drawing: Array
 
 
-def cohorts(case: PensionCase, inputs: dict[str, Any], log_bond: Array) -> Cohorts:
+def cohorts(case: PensionModel, inputs: dict[str, Any], log_bond: Array) -> Cohorts:
     """The cohorts of a case; `log_bond` as in `people.liability.people`."""
     streams = project(case, inputs, log_bond).streams
     assert streams is not None
@@ -54,7 +54,7 @@ def cohorts(case: PensionCase, inputs: dict[str, Any], log_bond: Array) -> Cohor
     )
 
 
-def _payroll(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
+def _payroll(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Array:
     members, steps = case.members, case.steps + 1
     assert members is not None
     item = use(inputs, members.number) * use(inputs, members.salary)
@@ -103,13 +103,13 @@ class PotPeriod(NamedTuple):
     unwound: Array
 
 
-def pots_of(case: PensionCase) -> Pots:
+def pots_of(case: PensionModel) -> Pots:
     """The pots of a case that has them."""
     assert case.pots is not None
     return case.pots
 
 
-def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
+def pot_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     fund, values = make_schedule(case, inputs), pots_of(case)
     terms, steps = fund.constants, fund.steps

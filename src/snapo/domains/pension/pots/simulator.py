@@ -57,7 +57,7 @@ class PotSimulator(PensionSimulator):
     """The fund of a case with `[pots]`; see `snapo.domains.pension.records.pots`."""
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
-        return pot_schedule(self.case, inputs)
+        return pot_schedule(self.model, inputs)
 
     def initial(self, constants: PotTerms, noise) -> PotState:  # pyright: ignore
         fund, none = opening(constants.fund), jnp.zeros_like(constants.start_reserve)
@@ -67,8 +67,8 @@ class PotSimulator(PensionSimulator):
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
         """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""
         terms, fund = constants.fund, state.fund
-        books = balance(self.case, terms, now.fund.people, now.fund.shape, fund)
-        observed = observe(self.case, terms, now.fund, fund, books.ratio)
+        books = balance(self.model, terms, now.fund.people, now.fund.shape, fund)
+        observed = observe(self.model, terms, now.fund, fund, books.ratio)
         level = self._level(
             constants, state.pots, annuity_values(terms, now.value, now.fund.shape, fund.market)
         )
@@ -77,7 +77,7 @@ class PotSimulator(PensionSimulator):
         return jnp.concatenate([observed, level, held[None]])
 
     def step(self, constants: PotTerms, now: PotPeriod, state: PotState, action, noise, smooth):  # pyright: ignore
-        case, terms, fund = self.case, constants.fund, state.fund
+        case, terms, fund = self.model, constants.fund, state.fund
         books = balance(case, terms, now.fund.people, now.fund.shape, fund)
         factor = jnp.exp(log_factor(terms.market, now.fund.shape, fund.market))
         annuity = now.value @ factor
@@ -103,14 +103,14 @@ class PotSimulator(PensionSimulator):
         """Contributions by salary, less the reserve's part; pensions and expenses out of pots."""
         people, market = now.fund.people, state.fund.market
         received = contribution(
-            self.case.plan,
+            self.model.plan,
             constants.fund.plan,
             assets=state.fund.assets,
             liability=books.liability,
             normal_cost=books.accrual,
             payroll=people.payroll,
             wage=jnp.exp(market.log_wage),
-            step=self.case.step,
+            step=self.model.step,
             smooth=smooth,
         )
         # Without anybody at work there is no one whose pot a contribution could go to.
@@ -191,7 +191,7 @@ class PotSimulator(PensionSimulator):
         level = state.level / constants.level
         mean = jnp.sum(level * constants.pots) / jnp.sum(constants.pots)
         assets = jnp.where(state.fund.assets > 0, state.fund.assets, constants.assets)
-        by_cohort = {name: level[i] for i, name in enumerate(pensions(self.case.members))}
+        by_cohort = {name: level[i] for i, name in enumerate(pensions(self.model.members))}
         return terminal | {"pension": mean, "reserve": state.reserve / assets} | by_cohort
 
     def slack(self, constants: PotTerms, now: PotPeriod, state: PotState, outputs):  # pyright: ignore

@@ -86,7 +86,7 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
     if convergence <= last:
         raise section.error("convergence", convergence, f"it must lie beyond the tenor {last:g}")
     complete = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
-    curve = replace(curve, tenor=complete, speed=table.speed, convergence=convergence)
+    curve = replace(curve, tenors=complete, speed=table.speed, convergence=convergence)
     _possible(section, table, curve)
     return curve
 
@@ -138,7 +138,7 @@ def quotes(
     if table.ultimate is not None:
         far = _continuous(table.ultimate) if annual else table.ultimate
     return MarketCurve(
-        tenor=tenor,
+        tenors=tenor,
         rate=rates,
         quote=QUOTES.get(column, "zero"),
         extrapolation=table.extrapolation,

@@ -115,7 +115,7 @@ def read_overlay(
 
     notional = replace(NOTIONAL, unit=grid.currency)
     return Overlay(
-        maturity=np.array(maturity, np.int64),
+        maturities=np.array(maturity, np.int64),
         notional=notional.from_rows("overlay_notional", rows, labels),
         low=low,
         high=high,

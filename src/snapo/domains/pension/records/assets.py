@@ -3,9 +3,12 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
+
+from .market import as_tuple
 
 AttributionPart = Literal["cash", "rates", "credit", "assets"]
 
@@ -43,19 +46,17 @@ class AssetRow:
     eligible: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class AssetGroup:
+class AssetGroup(eqx.Module):
     """The classes `members` (positions) together weigh between `low` and `high`."""
 
-    name: str
-    members: tuple[int, ...]
+    name: str = eqx.field(static=True)
+    members: tuple[int, ...] = eqx.field(static=True)
     low: float
     high: float
 
 
-@dataclass(frozen=True, eq=False)
-class Assets:
-    """The asset classes; n is their number, m those with a separate shock (`shocks`).
+class Assets(eqx.Module):
+    """The asset classes; n is their number, m those with a shock of their own (`shocks`).
 
     - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": the whole return,
       including that of cash. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
@@ -72,16 +73,17 @@ class Assets:
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
       half the sum of all changes of weights per year. None where no class has a limit.
+    - `short`: whether a weight may be negative, so that the assets may be lost more than once.
     - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """
 
-    classes: tuple[AssetRow, ...]
-    return_kind: Literal["excess", "total"]
-    mean_kind: Literal["geometric", "arithmetic", "log"]
+    classes: tuple[AssetRow, ...] = eqx.field(static=True)
+    return_kind: Literal["excess", "total"] = eqx.field(static=True)
+    mean_kind: Literal["geometric", "arithmetic", "log"] = eqx.field(static=True)
     mean: CaseInput
     volatility: CaseInput
     smoothing: CaseInput
-    smoothed: np.ndarray
+    smoothed: tuple[int, ...] = eqx.field(static=True, converter=as_tuple)
     cost: CaseInput
     fee: CaseInput
     weight: CaseInput
@@ -92,17 +94,11 @@ class Assets:
     max_sale: np.ndarray | None = None
     band: np.ndarray | None = None
     turnover: float | None = None
-    risk: tuple[str, ...] = ()
+    risk: tuple[str, ...] = eqx.field(static=True, default=())
+    short: bool = eqx.field(static=True, init=False)
 
-    @property
-    def dealing(self) -> bool:
-        """Whether trading has limits."""
-        return any(item is not None for item in (self.max_sale, self.band, self.turnover))
-
-    @property
-    def short(self) -> bool:
-        """Whether a weight may be negative, so that the assets may be lost more than once."""
-        return bool((np.asarray(self.low) < 0).any())
+    def __post_init__(self):
+        self.short = bool((np.asarray(self.low) < 0).any())
 
     @property
     def cash(self) -> int:
@@ -115,15 +111,14 @@ class Assets:
         return tuple(i for i, class_ in enumerate(self.classes) if class_.own_shock)
 
 
-@dataclass(frozen=True, eq=False)
-class Overlay:
+class Overlay(eqx.Module):
     """Receiver swaps by tenor bucket; b buckets.
 
     - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
       receive the growth of prices); the others are of rates, at par but for those at the positions
       `zero_coupon`.
-    - `maturity`: [b] whole steps, rising among swaps of rates and of inflation. `notional`: money,
-      the value of the fixed leg when the swap is struck, index [b].
+    - `maturities`: [b] whole steps, rising among swaps of rates and of inflation. `notional`:
+      money, the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of the liability
       payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].
@@ -131,16 +126,21 @@ class Overlay:
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
     """
 
-    maturity: np.ndarray
+    maturities: tuple[int, ...] = eqx.field(static=True, converter=as_tuple)
     notional: CaseInput
     low: np.ndarray
     high: np.ndarray
-    unit: Literal["assets", "liability"]
+    unit: Literal["assets", "liability"] = eqx.field(static=True)
     leverage: CaseInput
     cost: CaseInput
     collateral_stress: CaseInput
-    inflation: int = 0
-    zero_coupon: tuple[int, ...] = ()
+    inflation: int = eqx.field(static=True, default=0)
+    zero_coupon: tuple[int, ...] = eqx.field(static=True, default=())
+
+    @property
+    def maturity(self) -> np.ndarray:
+        """[b] the same as an array."""
+        return np.array(self.maturities, int)
 
     @property
     def at_par(self) -> np.ndarray:

@@ -10,7 +10,10 @@ NumPy arrays, integers and names have no gradient.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
 
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
@@ -45,28 +48,50 @@ class Frontier:
     level: float
 
 
-@dataclass(frozen=True, eq=False)
-class PensionCase:
-    """A pension case.
+class Scales(NamedTuple):
+    """Standard deviations after ten years, 1 where nothing moves: of the `factors` [g], of ln(s /
+    mean) of a `spread` [R], and of Lee-Carter's k."""
+
+    factors: np.ndarray
+    spread: np.ndarray
+    mortality: np.ndarray
+
+
+class DerivedNumbers(eqx.Module):
+    """Numbers that follow from a case's own ones, whatever its inputs are moved to.
+
+    - `eligible`: [n] share of each class that counts as collateral.
+    - `scales`: of the features (see `fund.observation`).
+    - `width`: of the factor of expected inflation (see `people.lpi`).
+    - `divided`: whether birthdays lie within steps (see `people.mortality`).
+    - `annual_bond`: 1 / (1 + annual zero rate) by step (see `fund.schedule`); None without need.
+    """
+
+    eligible: np.ndarray
+    scales: Scales
+    width: np.ndarray
+    divided: bool = eqx.field(static=True)
+    annual_bond: np.ndarray | None
+
+
+class PensionModel(eqx.Module):
+    """A fund, its markets and its people: all that its paths depend on.
+
+    A case has all of it, with the numbers. A simulator has it `of` a case, without the numbers of
+    inputs, and with every other number as an array.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots instead of promised rights; None where these are promised.
-    - `held`: names of `CaseInput`s that are no inputs. `notes`: remarks for the user.
-    - `slips`: names of numbers that one of the notes supposes to be in another unit.
-    - `parts`: names of those parts of a run that are wanted, () for all.
+    - `derived`: of a simulator.
     """
 
-    file: Path
-    title: str
-    currency: str
-    valuation_date: str
-    step: float
-    steps: int
-    start_month: int
-    measure: Literal["P", "Q"]
+    step: float = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    start_month: int = eqx.field(static=True)
+    measure: Literal["P", "Q"] = eqx.field(static=True)
     curve: MarketCurve
     rates: "ShortRate"
     inflation: Inflation
@@ -81,21 +106,10 @@ class PensionCase:
     cash_flows: CashFlows | None
     plan: PensionPlan
     liability: Liability
-    reconcile: Reconcile | None
     scenarios: SuppliedScenarios | None
-    observation: tuple[str, ...]
-    hidden: tuple[int, ...]
-    objective: tuple[ObjectiveTerm, ...]
-    training: TrainingTable
-    evaluation: EvaluationTable
-    frontier: Frontier | None = None
-    regulation: Regulation | None = None
-    funding: Funding | None = None
-    pots: Pots | None = None
-    held: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    slips: tuple[str, ...] = ()
-    parts: tuple[str, ...] = ()
+    observation: tuple[str, ...] = eqx.field(static=True)
+    pots: Pots | None = eqx.field(default=None, kw_only=True)
+    derived: DerivedNumbers | None = eqx.field(default=None, kw_only=True)
 
     @property
     def risk_neutral(self) -> bool:
@@ -104,4 +118,37 @@ class PensionCase:
     @property
     def buckets(self) -> int:
         """The number of overlay buckets."""
-        return 0 if self.overlay is None else len(self.overlay.maturity)
+        return 0 if self.overlay is None else len(self.overlay.maturities)
+
+
+class PensionCase(PensionModel):
+    """A pension case.
+
+    - `held`: names of `CaseInput`s that are no inputs. `notes`: remarks for the user.
+    - `slips`: names of numbers that one of the notes supposes to be in another unit.
+    - `parts`: names of those parts of a run that are wanted, () for all.
+    """
+
+    file: Path = eqx.field(kw_only=True)
+    title: str = eqx.field(kw_only=True)
+    currency: str = eqx.field(kw_only=True)
+    valuation_date: str = eqx.field(kw_only=True)
+    reconcile: Reconcile | None = eqx.field(kw_only=True)
+    hidden: tuple[int, ...] = eqx.field(kw_only=True)
+    objective: tuple[ObjectiveTerm, ...] = eqx.field(kw_only=True)
+    training: TrainingTable = eqx.field(kw_only=True)
+    evaluation: EvaluationTable = eqx.field(kw_only=True)
+    frontier: Frontier | None = None
+    regulation: Regulation | None = None
+    funding: Funding | None = None
+    held: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    slips: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+    # One case is equal to itself only.
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return id(self)

@@ -1,16 +1,20 @@
 """Every number of a pension case that has a gradient, as `Input`s under the case's names."""
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.form import Use, formed
 from snapo.problem.inputs import Input
 
-from .case import PensionCase
+from .case import DerivedNumbers, PensionCase, PensionModel
 
 
 def pension_inputs(case: PensionCase) -> dict[str, Input]:
@@ -35,8 +39,52 @@ def every_given(record: Any) -> Iterator[CaseInput]:
             yield from every_given(value)
 
 
-def use(inputs: dict[str, Any], values: CaseInput) -> Array:
-    """The numbers where they are used: input or number held fixed, at `given.index`."""
+def model_of(case: PensionCase, derived: DerivedNumbers) -> PensionModel:
+    """The model as a simulator has it: cases of one form differ in its arrays only."""
+    parts: dict[str, Any] = {x.name: getattr(case, x.name) for x in fields(PensionModel)}
+    parts["derived"] = derived
+    # What no path depends on.
+    bare = [replace(item, eligible=0.0) for item in case.assets.classes]
+    parts["assets"] = replace(case.assets, classes=tuple(bare), risk=())
+    parts["currencies"] = replace(case.currencies, emerging=())
+    if case.scenarios is not None:
+        parts["scenarios"] = replace(case.scenarios, training=None, evaluation=None)
+    if case.pots is not None:
+        parts["pots"] = replace(case.pots, rules=None)
+    elif case.members is not None:
+        parts["members"] = replace(case.members, names=())
+
+    def settled(leaf: Any) -> Any:
+        if isinstance(leaf, CaseInput):
+            held = leaf.name in case.held and leaf.values.size
+            return Held(leaf.use(), leaf.values) if held else leaf
+        return np.asarray(leaf)
+
+    return formed(jax.tree.map(settled, PensionModel(**parts)))
+
+
+class Held(eqx.Module):
+    """Numbers of a case that are no input, in a simulator."""
+
+    position: Use
+    values: np.ndarray
+
+    def __call__(self, inputs: dict[str, Any]) -> Array:
+        """The numbers where they are used; those of an input of this name, where there is one."""
+        return self.position({self.position.name: self.values} | inputs)
+
+
+def use(inputs: dict[str, Any], values: CaseInput | Use | Held) -> Array:
+    """The numbers where they are used: input or number held fixed."""
+    if isinstance(values, Use | Held):
+        return values(inputs)
     if not values.values.size:
         return jnp.zeros(values.index.shape)
     return jnp.asarray(inputs.get(values.name, values.values))[values.index]
+
+
+def is_empty(values: CaseInput | Use | Held) -> bool:
+    """Whether a case has no such numbers."""
+    if isinstance(values, Held):
+        return False
+    return not (values.size if isinstance(values, Use) else values.values.size)

@@ -1,18 +1,22 @@
 """Markets as resolved data; conventions as in `records.case`."""
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class MarketCurve:
+def as_tuple(values: Any) -> tuple:
+    """An array as a static field."""
+    return tuple(np.asarray(values).tolist())
+
+
+class MarketCurve(eqx.Module):
     """Nominal zero curve, or break-evens of the same form (then rates are of inflation).
 
-    - `tenor`: [n] nodes in years, strictly rising, above zero.
+    - `tenors`: [n] nodes in years, strictly rising, above zero.
     - `rate`: [n], index [n], continuous, unit "1/year", labels "10y". Quote "zero": zero rates,
       linear between nodes, flat before the first. Quote "forward": the forward rate of the
       interval that ends at the node, constant in it. Quote "swap": rates of par swaps that pay
@@ -24,17 +28,21 @@ class MarketCurve:
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
-    tenor: np.ndarray
+    tenors: tuple[float, ...] = eqx.field(static=True, converter=as_tuple)
     rate: CaseInput
-    quote: Literal["zero", "forward", "swap"]
-    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"]
+    quote: Literal["zero", "forward", "swap"] = eqx.field(static=True)
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = eqx.field(static=True)
     ultimate: CaseInput
-    speed: float | None = 0.1
-    convergence: float = 60.0
+    speed: float | None = eqx.field(static=True, default=0.1)
+    convergence: float = eqx.field(static=True, default=60.0)
+
+    @property
+    def tenor(self) -> np.ndarray:
+        """[n] the same as an array."""
+        return np.array(self.tenors, float)
 
 
-@dataclass(frozen=True, eq=False)
-class Inflation:
+class Inflation(eqx.Module):
     """Expected inflation p + phi_p(t) fitted to break-evens, realised prices, and wages.
 
     dp = -k p dt + s(t) (dW + lambda dt); d ln I = (phi_p + p) dt + s_I(t) (dW_I + lambda_I dt);
@@ -55,8 +63,7 @@ class Inflation:
     wage_volatility: CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class Credit:
+class Credit(eqx.Module):
     """Spreads by rating; R is the number of ratings (0 allowed). u = ln(s / mean) is an OU process.
 
     - `names`: [R]. `spread` (now), `mean_spread` (both above 0), `mean_reversion`, `volatility`
@@ -64,7 +71,7 @@ class Credit:
       proportion to the spread): index [R]. Carry and loss count under "P" only.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     spread: CaseInput
     mean_spread: CaseInput
     mean_reversion: CaseInput
@@ -72,8 +79,7 @@ class Credit:
     default_loss: CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class Currencies:
+class Currencies(eqx.Module):
     """Foreign currencies; X is their number (0 allowed).
 
     - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
@@ -81,17 +87,16 @@ class Currencies:
       year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     volatility: CaseInput
     premium: CaseInput
     hedge_ratio: CaseInput
     hedge_cost: CaseInput
-    emerging: tuple[bool, ...] = ()
+    emerging: tuple[bool, ...] = eqx.field(static=True, default=())
 
 
-@dataclass(frozen=True, eq=False)
-class Correlation:
-    """Instantaneous correlations: positive definite, repaired if the case requests it.
+class Correlation(eqx.Module):
+    """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
 
     - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
       ratings, currencies, and classes with a separate shock. Others, and mortality, are
@@ -100,22 +105,26 @@ class Correlation:
     - `repaired`: the largest change of an entry, 0 where nothing was repaired.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     lower: CaseInput
     repaired: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class SuppliedScenarios:
+class SuppliedScenarios(eqx.Module):
     """Ready-made scenarios instead of the generator: two different sets of paths.
 
     - `training`, `evaluation`: [paths, T, K], over step t (returns, growth) or at its end (zeros).
     - `columns`: [K] "return CLASS" for every class (simple, of the step), then "inflation" and
-      "wage" (log growth of the step), then "zero TENOR" (continuous) for each of `tenor`.
-    - `tenor`: [k] years, rising; zero rates are linear between them and flat outside.
+      "wage" (log growth of the step), then "zero TENOR" (continuous) for each of `tenors`.
+    - `tenors`: [k] years, rising; zero rates are linear between them and flat outside.
     """
 
     training: np.ndarray
     evaluation: np.ndarray
-    columns: tuple[str, ...]
-    tenor: np.ndarray
+    columns: tuple[str, ...] = eqx.field(static=True)
+    tenors: tuple[float, ...] = eqx.field(static=True, converter=as_tuple)
+
+    @property
+    def tenor(self) -> np.ndarray:
+        """[k] the same as an array."""
+        return np.array(self.tenors, float)

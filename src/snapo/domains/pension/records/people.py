@@ -3,9 +3,9 @@
 C is the number of cohorts, S the number of steps until the last payment (`PAYMENT_YEARS` years).
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
@@ -16,8 +16,7 @@ PAYMENT_YEARS = 100
 SLOPE_AGES = 20  # the oldest of a table, whose slope closes it
 
 
-@dataclass(frozen=True, eq=False)
-class Mortality:
+class Mortality(eqx.Module):
     """Death probabilities of a year by sex and age, with yearly improvement.
 
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
@@ -35,9 +34,9 @@ class Mortality:
     - `since`: years of improvement from the table's year to time 0.
     """
 
-    kind: Literal["table", "gompertz-makeham"]
-    first_age: int
-    ages: int
+    kind: Literal["table", "gompertz-makeham"] = eqx.field(static=True)
+    first_age: int = eqx.field(static=True)
+    ages: int = eqx.field(static=True)
     table: CaseInput
     gompertz: CaseInput
     multiplier: CaseInput
@@ -45,8 +44,7 @@ class Mortality:
     since: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class LeeCarter:
+class LeeCarter(eqx.Module):
     """ln hazard(x, t) moves by b(x) k(t), k a random walk from 0 with no drift.
 
     The drift belongs to `Mortality.improvement`.
@@ -58,8 +56,7 @@ class LeeCarter:
     loading: CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class FundMembers:
+class FundMembers(eqx.Module):
     """Cohorts of a table; every array has length C.
 
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
@@ -70,7 +67,7 @@ class FundMembers:
     - `mortality`: factor on the members' q, index [C]; None where the table has none.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
     status: np.ndarray
     sex: np.ndarray
     age: np.ndarray
@@ -81,8 +78,7 @@ class FundMembers:
     mortality: CaseInput | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class CashFlows:
+class CashFlows(eqx.Module):
     """The actuary's vector of expected nominal payments, where that is all there is.
 
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.

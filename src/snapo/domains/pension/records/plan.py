@@ -1,15 +1,14 @@
 """Rules of a scheme and how its promises are valued; conventions as in `records.case`."""
 
-from dataclasses import dataclass
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class Indexation:
+class Indexation(eqx.Module):
     """Increases once a year in calendar month `month`: of pensions in payment, and of all other
     rights equally where the plan has no `Revaluation`.
 
@@ -23,20 +22,19 @@ class Indexation:
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """
 
-    kind: Literal["none", "fixed", "full", "capped", "conditional"]
-    month: int
-    averaging: int
+    kind: Literal["none", "fixed", "full", "capped", "conditional"] = eqx.field(static=True)
+    month: int = eqx.field(static=True)
+    averaging: int = eqx.field(static=True)
     cap: CaseInput
     floor: CaseInput
     lower_ratio: CaseInput
     upper_ratio: CaseInput
     required_ratio: CaseInput
-    cut_years: int
+    cut_years: int = eqx.field(static=True)
     rate: CaseInput | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Revaluation:
+class Revaluation(eqx.Module):
     """Increases of rights before payment, by fixed rates on the dates of `Indexation`: `deferred`
     of deferred members until their pension begins, `active` of actives in service. Index []."""
 
@@ -44,8 +42,7 @@ class Revaluation:
     active: CaseInput
 
 
-@dataclass(frozen=True, eq=False)
-class CashPlan:
+class CashPlan(eqx.Module):
     """Payments agreed in money, such as a recovery plan's.
 
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
@@ -55,8 +52,7 @@ class CashPlan:
     step: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Contribution:
+class Contribution(eqx.Module):
     """The payment of each step; C = normal cost + recovery, then limits, and then `schedule`.
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
@@ -70,8 +66,8 @@ class Contribution:
     - `schedule`: paid in addition, without limits; None where the case has none.
     """
 
-    kind: Literal["none", "fixed", "normal-cost", "spread", "target"]
-    normal_cost: Literal["valuation", "rate"]
+    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = eqx.field(static=True)
+    normal_cost: Literal["valuation", "rate"] = eqx.field(static=True)
     rate: CaseInput
     loading: CaseInput
     spread_factor: CaseInput
@@ -80,15 +76,14 @@ class Contribution:
     floor: CaseInput
     cap: CaseInput
     sponsor_limit: CaseInput
-    has_floor: bool
-    has_cap: bool
-    has_sponsor_limit: bool
+    has_floor: bool = eqx.field(static=True)
+    has_cap: bool = eqx.field(static=True)
+    has_sponsor_limit: bool = eqx.field(static=True)
     schedule: CashPlan | None = None
-    level_steps: int | None = None
+    level_steps: int | None = eqx.field(static=True, default=None)
 
 
-@dataclass(frozen=True, eq=False)
-class PensionPlan:
+class PensionPlan(eqx.Module):
     """Terms of the scheme: a pension of career average.
 
     - `revaluation`: of rights before payment; None: they grow as pensions in payment do.
@@ -108,17 +103,17 @@ class PensionPlan:
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """
 
-    timing: Literal["advance", "arrears"]
+    timing: Literal["advance", "arrears"] = eqx.field(static=True)
     retirement_age: float
     accrual_rate: CaseInput
     offset: CaseInput
     spouse_share: CaseInput
     married_share: CaseInput
     spouse_age_gap: int
-    age_basis: Literal["nearest", "last", "exact"]
-    fractional_ages: Literal["constant-force", "uniform"]
-    open: bool
-    accruing: bool
+    age_basis: Literal["nearest", "last", "exact"] = eqx.field(static=True)
+    fractional_ages: Literal["constant-force", "uniform"] = eqx.field(static=True)
+    open: bool = eqx.field(static=True)
+    accruing: bool = eqx.field(static=True)
     entry_age: float
     max_service: float
     expenses: CaseInput
@@ -127,8 +122,7 @@ class PensionPlan:
     revaluation: Revaluation | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Liability:
+class Liability(eqx.Module):
     """How payments are valued at any time.
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
@@ -140,16 +134,15 @@ class Liability:
       the cap and the floor of the plan's indexation, as the options they are (`people.lpi`).
     """
 
-    basis: Literal["risk-free", "spread", "fixed"]
+    basis: Literal["risk-free", "spread", "fixed"] = eqx.field(static=True)
     rate: CaseInput
-    future_indexation: Literal["none", "full", "capped"]
-    annual: bool = False
+    future_indexation: Literal["none", "full", "capped"] = eqx.field(static=True)
+    annual: bool = eqx.field(static=True, default=False)
     loading: CaseInput | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Reconcile:
-    """The actuary's figures; None where not given. `tolerance` is relative."""
+class Reconcile(eqx.Module):
+    """The actuary's own figures; None where not given. `tolerance` is relative."""
 
     liability: float | None
     duration: float | None

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import equinox as eqx
+
 from snapo.case.given import CaseInput
 
 
@@ -20,8 +22,7 @@ class PotRules:
     from_excess_return: float
 
 
-@dataclass(frozen=True, eq=False)
-class Pots:
+class Pots(eqx.Module):
     """Personal pots instead of rights; C cohorts, shares as fractions.
 
     - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.

@@ -1,5 +1,6 @@
 """A pension case made ready to solve: its problem, policy and engines; its measure of success."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -11,13 +12,13 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources, Supplied
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.study.ready import at_values, engines_for
+from snapo.study.ready import engines_for
 from snapo.study.study import Setup, StudyRun
 
 from ..fund.simulator import PensionSimulator
 from ..policies.network import new_policy
 from ..pots.simulator import PotSimulator
-from ..records.case import PensionCase
+from ..records.case import PensionCase, PensionModel
 from ..records.inputs import pension_inputs
 from ..records.market import SuppliedScenarios
 
@@ -45,8 +46,8 @@ PENSION = OutcomeMeasure(
 )
 
 
-def outcome_measure(case: PensionCase) -> OutcomeMeasure:
-    """The funding ratio; without promised rights the mean pension over that of today."""
+def outcome_measure(case: PensionModel) -> OutcomeMeasure:
+    """The funding ratio; the mean pension over that of today where nothing is promised."""
     return FUNDING if case.pots is None else PENSION
 
 
@@ -61,23 +62,24 @@ def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     problem = Problem(simulator, pension_inputs(case), objective_of(case), sources)
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
-    return Setup(problem, policy, training, evaluation, engines)
+    return Setup(problem, policy, training, evaluation, engines, case=case)
 
 
 def simulator_of(case: PensionCase) -> PensionSimulator:
     """The fund of a case: of promised rights, or of personal pots."""
     kind = PensionSimulator if case.pots is None else PotSimulator
-    return kind(case)  # pyright: ignore[reportCallIssue]
+    return kind.of(case)
 
 
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
-    Nothing is compiled where the fund takes these numbers from its inputs only.
+    Nothing is compiled where the case has the same form.
     """
-    other = simulator_of(case)
-    values = {name: inputs.value for name, inputs in pension_inputs(case).items()}
-    return at_values(setup, other, values, lambda: make_setup(case, engine))
+    problem = replace(setup.problem, simulator=simulator_of(case), inputs=pension_inputs(case))
+    if problem.form != setup.problem.form:
+        return make_setup(case, engine)
+    return setup._replace(problem=problem, case=case)
 
 
 def case_of(run: StudyRun) -> PensionCase:
@@ -87,7 +89,8 @@ def case_of(run: StudyRun) -> PensionCase:
 
 def case_in(setup: Setup) -> PensionCase:
     """The case of a problem that was set up."""
-    return setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
+    assert isinstance(setup.case, PensionCase)
+    return setup.case
 
 
 def objective_of(case: PensionCase) -> Objective:

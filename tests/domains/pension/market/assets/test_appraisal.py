@@ -20,7 +20,7 @@ def test_a_smoothed_class_is_simulated_in_both_precisions(engine):
     """The positions of the appraised classes are an array of the case, which JAX remembers."""
     one = full(2)
     assert len(one.assets.smoothed)
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = prepare(simulator, pension_inputs(one))
     draws = Pseudo(1).draws(np.arange(8), simulator)
     policy, totals = ConstantMix(one), []

@@ -50,7 +50,7 @@ def with_linked(measure="P"):
 
 def moved(one, t, noise):
     """A step of the market for a few paths, with the state before it."""
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
         schedule = simulator.prepare(plain(pension_inputs(one)))
         terms = schedule.constants.market
@@ -60,7 +60,7 @@ def moved(one, t, noise):
 
 
 def draws(one, paths):
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     return np.random.default_rng(3).standard_normal((paths, simulator.noise_size))
 
 
@@ -118,7 +118,7 @@ def test_its_variance_is_that_of_the_closed_form():
         return (u - 2 * (1 - np.exp(-a * u)) / a + (1 - np.exp(-2 * a * u)) / (2 * a)) / a**2
 
     one = single(True, measure="Q")
-    found = moved(one, 0, np.zeros((1, PensionSimulator(one).noise_size)))  # pyright: ignore
+    found = moved(one, 0, np.zeros((1, PensionSimulator.of(one).noise_size)))
     variance = S**2 * (squared(A, 10) - squared(A, 9))
     variance += SP**2 * (squared(K, 10) - squared(K, 9)) + SI**2
     over = np.log(found.gross[0, 1]) - found.cash[0]
@@ -127,7 +127,7 @@ def test_its_variance_is_that_of_the_closed_form():
 
 def relative(one, inputs, noise):
     """ln(F' / F) after one step with all in the bond."""
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = simulator.prepare(inputs)
     now = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
     state = simulator.initial(schedule.constants, None)
@@ -186,7 +186,7 @@ def test_its_derivatives_are_those_of_differences(measure):
     one = replace(one, overlay=replace(one.overlay, inflation=1))
     start = plain(pension_inputs(one))
     (noise,) = draws(one, 1)
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
 
     def value(given_):
         schedule = simulator.prepare(given_)
@@ -222,7 +222,7 @@ def test_a_swap_of_inflation_earns_the_index_linked_bond_less_the_nominal_one():
     one = with_linked("P")
     assert one.overlay is not None
     # The first is a zero-coupon swap of rates, the second of inflation.
-    overlay = replace(one.overlay, maturity=np.array([MONTHS] * 2), inflation=1, zero_coupon=(0,))
+    overlay = replace(one.overlay, maturities=np.array([MONTHS] * 2), inflation=1, zero_coupon=(0,))
     one = replace(one, overlay=overlay)
     after = moved(one, 0, draws(one, 16))
     nominal, swap = np.exp(after.swaps[:, 0]), np.expm1(after.swaps[:, 1])
@@ -261,7 +261,7 @@ def test_the_ladders_of_a_matched_index_linked_fund_cancel_at_every_node():
 
 def rolled(one, inputs, noise):
     """ln(F' / F) after some steps, in each of which all is in the bond that matches."""
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     schedule = simulator.prepare(inputs)
     state = simulator.initial(schedule.constants, None)
     for t in range(one.steps):
@@ -285,7 +285,7 @@ def test_a_fund_that_rolls_matched_bonds_feels_nothing_over_several_steps():
         rates=rates(years, A, S, -0.1),
         inflation=inflation(years, break_even, volatility=SP, index=SI, price=0.05),
     )
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     noise = np.random.default_rng(5).standard_normal((8, years, simulator.noise_size))
     with jax.enable_x64(True):
         inputs = {name: jnp.asarray(each) for name, each in plain(pension_inputs(one)).items()}

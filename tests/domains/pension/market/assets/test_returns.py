@@ -19,7 +19,7 @@ STEPS, PATHS = 6, 2**16
 
 def step(case, t, noise, market=None):
     """One step of the market for many paths: `noise` [N, Z]."""
-    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(case)
     with jax.enable_x64(True):
         schedule = simulator.prepare(plain(pension_inputs(case)))
         terms = schedule.constants.market
@@ -30,7 +30,7 @@ def step(case, t, noise, market=None):
 
 
 def draws(case, paths=PATHS, seed=0):
-    size = PensionSimulator(case).noise_size  # pyright: ignore[reportCallIssue]
+    size = PensionSimulator.of(case).noise_size
     half = np.random.default_rng(seed).standard_normal((paths // 2, size))
     return np.concatenate([half, -half])
 
@@ -129,7 +129,7 @@ def test_credit_earns_its_spread_less_defaults_in_the_real_world():
         rates=replace(base.rates, volatility=zero(base.rates.volatility)),
         credit=replace(base.credit, volatility=zero(base.credit.volatility), spread=at_mean),
     )
-    moved, _ = step(still, 0, np.zeros((1, PensionSimulator(still).noise_size)))  # pyright: ignore
+    moved, _ = step(still, 0, np.zeros((1, PensionSimulator.of(still).noise_size)))
     over = np.log(moved.gross[0]) - moved.cash[0]
     assert over[5] == pytest.approx((0.01 - 0.001) / 12, abs=1e-15)
     assert over[4] == pytest.approx(0.0, abs=1e-15)

@@ -41,7 +41,7 @@ def fund(measure="Q"):
         Bond("Zero", maturity=120),
     ]
     swaps = Overlay(
-        maturity=np.array([60, 120, 240]),
+        maturities=np.array([60, 120, 240]),
         notional=given("overlay_notional", [30.0, 20.0, 10.0]),
         low=np.zeros(3),
         high=np.ones(3),
@@ -120,7 +120,7 @@ def grown(years, coupon, before, after):
 def test_a_step_earns_what_the_prices_of_all_payments_do():
     """Two steps, so that the second one begins on a path's own curve."""
     one = fund()
-    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    simulator = PensionSimulator.of(one)
     noise = 3 * np.random.default_rng(2).standard_normal((2, simulator.noise_size))
     with jax.enable_x64(True):
         schedule = simulator.prepare(plain(pension_inputs(one)))
@@ -182,7 +182,7 @@ def test_a_zero_coupon_swap_moves_by_more_than_a_par_swap():
         for zero_coupon in ((), (0,)):
             swaps = replace(
                 one.overlay,
-                maturity=np.array([12 * years]),
+                maturities=np.array([12 * years]),
                 notional=given("overlay_notional", [1.0]),
                 zero_coupon=zero_coupon,
             )

@@ -1,6 +1,5 @@
 """A third factor of the short rate is one class: everything else follows from its names."""
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import jax
@@ -18,7 +17,6 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 
 
-@dataclass(frozen=True, eq=False)
 class G3(ShortRate):
     """Three factors."""
 

@@ -26,7 +26,7 @@ def test_a_par_swap_of_the_missing_duration_hedges_in_full():
         flows=cash_flows([1200 * 1.03**15], [14]),
         curve=curve("zero_rate", [1.0, 30.0], [np.log(1.03)] * 2),
         overlay=Overlay(
-            maturity=np.array([20]),
+            maturities=np.array([20]),
             notional=given("overlay_notional", [815.7]),
             low=np.zeros(1),
             high=np.ones(1),

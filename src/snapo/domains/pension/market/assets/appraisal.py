@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 
 
-def shown_now(case: PensionCase) -> Array | None:
+def shown_now(case: PensionModel) -> Array | None:
     """[q] the last returns that appraisals have shown; None in a case without any."""
     count = len(case.assets.smoothed)
     return jnp.zeros(count) if count else None
 
 
 def appraised(
-    case: PensionCase, smoothing: Array, log: Float[Array, " n"], displayed: Array | None
+    case: PensionModel, smoothing: Array, log: Float[Array, " n"], displayed: Array | None
 ) -> tuple[Float[Array, " n"], Array | None]:
     """Log returns as shown, and the next `displayed`; `smoothing` [q] is a."""
     if displayed is None:

@@ -18,7 +18,7 @@ from snapo.case.csv import Row
 
 from ...read.cells import position
 from ...records.assets import AssetRow
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ...records.regulation import RISKS
 from ..bonds.payments import Payments, Prices, curve_prices, ratio
 from ..currencies import CurrencyTerms
@@ -47,7 +47,7 @@ class AssetNames(NamedTuple):
 class Scene(NamedTuple):
     """The sources from which all kinds prepare their returns; `moments` of nominal bonds."""
 
-    case: PensionCase
+    case: PensionModel
     inputs: dict[str, Any]
     factors: MarketFactors
     covariance: Float[Array, "Z Z"]
@@ -103,30 +103,30 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def log_return(
-        cls, case: PensionCase, positions: Sequence[int], terms: Any, steps: Any, now: Now
+        cls, case: PensionModel, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> Float[Array, " k"]:
         """Log returns of these classes over a step; `terms`, `steps` are those of `prepare`."""
 
     @classmethod
     @abstractmethod
-    def payments(cls, case: PensionCase, positions: Sequence[int]) -> Payments | None:
+    def payments(cls, case: PensionModel, positions: Sequence[int]) -> Payments | None:
         """The payments by which these classes follow the curve; None where they do not."""
 
     @classmethod
-    def ratings(cls, case: PensionCase, positions: Sequence[int]) -> np.ndarray:
+    def ratings(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:
         """[k] positions of the ratings whose spreads count in their prices, -1 for none."""
         return np.full(len(positions), -1)
 
     @classmethod
     def mixture(
-        cls, case: PensionCase, positions: Sequence[int], terms: Any, steps: Any, now: Now
+        cls, case: PensionModel, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> AssetMixture | None:
         """The bonds beneath these classes where their log returns are not Gaussian; else None."""
         return None
 
     @classmethod
     def ratio(
-        cls, case: PensionCase, positions: Sequence[int], before: Prices, after: Prices
+        cls, case: PensionModel, positions: Sequence[int], before: Prices, after: Prices
     ) -> Float[Array, " k"]:
         """Values over those before, when prices of payments go from `before` to `after`."""
         due = cls.payments(case, positions)
@@ -134,7 +134,7 @@ class AssetClass(AssetRow, ABC):
 
     @classmethod
     def log_price(
-        cls, case: PensionCase, inputs: dict[str, Any], positions: Sequence[int]
+        cls, case: PensionModel, inputs: dict[str, Any], positions: Sequence[int]
     ) -> Float[Array, " k"]:
         """ln of prices over those at the case's numbers: its derivatives are the exposures to
         curves, break-evens and spreads."""
@@ -142,12 +142,12 @@ class AssetClass(AssetRow, ABC):
         return jnp.log(cls.ratio(case, positions, *now))
 
     @classmethod
-    def of(cls, case: PensionCase, positions: Sequence[int]) -> list[Self]:
+    def of(cls, case: PensionModel, positions: Sequence[int]) -> list[Self]:
         """The classes at these positions."""
         return [case.assets.classes[i] for i in positions]  # pyright: ignore[reportReturnType]
 
     @classmethod
-    def currencies(cls, case: PensionCase, positions: Sequence[int]) -> np.ndarray:
+    def currencies(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:
         """[k] their currencies."""
         return np.array([item.currency for item in cls.of(case, positions)], int)
 
@@ -175,7 +175,7 @@ def register(kind: AnyKind) -> AnyKind:
     return kind
 
 
-def by_kind(case: PensionCase) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
+def by_kind(case: PensionModel) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
     """The kinds that a case holds, in the order of their first class, with the positions."""
     by_type: dict[type[AssetClass], list[int]] = {}
     for i, class_ in enumerate(case.assets.classes):
@@ -184,17 +184,17 @@ def by_kind(case: PensionCase) -> list[tuple[type[AssetClass], tuple[int, ...]]]
     return [(kind, tuple(positions)) for kind, positions in by_type.items()]
 
 
-def in_order(case: PensionCase, parts: Sequence[Array]) -> Array:
+def in_order(case: PensionModel, parts: Sequence[Array]) -> Array:
     """[n] one row per class from one array per kind, as `by_kind` divides them."""
     positions = np.concatenate([np.array(item, int) for _, item in by_kind(case)])
     return jnp.concatenate(parts)[np.argsort(positions)]
 
 
-def log_prices(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " n"]:
+def log_prices(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " n"]:
     """ln of the price of every class over today's (see `AssetClass.log_price`)."""
     return in_order(case, [kind.log_price(case, inputs, at) for kind, at in by_kind(case)])
 
 
-def ratios(case: PensionCase, before: Prices, after: Prices) -> Float[Array, " n"]:
+def ratios(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " n"]:
     """Values of all classes over those before, when prices of payments move."""
     return in_order(case, [kind.ratio(case, at, before, after) for kind, at in by_kind(case)])

@@ -10,7 +10,7 @@ from snapo.case.csv import Row
 
 from ...read.cells import whole_steps
 from ...records.assets import AttributionPart
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ..bonds import constant_maturity
 from ..bonds.payments import Payments, zero_coupon
 from .asset_class import AssetClass, AssetNames, register
@@ -40,12 +40,12 @@ class Maturing(AssetClass):
         return {"maturity": whole_steps(row, "maturity", names.step)}
 
     @classmethod
-    def maturities(cls, case: PensionCase, positions) -> np.ndarray:
+    def maturities(cls, case: PensionModel, positions) -> np.ndarray:
         """[k] in steps."""
         return np.array([item.maturity for item in cls.of(case, positions)], int)
 
     @classmethod
-    def payments(cls, case: PensionCase, positions) -> Payments:
+    def payments(cls, case: PensionModel, positions) -> Payments:
         """The principal at maturity."""
         return zero_coupon(cls.maturities(case, positions), case.step)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from snapo.case.csv import Row
 
 from ...records.assets import AttributionPart
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ..bonds import strips
 from ..bonds.payments import AT_PAR, Payments, payments
 from .asset_class import AssetNames, register
@@ -47,7 +47,7 @@ class CouponBond(Maturing):
         return super().read(row, names) | {"coupon": coupon}
 
     @classmethod
-    def payments(cls, case: PensionCase, positions) -> Payments:
+    def payments(cls, case: PensionModel, positions) -> Payments:
         coupons = [item.coupon for item in cls.of(case, positions)]
         return payments(cls.maturities(case, positions), coupons, case.step)
 

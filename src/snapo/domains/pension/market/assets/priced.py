@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...records.assets import AttributionPart
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ...records.inputs import use
 from ..currencies import of_currency
 from ..shocks import slots
@@ -63,8 +63,8 @@ class Priced(AssetClass):
         return None
 
 
-def _rank(case: PensionCase, positions) -> np.ndarray:
-    """[k] positions among the classes with a separate shock."""
+def _rank(case: PensionModel, positions) -> np.ndarray:
+    """[k] positions among the classes with a shock of their own."""
     return np.array([case.assets.shocks.index(i) for i in positions], int)
 
 
@@ -79,7 +79,7 @@ def _variance(scene: Scene, rank: np.ndarray, volatility: Array, currency) -> Fl
     return alone + both + e**2 * scene.covariance[foreign, foreign]
 
 
-def _drift(case: PensionCase, inputs: dict[str, Any], rank: np.ndarray, variance: Array) -> Array:
+def _drift(case: PensionModel, inputs: dict[str, Any], rank: np.ndarray, variance: Array) -> Array:
     """Mean of a step's log return, before currencies."""
     if case.risk_neutral:
         return -variance / 2

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float
 
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ...records.inputs import use
 from ..currencies import currency_terms
 from ..factors import MarketFactors, Moments
@@ -43,7 +43,7 @@ class Returns(NamedTuple):
 
 
 def asset_schedule(
-    case: PensionCase,
+    case: PensionModel,
     inputs: dict[str, Any],
     factors: MarketFactors,
     covariance: Float[Array, "Z Z"],
@@ -59,7 +59,7 @@ def asset_schedule(
     return terms, AssetSteps(tuple(s for _, s in kinds), swaps[1])
 
 
-def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> Returns:
+def returns(case: PensionModel, terms: AssetTerms, now, market, shock, cash) -> Returns:
     """Log returns of all classes; `now` the step's `MarketSteps`, `market` the state before it,
     `shock` [Z] the Gaussian vector, `cash` the log return of cash."""
     foreign = terms.exposure * shock[slots(case).currency] if case.currencies.names else None

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...records.assets import Overlay
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ..bonds import constant_maturity, strips
 from ..bonds.payments import AT_PAR, Payments, Prices, curve_prices, payments, ratio, zero_coupon
 from .asset_class import AssetMixture, Now, Scene
@@ -39,25 +39,25 @@ class SwapSteps(NamedTuple):
     linked: Array | None
 
 
-def _overlay(case: PensionCase) -> Overlay:
+def _overlay(case: PensionModel) -> Overlay:
     assert case.overlay is not None
     return case.overlay
 
 
-def fixed_legs(case: PensionCase) -> Payments:
+def fixed_legs(case: PensionModel) -> Payments:
     """Payments of all fixed legs, those against swaps of inflation among them."""
     overlay = _overlay(case)
     coupon = np.where(overlay.at_par, AT_PAR, 0.0)
     return payments(overlay.maturity, coupon, case.step)
 
 
-def _linked(case: PensionCase) -> constant_maturity.HeldBonds:
+def _linked(case: PensionModel) -> constant_maturity.HeldBonds:
     overlay = _overlay(case)
     maturity = overlay.maturity[case.buckets - overlay.inflation :]
     return constant_maturity.linked_bonds(case, maturity, [-1] * overlay.inflation)
 
 
-def _own(case: PensionCase) -> np.ndarray:
+def _own(case: PensionModel) -> np.ndarray:
     return np.full(case.buckets, -1)
 
 
@@ -73,8 +73,8 @@ def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
     return SwapTerms(terms, reach), SwapSteps(steps, drift)
 
 
-def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> AssetMixture:
-    """The bonds beneath the b swaps; swaps are in the fund's currency."""
+def swap_mixture(case: PensionModel, terms: SwapTerms, steps: SwapSteps, now: Now) -> AssetMixture:
+    """The bonds beneath the b swaps; swaps are in the fund's own currency."""
     local = now._replace(foreign=None)
     fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
     if terms.linked is None or steps.linked is None:
@@ -87,7 +87,7 @@ def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
 
 
 def swap_returns(
-    case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
+    case: PensionModel, terms: SwapTerms, steps: SwapSteps, now: Now
 ) -> Float[Array, " b"]:
     """Log returns over cash of a step."""
     local = now._replace(foreign=None)
@@ -99,7 +99,7 @@ def swap_returns(
     return jnp.log1p(gain)
 
 
-def swap_gains(case: PensionCase, before: Prices, after: Prices) -> Float[Array, " b"]:
+def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " b"]:
     """Gains of a unit of notional of each swap, when prices of payments move at once."""
     overlay = _overlay(case)
     fixed = ratio(fixed_legs(case), False, before, after)
@@ -111,6 +111,6 @@ def swap_gains(case: PensionCase, before: Prices, after: Prices) -> Float[Array,
     return jnp.concatenate([fixed[:first] - 1, linked - fixed[first:]])
 
 
-def swap_values(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " b"]:
-    """Values of swaps whose value is zero at the inputs of the case, per unit of notional."""
+def swap_values(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " b"]:
+    """Values of swaps that are worth nothing at the case's own numbers, per unit of notional."""
     return swap_gains(case, curve_prices(case, {}), curve_prices(case, inputs))

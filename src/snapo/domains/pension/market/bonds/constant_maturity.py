@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ...records.inputs import use
 from ..assets.asset_class import Now, Scene
 from ..currencies import of_currency
@@ -35,13 +35,13 @@ class HeldBonds(NamedTuple):
     linked: bool
 
 
-def nominal_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
+def nominal_bonds(case: PensionModel, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
     """Bonds that pay money."""
     loads = np.ones(case.rates.count())
     return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, False)
 
 
-def linked_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
+def linked_bonds(case: PensionModel, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
     """Bonds that pay the price index."""
     loads = np.append(np.ones(case.rates.count()), -1.0)
     return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, True)
@@ -114,7 +114,7 @@ def drift(scene: Scene, held: HeldBonds, load: Load) -> Float[Array, "T k"]:
     return currency
 
 
-def over_cash(case: PensionCase, held: HeldBonds, reach: Array, drift: Array, now: Now) -> Array:
+def over_cash(case: PensionModel, held: HeldBonds, reach: Array, drift: Array, now: Now) -> Array:
     """[k] log returns over cash; `reach` [k, f] and the step's `drift` [k]."""
     position, count = slots(case), len(held.loads)
     volatility = now.volatility[:count]

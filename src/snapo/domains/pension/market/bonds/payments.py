@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ..curve import log_bond
 
 AT_PAR = np.nan  # the coupon of a bond whose value is its principal when it is bought
@@ -79,8 +79,8 @@ def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Ar
     return (due @ after(of.steps, linked)) / (due @ price)
 
 
-def curve_prices(case: PensionCase, inputs: dict[str, Any]) -> Prices:
-    """Today's, on the curve, and less break-evens; without `inputs` at the case's numbers."""
+def curve_prices(case: PensionModel, inputs: dict[str, Any]) -> Prices:
+    """Today's, on the curve, and less break-evens; without `inputs` at the case's own numbers."""
 
     def prices(steps: np.ndarray, linked: bool) -> Array:
         years = steps * case.step

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...records.case import PensionCase
+from ...records.case import PensionModel
 from ..assets.asset_class import AssetMixture, Now, Scene
 from ..curve import log_bond
 from ..factors import nominal, shape, slope
@@ -34,7 +34,7 @@ class StripSteps(NamedTuple):
     level: Array
 
 
-def _held(case: PensionCase, of: Payments, currency: np.ndarray) -> constant_maturity.HeldBonds:
+def _held(case: PensionModel, of: Payments, currency: np.ndarray) -> constant_maturity.HeldBonds:
     """All dates in the first currency, then all in the next one."""
     local = np.unique(currency)
     return constant_maturity.nominal_bonds(
@@ -60,7 +60,7 @@ def _prices(terms: StripTerms, steps: StripSteps, now: Now) -> Float[Array, " J"
 
 
 def mixture(
-    case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
+    case: PensionModel, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
     now: Now,
 ) -> AssetMixture:  # fmt: skip
     """The payments' shares of each holding, and their log returns over cash."""
@@ -73,7 +73,7 @@ def mixture(
 
 
 def gains(
-    case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
+    case: PensionModel, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
     now: Now,
 ) -> Float[Array, " k"]:  # fmt: skip
     """Gains over cash of a unit of money in each holding: share @ expm1(log) of its `mixture`."""

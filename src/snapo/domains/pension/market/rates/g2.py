@@ -1,13 +1,11 @@
 """G2++: two correlated factors (D. Brigo, F. Mercurio, Interest Rate Models, section 4.2)."""
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from .short_rate import ShortRate, register
 
 
 @register
-@dataclass(frozen=True, eq=False)
 class G2(ShortRate):
     """Two factors."""
 

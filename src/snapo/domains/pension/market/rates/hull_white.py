@@ -1,13 +1,11 @@
 """Hull-White: Vasicek's model with a drift that fits the curve (RFS 3, 1990)."""
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from .short_rate import ShortRate, register
 
 
 @register
-@dataclass(frozen=True, eq=False)
 class HullWhite(ShortRate):
     """One factor."""
 

@@ -7,8 +7,9 @@ which a case correlates them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import ClassVar, Self, TypeVar
+
+import equinox as eqx
 
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable
@@ -17,8 +18,7 @@ from ...quantities import on_steps, side_by_side
 from ...read.cells import TableReader, TimeGrid
 
 
-@dataclass(frozen=True, eq=False)
-class ShortRate:
+class ShortRate(eqx.Module):
     """The numbers of a model with F factors.
 
     - `mean_reversion`: index [F], above zero. `volatility`: index [T, F], constant in a step.
