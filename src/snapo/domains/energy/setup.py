@@ -19,7 +19,7 @@ from snapo.study.study import Setup
 from ..gas_storage.prices.process import GaussianFactors
 from .core.policy import WorthPolicy
 from .core.simulator import EnergySimulator, simulator_of
-from .methods.fitted import FittedValue, fit, surprises, worth_table
+from .methods.fitted import FittedContract, fit, surprises, worth_table
 from .methods.grid import grid_of
 from .read.case import EnergyCase
 
@@ -76,14 +76,14 @@ def fitted_problem(problem: Problem) -> Problem:
     return replace(problem, simulator=replace(simulator, worth=worth, surprises=control))
 
 
-class Fit(NamedTuple):
+class FactorFit(NamedTuple):
     """A fitted value and the factors that it is a function of."""
 
-    fitted: FittedValue
+    fitted: FittedContract
     factors: GaussianFactors
 
 
-def fitted_value(problem: Problem) -> Fit | None:
+def fitted_value(problem: Problem) -> FactorFit | None:
     """The fitted value, where prices have at most three Gaussian factors that matter."""
     found = factors_of(problem)
     if found is None:
@@ -91,7 +91,7 @@ def fitted_value(problem: Problem) -> Fit | None:
     schedule = problem.schedule
     grid = grid_of(simulator_of(problem).layout, schedule)
     result = fit(simulator_of(problem).layout, schedule, found, grid)
-    return Fit(result, found) if len(result.basis.selected) <= MAX_FACTORS else None
+    return FactorFit(result, found) if len(result.basis.selected) <= MAX_FACTORS else None
 
 
 def price_schedule(problem: Problem) -> Schedule:

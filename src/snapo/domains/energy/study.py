@@ -17,7 +17,7 @@ from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
-from .chapters.reference import INTRINSIC, REFERENCE, Reference
+from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.feasibility import first_fault
 from .core.simulator import simulator_of
@@ -126,7 +126,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    plan, reference, bounds = INTRINSIC.of(run), REFERENCE.of(run) or Reference(), BOUND.of(run)
+    plan, reference, bounds = INTRINSIC.of(run), REFERENCE.of(run) or ExactValue(), BOUND.of(run)
     exact, error = reference.dynamic_programming, reference.dynamic_programming_error
     references = {
         "intrinsic": plan.intrinsic if plan else None,

@@ -18,7 +18,7 @@ class Intrinsic:
 
 
 @dataclass(frozen=True)
-class Reference:
+class ExactValue:
     """The exact value, and by how much finer grids still move it; None where there is none."""
 
     dynamic_programming: float | None = None
@@ -31,16 +31,16 @@ def measure_intrinsic(run: StudyRun) -> Intrinsic:
     return Intrinsic(lattice(simulator_of(problem).layout, problem.schedule, None).value)
 
 
-def measure(run: StudyRun) -> Reference:
+def measure(run: StudyRun) -> ExactValue:
     """The lattice in one or two price factors, where they are the whole process."""
     problem = run.setup.problem
     factors = factors_of(problem)
     if factors is None or not factors.exact:
-        return Reference()
-    return Reference(*refined(simulator_of(problem).layout, problem.schedule, factors))
+        return ExactValue()
+    return ExactValue(*refined(simulator_of(problem).layout, problem.schedule, factors))
 
 
 INTRINSIC = Chapter("intrinsic value", "Intrinsic value", Intrinsic, measure_intrinsic,
                     lambda run, result: [], needs=())  # fmt: skip
-REFERENCE = Chapter("dynamic programming", "Dynamic programming", Reference, measure,
+REFERENCE = Chapter("dynamic programming", "Dynamic programming", ExactValue, measure,
                     lambda run, result: [], needs=())  # fmt: skip

@@ -22,7 +22,7 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ...gas_storage.prices.process import use
 from ...gas_storage.read.tables import FileName
-from ..core.contract import Contract, Flow, Layout, Level, StepTerms, Terms
+from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
 
 GROUP = "contract"
 ENERGY = Quantity("MWh", POSITIVE, GROUP, move=0.1, name="energy")
@@ -71,7 +71,7 @@ class BatteryTable(CaseTable):
     cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
 
 
-class Battery(Contract):
+class BatteryContract(EnergyContract):
     """The terms of a battery; see `BatteryTable`. `day_ends` [T]: the last hour of a local day."""
 
     energy: CaseInput
@@ -84,7 +84,7 @@ class Battery(Contract):
     cycles_day: CaseInput | None
     cycles_term: CaseInput | None
     day_ends: Bool[np.ndarray, " T"]
-    layout: Layout = eqx.field(static=True)
+    layout: ContractLayout = eqx.field(static=True)
 
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count = len(self.day_ends)
@@ -116,16 +116,18 @@ class Battery(Contract):
         return Terms(start, steps)
 
 
-def layout_of(day: bool, term: bool) -> Layout:
+def layout_of(day: bool, term: bool) -> ContractLayout:
     """Energy in store, and the energy taken today or in the whole term."""
     levels = [Level("energy", "MWh")]
     levels += [Level("taken today", "MWh")] * day + [Level("taken", "MWh")] * term
     counted = len(levels) - 1
-    charge = Flow("charge", "MWh", (1.0, *(0.0,) * counted))
-    return Layout(tuple(levels), (charge, Flow("discharge", "MWh", (-1.0, *(1.0,) * counted))))
+    charge = EnergyFlow("charge", "MWh", (1.0, *(0.0,) * counted))
+    return ContractLayout(
+        tuple(levels), (charge, EnergyFlow("discharge", "MWh", (-1.0, *(1.0,) * counted)))
+    )
 
 
-def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> Battery:
+def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
     """The contract; `days`: the local date of each hour."""
     file, notes = str(where.file), where.notes
 
@@ -142,7 +144,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         message = "allowed are cycles by day or of the term, not both"
         raise where.error("cycles", None, message)
     ends = [day != following for day, following in zip(days, [*days[1:], None])]
-    return Battery(  # pyright: ignore[reportCallIssue]
+    return BatteryContract(  # pyright: ignore[reportCallIssue]
         table.energy,
         table.stored,
         charge.power,

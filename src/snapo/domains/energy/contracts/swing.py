@@ -24,7 +24,15 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ...gas_storage.prices.process import use
 from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
-from ..core.contract import Contract, Flow, Layout, Level, Move, StepTerms, Terms
+from ..core.contract import (
+    ContractLayout,
+    ContractMove,
+    EnergyContract,
+    EnergyFlow,
+    Level,
+    StepTerms,
+    Terms,
+)
 
 GROUP = "contract"
 A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
@@ -57,9 +65,9 @@ def _short(raw: Any, key: Any) -> CaseInput | str:
         return raw
     if isinstance(raw, str):
         raise key.error(raw, f"allowed is {SHORTFALL}")
-    found = SHORT.read(raw, key)
-    assert found is not None
-    return found
+    result = SHORT.read(raw, key)
+    assert result is not None
+    return result
 
 
 class SwingTable(CaseTable):
@@ -80,7 +88,7 @@ class SwingTable(CaseTable):
     rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
 
 
-class Swing(Contract):
+class SwingContract(EnergyContract):
     """The terms of a swing contract.
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
@@ -99,7 +107,7 @@ class Swing(Contract):
     taken: CaseInput
     shortfall: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
-    layout: Layout = eqx.field(static=True)
+    layout: ContractLayout = eqx.field(static=True)
     sign: float = eqx.field(static=True)
     at_strike: bool = eqx.field(static=True)
     firm: bool = eqx.field(static=True)
@@ -152,7 +160,7 @@ class Swing(Contract):
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
 
 
-def read_swing(where: TableContext, table: SwingTable, days) -> Swing:
+def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
     """The contract on its decision days."""
     annual = None
     if table.annual is not None:
@@ -161,24 +169,29 @@ def read_swing(where: TableContext, table: SwingTable, days) -> Swing:
     return _made(where, table, annual, days)
 
 
-def layout_of(unit: str, limited: bool, rights: RightsTable | None) -> Layout:
-    """Levels, flows and moves: see `Swing`."""
+def layout_of(unit: str, limited: bool, rights: RightsTable | None) -> ContractLayout:
+    """Levels, flows and moves: see `SwingContract`."""
     levels = ([Level("taken", unit)] if limited else []) + (
         [Level("rights", "days")] if rights else []
     )
-    take = Flow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * bool(rights))
+    take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * bool(rights))
     if rights is None:
-        return Layout(tuple(levels), (take,))
+        return ContractLayout(tuple(levels), (take,))
     none, one = (0.0,) * len(levels), (0.0,) * limited + (1.0,)
     modes = ("free", *(f"rest {i}" for i in range(rights.rest, 0, -1)))
-    moves = [Move("wait", 0, 0, (), none), Move("use", 0, min(1, rights.rest), (0,), one)]
+    moves = [
+        ContractMove("wait", 0, 0, (), none),
+        ContractMove("use", 0, min(1, rights.rest), (0,), one),
+    ]
     moves += [
-        Move("rest", i, (i + 1) % len(modes), (), none) for i in range(1, len(modes))
+        ContractMove("rest", i, (i + 1) % len(modes), (), none) for i in range(1, len(modes))
     ]  # fmt: skip
-    return Layout(tuple(levels), (take,), modes, tuple(moves))
+    return ContractLayout(tuple(levels), (take,), modes, tuple(moves))
 
 
-def _made(where: TableContext, table: SwingTable, annual: AnnualTable | None, days) -> Swing:
+def _made(
+    where: TableContext, table: SwingTable, annual: AnnualTable | None, days
+) -> SwingContract:
     notes = where.notes
     rights = None
     if table.rights is not None:
@@ -199,7 +212,7 @@ def _made(where: TableContext, table: SwingTable, annual: AnnualTable | None, da
         raise where.error("shortfall", "firm", message)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
-    return Swing(  # pyright: ignore[reportCallIssue]
+    return SwingContract(  # pyright: ignore[reportCallIssue]
         most,
         least,
         strike,

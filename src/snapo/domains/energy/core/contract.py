@@ -2,8 +2,8 @@
 
 Everything else reads these alone: feasible moves, the simulator of one path, the policy, the
 lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
-a static `Layout`. It may be in one of a few modes; on each step it moves from its mode along one of
-the `Move`s that begin there, and each flow of that move takes a volume from an interval.
+a static `ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves
+that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
     earnings of a step  = move's money + volume (price S + money)
@@ -29,7 +29,7 @@ class Level(NamedTuple):
     unit: str
 
 
-class Flow(NamedTuple):
+class EnergyFlow(NamedTuple):
     """A volume that may move: `name`, `unit`, and its effect on each level per unit."""
 
     name: str
@@ -37,7 +37,7 @@ class Flow(NamedTuple):
     effects: tuple[float, ...]
 
 
-class Move(NamedTuple):
+class ContractMove(NamedTuple):
     """A way through one step.
 
     - `name`: in reports; `before`, `after`: modes.
@@ -53,13 +53,13 @@ class Move(NamedTuple):
     changes: tuple[float, ...]
 
 
-class Layout(NamedTuple):
+class ContractLayout(NamedTuple):
     """What is fixed in a contract: compiled code depends on it."""
 
     levels: tuple[Level, ...]
-    flows: tuple[Flow, ...]
+    flows: tuple[EnergyFlow, ...]
     modes: tuple[str, ...] = ("",)
-    moves: tuple[Move, ...] = ()
+    moves: tuple[ContractMove, ...] = ()
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
@@ -67,17 +67,17 @@ class Layout(NamedTuple):
         return levels, flows, self.modes, moves
 
     @classmethod
-    def of_plain(cls, parts: tuple) -> "Layout":
+    def of_plain(cls, parts: tuple) -> "ContractLayout":
         """The inverse of `plain`."""
         levels, flows, modes, moves = parts
-        made = tuple(Level(*x) for x in levels), tuple(Flow(*x) for x in flows)
-        return cls(*made, modes, tuple(Move(*x) for x in moves))
+        made = tuple(Level(*x) for x in levels), tuple(EnergyFlow(*x) for x in flows)
+        return cls(*made, modes, tuple(ContractMove(*x) for x in moves))
 
     @property
-    def every_move(self) -> tuple[Move, ...]:
+    def every_move(self) -> tuple[ContractMove, ...]:
         """The moves; of a contract without any, that in which everything may flow."""
         none = (0.0,) * len(self.levels)
-        everything = Move("", ONLY, ONLY, tuple(range(len(self.flows))), none)
+        everything = ContractMove("", ONLY, ONLY, tuple(range(len(self.flows))), none)
         return self.moves or (everything,)
 
     @property
@@ -126,10 +126,10 @@ class Terms(NamedTuple):
     steps: StepTerms
 
 
-class Contract(eqx.Module):
+class EnergyContract(eqx.Module):
     """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
 
-    layout: eqx.AbstractVar[Layout]
+    layout: eqx.AbstractVar[ContractLayout]
 
     @abc.abstractmethod
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:

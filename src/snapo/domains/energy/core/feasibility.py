@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .contract import Layout, StepTerms
+from .contract import ContractLayout, StepTerms
 
 
 class Intervals(NamedTuple):
@@ -24,7 +24,7 @@ class Intervals(NamedTuple):
     next_high: Float[Array, "T levels"]
 
 
-def intervals(layout: Layout, steps: StepTerms) -> Intervals:
+def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
     """An empty one has its low above its high, and so have all before it."""
     least, most = changes(layout, steps)
 
@@ -44,7 +44,7 @@ def intervals(layout: Layout, steps: StepTerms) -> Intervals:
     return Intervals(*jax.lax.scan(back, (-free, free), rows, reverse=True)[1])
 
 
-def changes(layout: Layout, steps: StepTerms) -> tuple[Array, Array]:
+def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
     """[T, levels] the least and the most that a step may change each level by."""
     least, most = [], []
     for move in layout.every_move:
@@ -58,14 +58,16 @@ def changes(layout: Layout, steps: StepTerms) -> tuple[Array, Array]:
     return jnp.min(jnp.stack(least), axis=0), jnp.max(jnp.stack(most), axis=0)
 
 
-class Volumes(NamedTuple):
+class FeasibleVolumes(NamedTuple):
     """Of the flows of a move: the forced volume of each, and the most."""
 
     forced: Array
     most: Array
 
 
-def volumes(layout: Layout, move: int, now: Any, levels: Array, smooth, scale) -> Volumes:
+def volumes(
+    layout: ContractLayout, move: int, now: Any, levels: Array, smooth, scale
+) -> FeasibleVolumes:
     """The volumes of one move from these levels [levels], in the order of its flows.
 
     A flow is forced where levels would otherwise leave the next interval, and is at most what
@@ -89,21 +91,21 @@ def volumes(layout: Layout, move: int, now: Any, levels: Array, smooth, scale) -
         least = jnp.clip(least, 0.0, jnp.maximum(room, now.terms.least[flow]))
         forced.append(least)
         most.append(jnp.maximum(room, least))
-    return Volumes(jnp.stack(forced), jnp.stack(most))
+    return FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
 
 
-def first_fault(layout: Layout, schedule: Any) -> tuple[int, int] | None:
+def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
     """(step, level) at which no decision can keep the limits; None where all can be met.
 
     The step is -1 where only the start is the reason.
     """
-    found, terms = schedule.steps.intervals, schedule.steps.terms
+    result, terms = schedule.steps.intervals, schedule.steps.terms
     tolerance = 1e-9 * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
     start = np.asarray(schedule.constants.start)
     for i in range(len(layout.levels)):
-        empty = np.flatnonzero(found.next_low[:, i] > found.next_high[:, i] + tolerance)
+        empty = np.flatnonzero(result.next_low[:, i] > result.next_high[:, i] + tolerance)
         if len(empty):
             return int(empty[-1]), i
-        if not found.low[0, i] - tolerance <= start[i] <= found.high[0, i] + tolerance:
+        if not result.low[0, i] - tolerance <= start[i] <= result.high[0, i] + tolerance:
             return -1, i
     return None

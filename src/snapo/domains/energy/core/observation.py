@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from snapo.problem.smooth import EXACT
 
-from .contract import Layout
+from .contract import ContractLayout
 from .feasibility import volumes
-from .tables import Worth, along, nearest_row
+from .tables import UnitValues, along, nearest_row
 
 POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
 
@@ -29,7 +29,7 @@ class Head(NamedTuple):
     base: Array
 
     @classmethod
-    def of(cls, observation: Array, layout: Layout) -> "Head":
+    def of(cls, observation: Array, layout: ContractLayout) -> "Head":
         """From the start of an observation."""
         pairs, size = len(layout.pairs), head_size(layout)
         units = observation[: pairs * POINTS].reshape((pairs, POINTS))
@@ -37,7 +37,7 @@ class Head(NamedTuple):
         return cls(units, observation[pairs * POINTS : end], observation[end:size])
 
 
-def head_size(layout: Layout) -> int:
+def head_size(layout: ContractLayout) -> int:
     """How many numbers a head has."""
     return (POINTS + 1) * len(layout.pairs) + len(layout.moves)
 
@@ -46,14 +46,20 @@ CLOSED = -1e4
 
 
 def head(
-    layout: Layout, process: Any, constants: Any, now: Any, state: Any, spot: Array, free: Array
+    layout: ContractLayout,
+    process: Any,
+    constants: Any,
+    now: Any,
+    state: Any,
+    spot: Array,
+    free: Array,
 ) -> Head:
     """The gains of one step at one state; `free` [moves]: which are open."""
     price, size = constants.price_scale, constants.volume_scale
     worth = None if now.worth is None else jax.lax.stop_gradient(now.worth)
-    read = (
-        None if worth is None else worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
-    )
+    read = jnp.zeros(())
+    if worth is not None:
+        read = worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
@@ -87,13 +93,13 @@ def head(
     return Head(jnp.concatenate(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
 
 
-def _position(worth: Worth, levels: Array) -> Array:
+def _position(worth: UnitValues, levels: Array) -> Array:
     rows = worth.rows
     return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
 
 
 def _slope(
-    worth: Worth, table: Array, effects: tuple[float, ...], levels: Array, last: bool
+    worth: UnitValues, table: Array, effects: tuple[float, ...], levels: Array, last: bool
 ) -> Array:
     """The row of the unit that starts at a level, or of the last one up to it."""
     dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
@@ -103,7 +109,13 @@ def _slope(
 
 
 def observation(
-    layout: Layout, process: Any, constants: Any, now: Any, state: Any, spot: Array, free: Array
+    layout: ContractLayout,
+    process: Any,
+    constants: Any,
+    now: Any,
+    state: Any,
+    spot: Array,
+    free: Array,
 ) -> Float[Array, " features"]:
     """The head first, then the features of the network."""
     gains = head(layout, process, constants, now, state, spot, free)

@@ -14,7 +14,7 @@ from jaxtyping import Array
 from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
-from .contract import Layout
+from .contract import ContractLayout
 from .observation import POINTS, Head, head_size
 
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
@@ -26,16 +26,18 @@ class WorthPolicy(Policy):
     network: Network
     form: tuple = eqx.field(static=True)
 
-    def __init__(self, layout: Layout, features: int, *, key, hidden: tuple[int, ...] = (32, 32)):
+    def __init__(
+        self, layout: ContractLayout, features: int, *, key, hidden: tuple[int, ...] = (32, 32)
+    ):
         outputs = max(2 * len(layout.levels) + len(layout.modes) - 1, 1)
         widths = (features - head_size(layout), *hidden, outputs)
         self.network = Network(widths, key=key, activation=jax.nn.tanh)
         self.form = layout.plain()
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ContractLayout:
         """Levels, flows, modes and moves."""
-        return Layout.of_plain(self.form)
+        return ContractLayout.of_plain(self.form)
 
     @property
     def head(self) -> int:
@@ -90,7 +92,7 @@ class WorthPolicy(Policy):
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
 
 
-def _weights(layout: Layout, scores: Array, smooth) -> Array:
+def _weights(layout: ContractLayout, scores: Array, smooth) -> Array:
     """[moves] the weights of the moves of each mode."""
     result = jnp.zeros(len(layout.moves))
     before = np.array([move.before for move in layout.moves])

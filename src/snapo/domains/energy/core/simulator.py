@@ -1,6 +1,6 @@
 """One path of any contract: prices, feasible volumes, cash.
 
-The action has a share for each volume that may flow (see `Layout.pairs`), of what is feasible
+The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
 beyond the forced volume, and, where there is a choice of moves, a weight for each move. In
 training moves may be mixed: levels, modes and cash are then means over them.
 """
@@ -24,7 +24,7 @@ from snapo.problem.smooth import Exact
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.process import PriceProcess, use
-from .contract import Contract, Layout, StepTerms
+from .contract import ContractLayout, EnergyContract, StepTerms
 from .feasibility import intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
@@ -46,7 +46,7 @@ class EnergySimulator(Simulator):
     - `price_scale`, `volume_scale`: mean size of the forward price, and largest volume of a step.
     """
 
-    contract: Contract
+    contract: EnergyContract
     process: PriceProcess
     curve: Use
     rate: Use
@@ -57,7 +57,7 @@ class EnergySimulator(Simulator):
     volume_scale: Float[np.ndarray, ""]
     worth: WorthTable | None = None
     surprises: Surprises | None = None
-    layout: Layout = eqx.field(static=True, default=Layout((), ()))
+    layout: ContractLayout = eqx.field(static=True, default=ContractLayout((), ()))
     first: int = eqx.field(static=True, default=0)
     action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 1))
     fully_observed = True

@@ -16,14 +16,14 @@ from ...gas_storage.bounds.basis import REACH
 from ...gas_storage.policy.guide import Reading, functions
 
 
-class Rows(NamedTuple):
+class LevelRows(NamedTuple):
     """Where rows lie: `low` and `spacing` of each level [levels]."""
 
     low: Array
     spacing: Array
 
 
-class Worth(NamedTuple):
+class UnitValues(NamedTuple):
     """One step: the worth of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
@@ -32,7 +32,7 @@ class Worth(NamedTuple):
     - `unit` [pairs, levels]: the change of the levels in rows by the volume of a slope.
     """
 
-    rows: Rows
+    rows: LevelRows
     slopes: Array
     moves: Array | None
     reading: Reading
@@ -43,7 +43,7 @@ class Worth(NamedTuple):
 
 
 class WorthTable(eqx.Module):
-    """`steps`: a `Worth` whose leaves have a leading axis of steps."""
+    """`steps`: a `UnitValues` whose leaves have a leading axis of steps."""
 
     steps: Any
 
@@ -72,7 +72,7 @@ NEAR = 0.02  # of a row: a level this near to it is on it
 class Values(NamedTuple):
     """The value on one date: `coefficients` [modes, rows …, n] on rows of the levels."""
 
-    rows: Rows
+    rows: LevelRows
     coefficients: Array
 
 
@@ -119,7 +119,7 @@ def _value(table: Values, state: Any, observed: Array) -> Array:
     return total
 
 
-def _between(table: Array, rows: Rows, levels: Array) -> Array:
+def _between(table: Array, rows: LevelRows, levels: Array) -> Array:
     """[n] a row between those around the levels; the table has an axis for each level."""
     dims = table.shape[:-1]
     flat = table.reshape((-1, table.shape[-1]))

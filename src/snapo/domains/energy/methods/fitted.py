@@ -15,16 +15,16 @@ from ...gas_storage.bounds.basis import PolynomialBasis, gaussian_basis
 from ...gas_storage.bounds.regression import Regression, product, regression
 from ...gas_storage.policy.guide import Reading
 from ...gas_storage.prices.process import GaussianFactors
-from ..core.contract import Layout
-from ..core.tables import Rows, Surprise, Surprises, Values, Worth, WorthTable
-from .grid import Grid, StepGrid, arrived, best, node_levels
+from ..core.contract import ContractLayout
+from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, Values, WorthTable
+from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
 SINGLE, SEVERAL = 401, 49  # most rows of the worth of a level: of the only one, of one of several
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
 @dataclass(frozen=True, eq=False)
-class FittedValue:
+class FittedContract:
     """The value at the start of each of T steps, and after the last.
 
     - `coefficients`: T + 1 arrays [modes, nodes, K] of the functions of `basis`.
@@ -32,7 +32,7 @@ class FittedValue:
     """
 
     basis: PolynomialBasis
-    grid: Grid
+    grid: ContractGrid
     coefficients: list[np.ndarray]
     value: float
 
@@ -42,7 +42,9 @@ class FittedValue:
         return regression(self.basis)
 
 
-def fit(layout: Layout, schedule: Any, factors: GaussianFactors, grid: Grid) -> FittedValue:
+def fit(
+    layout: ContractLayout, schedule: Any, factors: GaussianFactors, grid: ContractGrid
+) -> FittedContract:
     """The fitted value of a schedule with NumPy leaves, which has a step."""
     terms, horizon = schedule.steps.terms, len(grid.steps)
     basis = gaussian_basis(factors, priced=False)
@@ -59,7 +61,7 @@ def fit(layout: Layout, schedule: Any, factors: GaussianFactors, grid: Grid) -> 
         found = product(available.day(t).fit, flat.T).T
         coefficients.append(found.reshape(*value.shape[:2], size))
     coefficients.reverse()
-    return FittedValue(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
+    return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
 
 
 def _constant(basis: PolynomialBasis) -> int:
@@ -67,7 +69,7 @@ def _constant(basis: PolynomialBasis) -> int:
     return -1 if basis.common else int(np.flatnonzero(np.all(basis.powers == 0, axis=1))[0])
 
 
-def worth_table(layout: Layout, fitted: FittedValue) -> WorthTable:
+def worth_table(layout: ContractLayout, fitted: FittedContract) -> WorthTable:
     """The worth of a unit of each volume after each step, and of each move."""
     horizon, basis = len(fitted.grid.steps), fitted.basis
     counts = _row_counts(layout, fitted.grid)
@@ -87,13 +89,13 @@ def worth_table(layout: Layout, fitted: FittedValue) -> WorthTable:
             moves.append(np.stack(relative).reshape(len(relative), *counts, -1))
         lows.append(low)
         spacings.append(spacing)
-    place = Rows(np.stack(lows), np.stack(spacings))  # pyright: ignore
+    place = LevelRows(np.stack(lows), np.stack(spacings))  # pyright: ignore
     reading = Reading(*(x[:horizon] for x in basis.linear()))  # pyright: ignore
-    table = Worth(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
+    table = UnitValues(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
     return WorthTable(table)
 
 
-def _after(fitted: FittedValue, t: int) -> np.ndarray:
+def _after(fitted: FittedContract, t: int) -> np.ndarray:
     """[modes, nodes after, n] coefficients after a step, as expected before the next one."""
     step, later = fitted.grid.steps[t], fitted.coefficients[t + 1]
     result = (later @ fitted.available.day(t).drift)[:, step.arrive]
@@ -101,7 +103,7 @@ def _after(fitted: FittedValue, t: int) -> np.ndarray:
     return result
 
 
-def _row_counts(layout: Layout, grid: Grid) -> tuple[int, ...]:
+def _row_counts(layout: ContractLayout, grid: ContractGrid) -> tuple[int, ...]:
     most = SINGLE if len(layout.levels) == 1 else SEVERAL
     counts = []
     for i in range(len(layout.levels)):
@@ -126,7 +128,9 @@ def _rows(step: StepGrid, counts) -> tuple[np.ndarray, np.ndarray]:
     return low, spacing
 
 
-def _slope(layout: Layout, step: StepGrid, after, rows, spacing, m: int, f: int) -> np.ndarray:
+def _slope(
+    layout: ContractLayout, step: StepGrid, after, rows, spacing, m: int, f: int
+) -> np.ndarray:
     """[rows, n] the change of the value by one more unit along a flow from each row."""
     effects = np.array(layout.flows[f].effects)
     touched = np.flatnonzero((effects != 0) & (spacing > 0)) if len(effects) else []
@@ -171,7 +175,7 @@ def _interpolated(nodes, values: np.ndarray, points: np.ndarray) -> np.ndarray:
     return total
 
 
-def surprises(layout: Layout, fitted: FittedValue) -> Surprises:
+def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
     """The control variate: the value on a few rows, and its expectation a step before."""
     basis, grid, available = fitted.basis, fitted.grid, fitted.available
     dates, count = len(grid.nodes), SURPRISES[len(layout.levels)]
@@ -193,7 +197,7 @@ def surprises(layout: Layout, fitted: FittedValue) -> Surprises:
     values, ahead = values.reshape(shape), ahead.reshape(dates - 1, *shape[1:])
     low, spacing = np.stack(lows), np.stack(spacings)
     reading = Reading(*(x[:-1] for x in basis.linear()))  # pyright: ignore
-    rows = [Rows(low[:-1], spacing[:-1]), Rows(low[1:], spacing[1:])]  # pyright: ignore
+    rows = [LevelRows(low[:-1], spacing[:-1]), LevelRows(low[1:], spacing[1:])]  # pyright: ignore
     table = Surprise(Values(rows[0], values[:-1]), Values(rows[1], ahead), reading)  # pyright: ignore
     constant = np.all(basis.powers == 0, axis=1).astype(float)
     mean = np.append(constant, 1.0) if basis.common else constant
@@ -201,6 +205,6 @@ def surprises(layout: Layout, fitted: FittedValue) -> Surprises:
     return Surprises(table, np.asarray(start @ mean))
 
 
-def levels_of(fitted: FittedValue, t: int) -> np.ndarray:
+def levels_of(fitted: FittedContract, t: int) -> np.ndarray:
     """[nodes, levels] at the start of a step."""
     return node_levels(fitted.grid.nodes[t])

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.contract import Layout
+from ..core.contract import ContractLayout
 from .measure import measures_of
 
 MOST = 1200  # nodes of a level
@@ -55,10 +55,10 @@ class StepGrid(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class ContractGrid:
     """All steps of a contract with NumPy numbers; `exact`: see above."""
 
-    layout: Layout
+    layout: ContractLayout
     steps: list[StepGrid]
     last: tuple[np.ndarray, ...]
     exact: bool
@@ -73,7 +73,7 @@ class Grid:
         return int(np.prod([len(x) for x in self.nodes[t]], dtype=int))
 
 
-def grid_of(layout: Layout, schedule: Any, parts: int = 1) -> Grid:
+def grid_of(layout: ContractLayout, schedule: Any, parts: int = 1) -> ContractGrid:
     """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one."""
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
@@ -88,11 +88,11 @@ def grid_of(layout: Layout, schedule: Any, parts: int = 1) -> Grid:
             known[key] = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
         arrive, lost = _arrivals(terms, t, after[t], before[t + 1])
         steps.append(StepGrid(known[key], before[t], after[t], arrive, lost))
-    return Grid(layout, steps, before[-1], exact)
+    return ContractGrid(layout, steps, before[-1], exact)
 
 
 def best(
-    step: StepGrid, layout: Layout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
+    step: StepGrid, layout: ContractLayout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
     """[modes, nodes, columns] the value of the best move and volume from each node.
 
@@ -121,7 +121,7 @@ def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     return result - step.lost[:, None] if step.lost.any() else result
 
 
-def _nodes(layout: Layout, terms, found, start, parts: int):
+def _nodes(layout: ContractLayout, terms, found, start, parts: int):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
     horizon, count = len(terms.low), len(layout.levels)
     measures = measures_of(layout, terms, start)
@@ -161,7 +161,7 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _extremes(layout: Layout, terms, t: int, i: int) -> np.ndarray:
+def _extremes(layout: ContractLayout, terms, t: int, i: int) -> np.ndarray:
     """What a step can change a level by, at the ends of each flow."""
     result = set()
     for move in layout.every_move:
@@ -192,7 +192,7 @@ def _settled(after: list[np.ndarray], restarts) -> list[np.ndarray]:
     return [np.zeros(1) if again else points for points, again in zip(after, restarts)]
 
 
-def _breakpoints(layout: Layout, terms, start, i: int, low, high):
+def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
     """All levels to which extreme flows lead; None where they are too many.
 
     The nodes of a step are led to those of the next one and back until none is missing.
@@ -231,7 +231,7 @@ def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndar
     return points[np.append(True, np.diff(points) > near)] if len(points) else points
 
 
-def _passages(layout: Layout, terms, t: int, before, after, near: float):
+def _passages(layout: ContractLayout, terms, t: int, before, after, near: float):
     opposed, result = opposed_levels(layout), []
     for move in layout.every_move:
         passages: list[Passage] = []
@@ -291,7 +291,7 @@ def _moved(flow: int, volume: float, change, before, after, opposed: bool, near:
     return result
 
 
-def opposed_levels(layout: Layout) -> bool:
+def opposed_levels(layout: ContractLayout) -> bool:
     """Whether a flow moves two levels in opposite directions."""
     return any(np.min(f.effects, initial=0.0) < 0 < np.max(f.effects, initial=0.0)
                for f in layout.flows)  # fmt: skip

@@ -3,7 +3,7 @@
 The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
 V(next prices) - E[V(next prices)], which has mean zero for whoever does not know them. Whatever V
 is, the bound holds; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
-best decisions lead from node to node (`Grid.exact`) the best penalised moves do too.
+best decisions lead from node to node (`ContractGrid.exact`) the best penalised moves do too.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -7,15 +7,15 @@ import numpy as np
 
 from ...gas_storage.prices.process import GaussianFactors
 from ...gas_storage.references.marginal import FactorGrid, factor_grid
-from ..core.contract import Layout
-from .grid import Grid, arrived, best, grid_of
+from ..core.contract import ContractLayout
+from .grid import ContractGrid, arrived, best, grid_of
 
 SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
 SLOW = 17
 MOVED, HALVED = 1e-4, 3  # see `refined`
 
 
-class Refined(NamedTuple):
+class RefinedValue(NamedTuple):
     """A present value, and the sum of the last moves of its grids."""
 
     value: float
@@ -27,18 +27,18 @@ class Lattice:
     """The value of a contract, and what it was computed on."""
 
     value: float
-    grid: Grid
+    grid: ContractGrid
 
 
 def lattice(
-    layout: Layout,
+    layout: ContractLayout,
     schedule: Any,
     factors: GaussianFactors | None,
     *,
     parts: int = 1,
     finer: int = 1,
     slow: int = SLOW,
-    grid: Grid | None = None,
+    grid: ContractGrid | None = None,
 ) -> Lattice:
     """The value of a schedule with NumPy leaves; without `factors`, at forward prices.
 
@@ -79,7 +79,7 @@ def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
     return factor_grid(factors, selected, SPACINGS[len(selected)] / finer, slow)
 
 
-def refined(layout: Layout, schedule: Any, factors: GaussianFactors | None) -> Refined:
+def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> RefinedValue:
     """The value, its grids halved until that moves it by less than 0.01 %."""
     first = lattice(layout, schedule, factors)
     sides = []
@@ -95,14 +95,14 @@ def refined(layout: Layout, schedule: Any, factors: GaussianFactors | None) -> R
             sides.append(_halved(first.value, lambda n: lattice(
                 layout, schedule, factors, slow=(SLOW - 1) * n + 1, grid=keep).value))  # fmt: skip
     moved = sum(side.value - first.value for side in sides)
-    return Refined(first.value + moved, sum(side.error for side in sides))
+    return RefinedValue(first.value + moved, sum(side.error for side in sides))
 
 
-def _halved(first: float, value) -> Refined:
+def _halved(first: float, value) -> RefinedValue:
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)
         before, moved = after, abs(after - before)
         if moved <= MOVED * abs(after):
             break
-    return Refined(before, moved)
+    return RefinedValue(before, moved)

@@ -7,12 +7,12 @@ from math import gcd, lcm
 
 import numpy as np
 
-from ..core.contract import Layout
+from ..core.contract import ContractLayout
 
 DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 
-def measures_of(layout: Layout, terms, start) -> list[float | None]:
+def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
     """The largest volume of which all of a level are multiples; one for levels of the same flow."""
     groups = [{i} for i in range(len(layout.levels))]
     for flow in layout.flows:

@@ -36,7 +36,7 @@ from ..contracts.battery import (
     read_battery,
 )
 from ..contracts.swing import AnnualTable, RightsTable, SwingTable, read_swing
-from ..core.contract import Contract
+from ..core.contract import EnergyContract
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 
 
@@ -60,7 +60,7 @@ class ContractKind(NamedTuple):
     """
 
     table: type[CaseTable]
-    read: Callable[[TableContext, Any, Sequence[datetime.date]], Contract]
+    read: Callable[[TableContext, Any, Sequence[datetime.date]], EnergyContract]
     title: str
     inner: Mapping[str, type[CaseTable]]
     hourly: bool = False
@@ -105,7 +105,7 @@ class EnergyCase:
     day: np.ndarray
     time: np.ndarray
     first_step: int
-    contract: Contract
+    contract: EnergyContract
     market: GasMarket
     model: PriceProcess
     objective: ObjectiveTable
