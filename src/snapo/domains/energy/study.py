@@ -24,7 +24,7 @@ from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
 from .methods.lattice import lattice
-from .read.case import EnergyCase
+from .read.case import KINDS, EnergyCase
 from .setup import bare_problem, make_setup, setup_at
 
 
@@ -115,7 +115,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "units": units | {"cash_flow": money, "shortfall": money, "levels": case.volume_unit},
         "valuation_date": case.valuation_date.isoformat(),
         "start": case.days[0].isoformat(),
-        "step": "day",
+        "step": "hour" if KINDS[case.kind].hourly else "day",
         "horizon": len(case.days),
         "model": case.model.describe(),
         "objective": f"{case.objective.kind} of the discounted cash flow",

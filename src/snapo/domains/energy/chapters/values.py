@@ -75,5 +75,5 @@ def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
     return [ladder("values", bars, caption), table(result.value_ladder, columns)]
 
 
-VALUES = Chapter("value ladder", "Value by method", MethodValues, measure, show, "Value",
+VALUES = Chapter("value ladder", "Value by method", MethodValues, measure, show, "Methods",
                  needs=("training",))  # fmt: skip
