@@ -4,16 +4,19 @@
     python -m benchmarks.book overhead     what the driver costs, and how long workers wait
     python -m benchmarks.book large        100 contracts under 20 stresses
     python -m benchmarks.book model        wall time at 1, 2 and 4 workers, and what was expected
+    python -m benchmarks.book training     steps of 16,384 paths over one process and over two
 
 All are books of the gas storage template; times depend on what else the machine does.
 """
 
 import json
+import multiprocessing
 import os
 import resource
 import statistics
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,13 +24,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
 from snapo.book.run import plan_of, run_book
 from snapo.book.work import answer
-from snapo.book.workers import answers
-from snapo.study.domain import find
+from snapo.engine import Engine, Workers
+from snapo.engine.workers import answers
+from snapo.solver.train import Progress, initial_progress, train
+from snapo.study.domain import CaseRequest, Options, find, load
 
 from .machine import machine
 
@@ -240,11 +247,94 @@ def model(contracts: int = 16) -> list[str]:
     return [f"{contracts} contracts on {cores} cores: {about} (needed within 20 %)", *lines]
 
 
+def training(paths: int = 16384, rounds: int = 5) -> list[str]:
+    """Training steps of one one-core process and of two, in turns; then one of the two is killed
+    in the middle of a step."""
+    settings = (f"training.paths={paths}", "training.validation_paths=512")
+    with tempfile.TemporaryDirectory() as folder, Workers(worker_pools("", 2)) as workers:
+        write_book(Path(folder), rows(1), "")
+        loaded = load(CaseRequest(Path(folder) / "store", settings, None))
+        study = loaded.domain.study(loaded.case, Options())
+        assert study.setup is not None
+        setup = study.setup()
+        one = replace(setup.engines.train, threads=1)
+        two = setup.engines.over(workers).train
+        progress = initial_progress(setup.policy, setup.training, setup.problem)
+
+        def after(engine: Engine, steps: int = 2) -> tuple[Steps, Progress]:
+            began, cpu, before = time.perf_counter(), time.process_time(), _cpu_of_workers()
+            last = progress.step + steps
+            moved = train(setup.problem, progress, setup.training, engine, until=last)
+            wall, cpu = time.perf_counter() - began, time.process_time() - cpu
+            spent = [x - before.get(pid, 0.0) for pid, x in _cpu_of_workers().items()]
+            return Steps(wall / steps, (cpu + max(spent, default=0.0)) / steps), moved
+
+        same = [_equal(after(one)[1], after(two)[1])]  # kernels are compiled, and timed
+        alone, shared = [], []
+        for i in range(rounds):
+            done = {id(engine): after(engine) for engine in ((one, two) if i % 2 else (two, one))}
+            same.append(_equal(done[id(one)][1], done[id(two)][1]))
+            alone.append(done[id(one)][0])
+            shared.append(done[id(two)][0])
+            progress = done[id(one)][1]
+        expected = after(one)[1]
+        victim = multiprocessing.active_children()[0]
+        killer = threading.Timer(shared[-1].wall / 2, victim.kill)
+        killer.start()
+        steps, moved = after(two)
+        killer.join()
+        assert not victim.is_alive()
+    lines = [f"a step of {paths:,} paths of the gas storage template, with a share of a validation"]
+    for name in Steps._fields:
+        pairs = [(getattr(x, name), getattr(y, name)) for x, y in zip(alone, shared)]
+        first, second, ratio = (
+            statistics.median(of(pair) for pair in pairs)
+            for of in (lambda x: x[0], lambda x: x[1], lambda x: x[0] / x[1])
+        )
+        least, most = min(x / y for x, y in pairs), max(x / y for x, y in pairs)
+        lines.append(
+            f"{name:<5} one process {first:.2f} s, two {second:.2f} s: {ratio:.2f} times as fast, "
+            f"from {least:.2f} to {most:.2f} in {rounds} rounds in turns (needed 1.70)"
+        )
+    return [
+        *lines,
+        "cpu is that of the driver and of the busier worker: the wall time of free cores",
+        f"bits: {'the same' if all(same) else 'OTHER'}; after a kill in the middle of a step "
+        f"{'the same' if _equal(expected, moved) else 'OTHER'}, {steps.wall:.2f} s a step",
+    ]
+
+
+class Steps(NamedTuple):
+    """What a step takes: wall time, and processor time one after another."""
+
+    wall: float
+    cpu: float
+
+
+def _cpu_of_workers() -> dict[int, float]:
+    """{process: its processor seconds}, of this process's workers."""
+    tick, table = os.sysconf("SC_CLK_TCK"), {}
+    for child in multiprocessing.active_children():
+        fields = Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()
+        table[child.pid] = (int(fields[11]) + int(fields[12])) / tick
+    return table
+
+
+def _equal(one: Progress, two: Progress) -> bool:
+    """Whether two trainings have the same policy and the same history, to the last bit."""
+    import jax
+
+    policies = zip(jax.tree.leaves(one.policy), jax.tree.leaves(two.policy), strict=True)
+    records = [x._replace(seconds=0.0) for x in (one.record, two.record)]
+    return records[0] == records[1] and all(np.array_equal(x, y) for x, y in policies)
+
+
 TABLES: dict[str, Callable[[], list[str]]] = {
     "shapes": shapes,
     "overhead": overhead,
     "large": large,
     "model": model,
+    "training": training,
 }
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ INNER = {
     "OfCost": "a measure of risk with a minus before it",
     "Curvature": "how a derivative changes with the policy, behind its interval",
     "Norms": "the engines' record of adjoints, of which Growth is made",
+    **dict.fromkeys(("Distributed", "Workers"), "made by solve, of the executors it is given"),
     **dict.fromkeys(
         ("Dual", "Learner", "Round", "FeatureScale", "TrainingPlan"), "what a Progress goes on with"
     ),

@@ -11,7 +11,7 @@ from snapo.book.file import Book, read_book
 from snapo.book.folder import BookFolder
 from snapo.book.order import OrderAnswer, name_of
 from snapo.book.plan import BookPlan
-from snapo.book.workers import WorkerPool
+from snapo.engine.workers import WorkerPool
 
 SHORT = {
     "training.steps": 2,

@@ -5,6 +5,8 @@ import signal
 import time
 from pathlib import Path
 
+MARK = "SNAPO_TEST_MARK"  # the variable that names the file of `dies_once`
+
 
 def echo(order: bytes) -> bytes:
     """Once: where the order names a file that is not there, the worker makes it and dies. Poison
@@ -19,7 +21,18 @@ def echo(order: bytes) -> bytes:
     if kind == "fails":
         raise MemoryError("too large")
     if kind == "other":
-        from snapo.book.workers import OTHER
+        from snapo.engine.workers import OTHER
 
         return OTHER
     return order + b"!"
+
+
+def dies_once(order: bytes) -> bytes:
+    """Computes groups of paths; the first worker that has an answer dies before it gives it."""
+    from snapo.engine.native.distributed import UNKNOWN, compute
+
+    answer, mark = compute(order), Path(os.environ[MARK])
+    if answer != UNKNOWN and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return answer

@@ -20,8 +20,8 @@ from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.run import Shard, run_book
-from snapo.book.workers import Lost, answers
 from snapo.case.error import CaseError
+from snapo.engine.workers import Lost, answers
 
 
 def given(orders, where, work=echo):
@@ -45,7 +45,7 @@ def test_an_exception_is_a_loss_too():
     table = dict(given([b"a", b"fails:", b"b", b"other:"], HERE))
     assert table[b"a"] == b"a!" and table[b"b"] == b"b!"
     assert table[b"fails:"] == Lost("MemoryError: too large")
-    assert table[b"other:"] == Lost("no worker has the processor that the book names")
+    assert table[b"other:"] == Lost("no worker has a processor of the required kind")
 
 
 def test_an_unreadable_contract_fails_alone(valued, tmp_path):

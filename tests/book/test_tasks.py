@@ -17,8 +17,8 @@ from snapo.book.folder import BookFolder
 from snapo.book.order import STRESSES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
 from snapo.book.plan import BookPlan
 from snapo.book.run import plan_of, run_book
-from snapo.book.workers import OTHER
 from snapo.case.error import CaseError
+from snapo.engine.workers import OTHER
 from snapo.lanes.machine import pipeline
 
 TASKS = "[tasks]\npaths = 512\njudge = 0\n"

@@ -1,4 +1,4 @@
-"""Where the orders of a book are computed: processes of this machine, Dask, Ray, or any executor.
+"""Where orders are computed: processes of this machine, Dask, Ray, or any executor.
 
 snapo starts no cluster: it joins one. Whoever reaches the port of a scheduler can run code there,
 so that an address beyond this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
@@ -17,9 +17,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from snapo.case.error import CaseError
+from snapo.engine.workers import Work, WorkerPool
 from snapo.lanes.machine.disk import cache_home
-
-from .workers import Submits, Work, WorkerPool
 
 MAX_CACHE = 256 << 20  # bytes of XLA's programs on disk
 IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself
@@ -84,11 +83,7 @@ def _named(where: str) -> list[WorkerPool]:
     finally:
         sys.path.pop(0)
     count = max(2, IN_FLIGHT // len(executors))
-    return [WorkerPool(partial(_same, executor), count) for executor in executors]
-
-
-def _same(executor: Submits) -> Submits:
-    return executor
+    return [WorkerPool.of(executor, count) for executor in executors]
 
 
 def _dask(address: str, trust_network: bool) -> WorkerPool:
@@ -108,7 +103,8 @@ def _dask(address: str, trust_network: bool) -> WorkerPool:
     def make() -> Executor:
         return client.get_executor(pure=False)
 
-    return WorkerPool(make, IN_FLIGHT, client.close)
+    threads = sum(client.nthreads().values())  # pyright: ignore[reportAttributeAccessIssue]
+    return WorkerPool(make, IN_FLIGHT, client.close, max(1, threads))
 
 
 def _ray(address: str, trust_network: bool) -> WorkerPool:
@@ -126,7 +122,8 @@ def _ray(address: str, trust_network: bool) -> WorkerPool:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
     except (OSError, ValueError, ConnectionError, RuntimeError) as error:
         raise CaseError("--on", "", f"ray:{address}", f"no cluster answers: {error}") from None
-    return WorkerPool(RayExecutor, IN_FLIGHT, ray.shutdown)
+    cores = int(ray.cluster_resources().get("CPU", 1))
+    return WorkerPool(RayExecutor, IN_FLIGHT, ray.shutdown, max(1, cores))
 
 
 class RayExecutor:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
+from snapo.engine.workers import Lost, WorkerPool, answers
 from snapo.lanes.machine import pipeline
 from snapo.solver.provenance import versions
 from snapo.solver.tables import write_text
@@ -19,7 +20,6 @@ from .folder import REPORT, RESULT, BookFolder
 from .order import BookOrder, BookPoint, OrderAnswer, name_of, opened
 from .plan import BookPlan
 from .work import answer
-from .workers import Lost, WorkerPool, answers
 
 EVERY = 5.0  # seconds between two lines of progress
 

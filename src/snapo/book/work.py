@@ -23,6 +23,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.engine.native import forget_kernels
+from snapo.engine.workers import OTHER
 from snapo.lanes.machine import pipeline
 from snapo.live.files import read_files
 from snapo.live.positions import InputPositions
@@ -40,7 +41,6 @@ from snapo.study.study import Setup, Study
 
 from .file import StressMove
 from .order import BATCHES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
-from .workers import OTHER
 
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 

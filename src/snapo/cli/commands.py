@@ -7,14 +7,17 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
 from snapo.study import commands
 from snapo.study.commands import CaseRequest
 from snapo.study.domain import GOOD
+
+if TYPE_CHECKING:
+    from snapo.engine import Workers
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -115,17 +118,29 @@ def _check(options: argparse.Namespace) -> Answer:
 
 
 def _solve(options: argparse.Namespace) -> Answer:
-    result = commands.solve(
-        _asked(options),
-        say,
-        out=options.out,
-        engine=options.engine,
-        reference=options.reference,
-        resume=options.resume,
-        policy=options.policy,
-        seeds=options.seeds,
-    )
+    with _workers(options) as workers:
+        result = commands.solve(
+            _asked(options),
+            say,
+            out=options.out,
+            engine=options.engine,
+            reference=options.reference,
+            resume=options.resume,
+            policy=options.policy,
+            seeds=options.seeds,
+            workers=workers,
+        )
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
+
+
+def _workers(options: argparse.Namespace) -> "AbstractContextManager[Workers | None]":
+    """Those of `--on` or `--workers`; nothing is imported without them."""
+    if not (options.on or options.workers):
+        return nullcontext()
+    from snapo.book.executors import worker_pools
+    from snapo.engine import Workers
+
+    return Workers(worker_pools(options.on, options.workers, options.trust_network))
 
 
 def _book(options: argparse.Namespace) -> Answer:

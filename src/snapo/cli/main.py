@@ -106,6 +106,7 @@ def _add_solve(commands) -> None:
         type=_seeds,
         help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
     )
+    _add_workers(solve, "processes of this machine that compute a part of a large problem's paths")
 
 
 def _add_book(commands) -> None:
@@ -116,21 +117,7 @@ def _add_book(commands) -> None:
     book.add_argument(
         "--out", metavar="DIR", type=Path, help="folder of the results (default: run, next to it)"
     )
-    where = book.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers", metavar="N", type=_count, help="processes of this machine (default: its cores)"
-    )
-    where.add_argument(
-        "--on",
-        metavar="WHERE",
-        default="",
-        help="dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns an executor",
-    )
-    book.add_argument(
-        "--trust-network",
-        action="store_true",
-        help="join a scheduler without TLS or token that is not on this machine",
-    )
+    _add_workers(book, "processes of this machine (default: its cores)")
     book.add_argument(
         "--shard",
         metavar="K/N",
@@ -141,6 +128,22 @@ def _add_book(commands) -> None:
         "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
     )
     book.add_argument("--sql", metavar="QUERY", help="query the tables values, deltas and shares")
+
+
+def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=_count, help=processes)
+    where.add_argument(
+        "--on",
+        metavar="WHERE",
+        default="",
+        help="dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns an executor",
+    )
+    parser.add_argument(
+        "--trust-network",
+        action="store_true",
+        help="join a scheduler without TLS or token that is not on this machine",
+    )
 
 
 def _add_certify(commands) -> None:

@@ -12,4 +12,6 @@ from .choose import Engines as Engines
 from .choose import choose as choose
 from .native import Native as Native
 from .native import Unsupported as Unsupported
+from .workers import WorkerPool as WorkerPool
+from .workers import Workers as Workers
 from .xla import Xla as Xla

@@ -11,7 +11,8 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
 from .base import Engine
-from .native import Native, unavailable, unsupported
+from .native import Distributed, Native, unavailable, unsupported
+from .workers import Workers
 from .xla import Xla
 
 NAMES = ("auto", "xla", "native")
@@ -24,6 +25,25 @@ class Engines(NamedTuple):
     evaluate: Engine
     name: str
     reason: str
+
+    def over(self, workers: Workers) -> "Engines":
+        """These engines, with workers that compute groups of paths where that saves time.
+
+        **Raises:** `ValueError` for other engines than the native one.
+        """
+        train, evaluate = self.train, self.evaluate
+        if not (isinstance(train, Native) and isinstance(evaluate, Native)):
+            raise ValueError(f"only the native engine uses workers, and this is {self.reason}")
+        return self._replace(
+            train=replace(train, distributed=Distributed(workers)),
+            evaluate=replace(evaluate, distributed=Distributed(workers)),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Why workers were not used in training, where there are some."""
+        distributed = self.train.distributed if isinstance(self.train, Native) else None
+        return (distributed.note,) if distributed is not None and distributed.note else ()
 
 
 EngineName = str | Engine | Engines

@@ -4,6 +4,7 @@ A run is two plain stages on one problem: `train`, `measure`.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from jaxtyping import PyTree
 
 from snapo.checker.check import problem_mistakes, simulator_mistakes
 from snapo.checker.findings import Findings
-from snapo.engine import Engine, EngineName, choose
+from snapo.engine import Engine, EngineName, Engines, WorkerPool, Workers, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import problem_of
@@ -53,6 +54,7 @@ def solve(
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
     check: bool = True,
+    executor: Executor | Sequence[Executor] | None = None,
 ) -> Solution:
     """Trains a policy and returns its value, with the derivative with respect to every input.
 
@@ -77,6 +79,9 @@ def solve(
       line of its history; a callback that returns True stops the training. `progress`: a state from
       which to continue.
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
+    - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
+      or several. Its workers compute a part of the paths of every step that takes 50 ms or more
+      here, with the same bits. It stays open.
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
@@ -93,6 +98,8 @@ def solve(
         if check:
             result += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
+        if executor is not None:
+            engines = _over(engines, executor)
         drawn = to_be_drawn(recipe)
         plan = resolve_auto(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
@@ -106,7 +113,7 @@ def solve(
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
         measured = measure(run)
-        measured["notes"] = (*result, *measured["notes"])
+        measured["notes"] = (*result, *engines.notes, *measured["notes"])
         timer.stage("evaluate")
     return Solution(
         **measured,
@@ -120,6 +127,14 @@ def solve(
         problem=problem,
         maximised=str(problem.objective),
     )
+
+
+def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
+    executors = [executor] if isinstance(executor, Executor) else executor
+    try:
+        return engines.over(Workers(list(map(WorkerPool.of, executors))))
+    except ValueError as error:
+        raise ValueError(f"solve: executor: {error}.") from None
 
 
 def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:

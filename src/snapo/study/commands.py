@@ -10,6 +10,7 @@ from snapo.case.error import CaseError
 from .domain import CaseRequest, Domain, RunsCode, find, installed, load, remarks
 
 if TYPE_CHECKING:
+    from snapo.engine import Workers
     from snapo.solver.bound import Penalty
 
     from .study import ProgressCallback
@@ -107,11 +108,13 @@ def solve(
     resume: bool = False,
     policy: Path | None = None,
     seeds: int | Sequence[int] | None = None,
+    workers: "Workers | None" = None,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default `run` next to the case.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
+    `workers`: compute groups of the paths of a large problem, with the same bits.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
@@ -119,7 +122,8 @@ def solve(
     """
     from .prepare import Wanted, carried_out, made_ready, output_folder
 
-    began, requested = time.perf_counter(), Wanted(engine, reference, resume, policy)
+    requested = Wanted(engine, reference, resume, policy, workers=workers)
+    began = time.perf_counter()
     if seeds is not None:
         from .seeds import solve_seeds
 

@@ -30,7 +30,7 @@ from snapo.solver.solution import POLICY
 
 from . import run_folder
 from .run_folder import START
-from .study import Part, Setup, Study, StudyRun
+from .study import Part, Setup, Study, StudyRun, with_change
 from .training import TRAINING, no_policy
 
 ZIP = b"PK"  # with which every .npz begins
@@ -208,7 +208,11 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
         message = f"{file} trains no policy, so that an initial one has no use"
         raise CaseError("--policy", "", str(values.source), message)
-    setup = _fitted(study.setup, values)
+
+    def adopt(setup: Setup) -> Setup:
+        return setup._replace(policy=values.adopted_by(setup.policy), recipe=None)
+
+    setup = with_change(study.setup, adopt)
     setup()  # a misfit is refused before anything is written
     after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
     parts = [
@@ -218,22 +222,6 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
         *study.parts[after:],
     ]
     return replace(study, parts=parts, setup=setup, result=_told(study.result))
-
-
-def _fitted(setup: Callable[[], Setup], values: SuppliedPolicy) -> Callable[[], Setup]:
-    """The setup of a study, which may change while it runs, with the policy in it."""
-    made: dict[int, tuple[Setup, Setup]] = {}
-
-    def build() -> Setup:
-        local = setup()
-        if id(local) not in made:  # the pair keeps `local`, and with it its number
-            made[id(local)] = (
-                local,
-                local._replace(policy=values.adopted_by(local.policy), recipe=None),
-            )
-        return made[id(local)][1]
-
-    return build
 
 
 def _kept(values: SuppliedPolicy) -> Callable[[StudyRun], Mapping[str, Any]]:

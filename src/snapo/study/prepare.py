@@ -21,6 +21,8 @@ from .domain import Domain, Loaded, Options, RunsCode
 from .run_folder import CASE, differences
 
 if TYPE_CHECKING:
+    from snapo.engine import Workers
+
     from .study import ProgressCallback, Study
 
 
@@ -83,6 +85,7 @@ class Wanted(NamedTuple):
     - `engine`, `reference`: as in `Options`; `resume`: continue the existing run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
+    - `workers`: compute groups of paths, with the same bits.
     """
 
     engine: str = "auto"
@@ -90,6 +93,7 @@ class Wanted(NamedTuple):
     resume: bool = False
     policy: Path | None = None
     about: Mapping[str, Any] | None = None
+    workers: "Workers | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +150,31 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
         from .initial_policy import begun_with
 
         study = begun_with(study, values, str(loaded.file))
+    if requested.workers is not None:
+        study = _over(study, requested.workers, str(loaded.file))
     return Prepared(loaded, out, decides, study)
+
+
+def _over(study: "Study", workers: "Workers", file: str) -> "Study":
+    """The study with workers that compute groups of paths.
+
+    **Raises:** `CaseError` where they cannot.
+    """
+    from .study import Setup, with_change
+
+    if study.setup is None:
+        message = f"{file} trains no policy, so that workers have no use"
+        raise CaseError("--on, --workers", "", None, message)
+
+    def distributed(setup: Setup) -> Setup:
+        try:
+            return setup._replace(engines=setup.engines.over(workers))
+        except ValueError as error:
+            raise CaseError("--on, --workers", "", None, str(error)) from None
+
+    setup = with_change(study.setup, distributed)
+    setup()  # a misfit is refused before anything is written
+    return replace(study, setup=setup)
 
 
 def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":

@@ -53,6 +53,21 @@ class Setup(NamedTuple):
         )
 
 
+def with_change(
+    setup: Callable[[], Setup], change: Callable[[Setup], Setup]
+) -> Callable[[], Setup]:
+    """The setup of a study, which may be another one while it runs, with a change made once."""
+    made: dict[int, tuple[Setup, Setup]] = {}
+
+    def build() -> Setup:
+        local = setup()
+        if id(local) not in made:  # the pair keeps `local`, and with it its number
+            made[id(local)] = (local, change(local))
+        return made[id(local)][1]
+
+    return build
+
+
 class Today(NamedTuple):
     """The decision of today in the terms of its domain.
 

@@ -136,6 +136,7 @@ def other(case: dict, folder) -> dict:
     }
 
 
+@pytest.mark.prove
 def test_a_second_contract_compiles_nothing_and_has_its_own_bits(tmp_path):
     def setup(folder, changes):
         case = read(folder, **changes)

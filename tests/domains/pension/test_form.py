@@ -120,6 +120,7 @@ def test_a_simulator_has_arrays_alone(kind):
     assert not hasattr(simulator, "case") and not jax.tree.leaves(simulator.on_paths())
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("kind", MAKERS)
 def test_a_second_fund_compiles_nothing_and_has_its_own_bits(kind):
     """Members are older; assets, bounds, costs and curves are others."""

@@ -26,6 +26,7 @@ from snapo.study.domain import Report
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
 from .chapters.position import POSITION, Cycles, Position, inventory
+from .chapters.quotes import quotes
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
 from .chapters.today import FirstDecision, ladder
@@ -145,8 +146,8 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, VALUES, value_bounds, POSITION, inventory, DELTAS, daily, risk,
-        sliders, today, cash_flow,
+    headline, VALUES, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
+        risk, sliders, today, cash_flow,
     history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
 

@@ -17,6 +17,7 @@ from .bounds.value_iteration import FittedValue
 from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
 from .chapters.position import POSITION
+from .chapters.quotes import QUOTE_DELTAS
 from .chapters.risk import SHADOW_PRICES
 from .chapters.run import InputEntry
 from .chapters.today import today
@@ -79,7 +80,8 @@ def study(case: StorageCase, options: Options) -> Study:
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
-    chapters = (POSITION, DELTAS, SHADOW_PRICES, CERTIFICATE)
+    of_quotes = () if case.quotes is None else (QUOTE_DELTAS,)
+    chapters = (POSITION, DELTAS, *of_quotes, SHADOW_PRICES, CERTIFICATE)
     parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
     if callable(relaxation):

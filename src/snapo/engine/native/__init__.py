@@ -11,6 +11,7 @@ simulator passes through it:
       shared              the tables that all paths share
       kernel              the two sweeps of each phase, the loop over blocks, the module
     call, runtime       trees into rows and back; memory and threads
+    distributed         groups of paths that other processes compute
     engine, explain     `values` and `adjoint`; every stage as text, and reasons
 """
 
@@ -18,6 +19,7 @@ from snapo.lanes import Unsupported as Unsupported
 
 from .call import forget_kernels as forget_kernels
 from .call import unavailable as unavailable
+from .distributed import Distributed as Distributed
 from .engine import Native as Native
 from .explain import Explanation as Explanation
 from .explain import explain as explain

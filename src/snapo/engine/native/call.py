@@ -23,7 +23,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..arrays import with_memory
 from ..base import Engine, Window, checked
 from .kernel.context import KernelStages
-from .kernel.kernel import Kernel, emit
+from .kernel.kernel import Kernel, KernelCode, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced
 from .runtime import Back, KernelInputs, Runner
 
@@ -77,9 +77,9 @@ def forget_kernels() -> None:
     _runners.clear()
 
 
-def linked(kernel: Kernel) -> Linked:
+def linked(code: KernelCode) -> Linked:
     """The kernel's machine code, from the disk where it was made before."""
-    return Linked(cached(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)
+    return Linked(cached(code.text, cache_home() / "snapo" / "kernels"), code.entries)
 
 
 class NativeCall:
@@ -124,7 +124,7 @@ class NativeCall:
         if key not in _runners:
             started = perf_counter()
             kernel = self.kernel(setup, like)
-            _runners[key] = Runner(kernel, linked(kernel))
+            _runners[key] = Runner(kernel, linked(kernel.code))
             jax.monitoring.record_event_duration_secs(COMPILED, perf_counter() - started)
             while len(_runners) > KEPT:
                 _runners.popitem(last=False)
@@ -202,7 +202,7 @@ class NativeCall:
             view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.slots.edges
         counted = first + (int(self.draws.first) if isinstance(self.draws, Counter) else 0)
-        return KernelInputs(self.paths, length, counted, memory, records, columns, edges)
+        return KernelInputs(self.paths, blocks, length, counted, memory, records, columns, edges)
 
     def _filled(self, bounds) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""

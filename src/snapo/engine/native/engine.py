@@ -1,7 +1,8 @@
 """The native engine: `values` and `adjoint` by kernels compiled for simulator and processor."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import jax
@@ -17,7 +18,8 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..arrays import adjoint_without, values_without
 from ..base import Adjoint, Clip, Engine, Rollout, Window
 from .call import NativeCall
-from .runtime import SUMS
+from .distributed import Distributed
+from .runtime import SUMS, KernelInputs, KernelOutputs, Runner
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,17 @@ class Native(Engine):
     **Arguments:**
 
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
-    - `threads`: None uses every processor available to this process. Results do not depend on it.
+    - `threads`: None uses every processor available to this process.
+    - `distributed`: workers that compute groups of paths, where that saves time.
+
+    Results depend on neither.
 
     Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses something that
     cannot be compiled, or where nothing can be compiled (`unavailable`).
     """
 
     threads: int | None = None
+    distributed: Distributed | None = field(default=None, repr=False)
     steady: ClassVar[bool] = True
 
     def values(
@@ -54,7 +60,7 @@ class Native(Engine):
                 self, simulator, policy, schedule, draws, smooth, actions, window, start
             )
             runner = call.runner(False, tuple(record), False, ())
-            out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
+            out = self._run(runner, call.inputs(runner, None, None, bool(record)))
             totals, state = call.finals(runner, out.final)
             rollout = Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
             return values_without(simulator, call.simulator, rollout)
@@ -89,7 +95,7 @@ class Native(Engine):
             rows, maximum = [], runner.together(call.paths, call.window.length)
             for first in range(0, count, maximum):
                 part = {name: w[first : first + maximum] for name, w in arrays.items()}
-                out = runner.run(call.inputs(runner, part, bounds, False), self._threads())
+                out = self._run(runner, call.inputs(runner, part, bounds, False))
                 rows += [call.gradients(runner, back) for back in out.back]
             totals, _ = call.finals(runner, out.final)
             gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
@@ -118,11 +124,14 @@ class Native(Engine):
                 return super().adjoints(*values, weights, parts, actions=actions, wrt=wrt)
             rows = {name: np.asarray(w, self.dtype)[None] for name, w in weights.items()}
             filled = call.inputs(runner, rows, Clip().bounds(rows), False, parts)
-            out = runner.run(filled, self._threads())
+            out = self._run(runner, filled)
             totals, _ = call.finals(runner, out.final)
             moved, schedules, _ = call.gradients(runner, out.back[0])
             request = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
             return Adjoint(totals, request[0], request[1], None)
 
-    def _threads(self) -> int:
-        return self.threads or cores()
+    def _run(self, runner: Runner, inputs: KernelInputs) -> KernelOutputs:
+        threads = self.threads or cores()
+        if self.distributed is None:
+            return runner.run(inputs, threads)
+        return runner.run(inputs, threads, partial(self.distributed.groups, runner))

@@ -3,18 +3,19 @@
 import os
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
+from snapo.lanes.machine import disk
 from snapo.lanes.machine.linked import KernelMemory, Linked, address
 from snapo.lanes.machine.threads import spread
 
 from .kernel.context import CONTEXT
-from .kernel.kernel import Kernel
+from .kernel.kernel import Kernel, KernelCode
 
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
@@ -31,6 +32,7 @@ class KernelInputs:
     """
 
     paths: int
+    blocks: int
     length: int
     first: int
     memory: KernelMemory
@@ -57,42 +59,44 @@ class Back:
     start_cotangent: np.ndarray
 
 
-class Runner:
-    """A compiled kernel, with scratch memory that is used again from call to call."""
+class GroupRunner:
+    """The code of a kernel, with scratch memory that is used again from call to call.
 
-    def __init__(self, kernel: Kernel, machine: Linked):
-        self.kernel, self.machine = kernel, machine
+    It computes groups of blocks; their sums are independent of one another, so that groups may be
+    computed anywhere.
+    """
+
+    def __init__(self, code: KernelCode, machine: Linked):
+        self.code, self.machine = code, machine
         self.reference = weakref.ref(self)
 
-    def blocks(self, paths: int) -> int:
-        return -(-paths // self.kernel.lanes)
+    @cached_property
+    def name(self) -> str:
+        """Equal for kernels that give the same bits."""
+        return disk.key(self.code.text)
 
-    def run(self, inputs: KernelInputs, threads: int) -> KernelOutputs:
-        """All blocks, forward and (in an adjoint kernel) back, for every column of weights."""
-        layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
-        columns, length, edges = inputs.columns, inputs.length, inputs.edges
-        calls, steps = self.sums(length)
-        item, blocks = calls + steps, self.blocks(inputs.paths)
-        if edges is None:
-            groups = _groups(blocks, item if adjoint else 0)
-            edges = blocks * np.arange(groups + 1) // groups
-        groups, blocks = len(edges) - 1, int(edges[-1])
-        starts = blocks * layouts["start_cotangent"].stride
-        sizes = {"stop": 8, "final": blocks * layouts["final"].stride}
-        if inputs.records:
-            sizes["records"] = blocks * length * layouts["records"].stride
-        if adjoint:
-            sizes["start_cotangent"] = columns * starts
-            sizes["total"], sizes["sums"] = columns * item, groups * columns * item
-        memory = KernelMemory(sizes)
-        segment = self.segment(length)
-        numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
-        numbers |= {"segment": segment, "columns": columns}
-        context = _context(inputs.memory.where | memory.where | numbers, columns)
-        _apart(context, "weights", blocks * layouts["weights"].stride)
-        _apart(context, "start_cotangent", starts)
-        scratch = self._scratch(segment, -(-length // segment), columns)
-        functions = self.machine.functions
+    def prepared(self, inputs: KernelInputs) -> np.ndarray:
+        """The tables of addresses of a run, after all that its paths share has been computed."""
+        numbers = {"length": inputs.length, "first": inputs.first, "count": inputs.paths}
+        numbers |= {"segment": self.segment(inputs.length), "columns": inputs.columns}
+        context = _context(inputs.memory.where | numbers, inputs.columns)
+        _apart(context, "weights", inputs.blocks * self.code.strides["weights"])
+        with self._own(context, inputs) as local:
+            self.machine.functions["prepare"](address(local))
+        return context
+
+    def groups(
+        self, inputs: KernelInputs, context: np.ndarray, edges: np.ndarray, threads: int
+    ) -> KernelMemory:
+        """Rows of all blocks, and the sums of every group, from one of the `edges` to the next."""
+        columns, adjoint = inputs.columns, self.code.adjoint
+        memory = KernelMemory({"stop": 8, **self.results(inputs, len(edges) - 1)})
+        calls, steps = self.sums(inputs.length)
+        item, context = calls + steps, context.copy()
+        for name in memory.where.keys() & SLOTS.keys():
+            context[:, SLOTS[name]] = memory.where[name]
+        _apart(context, "start_cotangent", inputs.blocks * self.code.strides["start_cotangent"])
+        run = self.machine.functions["run"]
 
         # A helper may continue after an interrupt: its work keeps the memory and the code alive.
         def one(
@@ -100,29 +104,105 @@ class Runner:
         ) -> None:
             if adjoint:
                 _add_up_in(context, memory.where["sums"] + group * columns * item, calls, item)
-            functions["run"](address(context), int(edges[group]), int(edges[group + 1]))
+            run(address(context), int(edges[group]), int(edges[group + 1]))
 
-        mine = partial(self._own, context, scratch)
-        with mine() as local:
-            functions["prepare"](address(local))
-        spread(one, groups, min(threads, groups), memory["stop"], mine)
+        count = len(edges) - 1
+        mine = partial(self._own, context, inputs)
+        spread(one, count, min(threads, count), memory["stop"], mine)
+        return memory
+
+    def results(self, inputs: KernelInputs, groups: int) -> dict[str, int]:
+        """{row: bytes} that `groups` gives back: those of blocks, and the sums of groups."""
+        strides, blocks = self.code.strides, inputs.blocks
+        sizes = {"final": blocks * strides["final"]}
+        if inputs.records:
+            sizes["records"] = blocks * inputs.length * strides["records"]
+        if self.code.adjoint:
+            sizes["start_cotangent"] = inputs.columns * blocks * strides["start_cotangent"]
+            sizes["sums"] = groups * inputs.columns * sum(self.sums(inputs.length))
+        return sizes
+
+    def sums(self, length: int) -> tuple[int, int]:
+        """Bytes of the gradients with respect to numbers of the call, and those of all steps."""
+        return self.code.strides["call_sums"], length * self.code.strides["step_sums"]
+
+    def segment(self, length: int) -> int:
+        """Steps whose tape is kept at once. It does not depend on the number of threads."""
+        if not self.code.adjoint:
+            return length
+        return int(min(length, max(1, TAPE // self.code.strides["tape"])))
+
+    @contextmanager
+    def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[np.ndarray]:
+        """The context with separate scratch memory."""
+        sizes = self._scratch(inputs.length, inputs.columns)
+        scratch = spare.take(self)
+        if scratch is None or not scratch.suffices(sizes):
+            scratch = KernelMemory(sizes)
+        local = context.copy()
+        for name, position in scratch.where.items():
+            local[:, SLOTS[name]] = position
+        _apart(local, "cotangent", self.code.strides["cotangent"])
+        try:
+            yield local
+        finally:
+            spare.give(self, scratch)
+
+    def _scratch(self, length: int, columns: int) -> dict[str, int]:
+        """The sizes of one thread's scratch memory."""
+        strides, sizes, segment = self.code.strides, self.code.sizes, self.segment(length)
+        return {
+            "work": sizes["work"], "carry": strides["carry"],
+            "cotangent": columns * strides["cotangent"],
+            "tape_initial": strides["tape_initial"], "tape_final": strides["tape_final"],
+            "tape": segment * strides["tape"], "chunk": sizes["chunk"],
+            "saved": -(-length // segment) * strides["carry"],
+        }  # fmt: skip
+
+
+Groups = Callable[[KernelInputs, np.ndarray, np.ndarray, int], KernelMemory]
+
+
+class Runner(GroupRunner):
+    """A compiled kernel."""
+
+    def __init__(self, kernel: Kernel, machine: Linked):
+        super().__init__(kernel.code, machine)
+        self.kernel = kernel
+
+    def run(
+        self, inputs: KernelInputs, threads: int, groups: Groups | None = None
+    ) -> KernelOutputs:
+        """All blocks, forward and (in an adjoint kernel) back, for every column of weights.
+
+        `groups`: computes them in the place of `GroupRunner.groups`, with the same bits.
+        """
+        context, edges = self.prepared(inputs), inputs.edges
+        if edges is None:
+            item = sum(self.sums(inputs.length)) if self.code.adjoint else 0
+            count = _groups(inputs.blocks, item)
+            edges = inputs.blocks * np.arange(count + 1) // count
+        memory = (groups or self.groups)(inputs, context, edges, threads)
         out = KernelOutputs(memory["final"], memory.rows.get("records"))
-        if adjoint:
-            out.back = self._back(memory, mine, inputs, (groups, columns), (calls, steps))
+        if self.code.adjoint:
+            out.back = self._back(inputs, context, memory)
         return out
 
-    def _back(self, memory: KernelMemory, mine, inputs: KernelInputs, shape, sizes) -> list["Back"]:
+    def _back(
+        self, inputs: KernelInputs, context: np.ndarray, memory: KernelMemory
+    ) -> list["Back"]:
         """The sums of every column, finished: over all paths, or over each part of them."""
-        (groups, columns), (calls, steps) = shape, sizes
-        rows, name, stride = memory["sums"], "sums", calls + steps
+        (calls, steps), columns = self.sums(inputs.length), inputs.columns
+        rows, where, stride = memory["sums"], memory.where["sums"], calls + steps
         if inputs.edges is None:
-            rows, name = memory["total"], "total"
-            sums = memory["sums"].view(np.float64).reshape(groups, -1)
-            np.sum(sums, axis=0, out=rows.view(np.float64))
+            total = KernelMemory({"total": columns * stride})
+            groups = rows.view(np.float64).reshape(-1, columns * stride // 8)
+            rows, where = total["total"], total.where["total"]
+            np.sum(groups, axis=0, out=rows.view(np.float64))
         rows = rows.reshape(-1, columns, stride)
-        with mine() as local:
+        with self._own(context, inputs) as local:
             for part in range(len(rows)):
-                _add_up_in(local, memory.where[name] + part * columns * stride, calls, stride)
+                _add_up_in(local, where + part * columns * stride, calls, stride)
                 for column in local:
                     self.machine.functions["finish"](address(column))
         rows = rows[0] if inputs.edges is None else rows
@@ -132,45 +212,7 @@ class Runner:
     def together(self, paths: int, length: int) -> int:
         """The maximum number of columns of one run, limited by memory for their gradients."""
         item = sum(self.sums(length))
-        return int(max(1, SUMS // max(1, _groups(self.blocks(paths), item) * item)))
-
-    def sums(self, length: int) -> tuple[int, int]:
-        """Bytes of the gradients with respect to numbers of the call, and those of all steps."""
-        layouts = self.kernel.layouts
-        return layouts["call_sums"].stride, length * layouts["step_sums"].stride
-
-    def segment(self, length: int) -> int:
-        """Steps whose tape is kept at once. It does not depend on the number of threads."""
-        if not self.kernel.traced.setup.adjoint:
-            return length
-        return int(min(length, max(1, TAPE // self.kernel.layouts["tape"].stride)))
-
-    def _scratch(self, segment: int, segments: int, columns: int) -> dict[str, int]:
-        """The sizes of one thread's scratch memory."""
-        layouts, sizes = self.kernel.layouts, self.kernel.sizes
-        return {
-            "work": sizes["work"], "carry": layouts["carry"].stride,
-            "cotangent": columns * layouts["cotangent"].stride,
-            "tape_initial": layouts["tape_initial"].stride,
-            "tape_final": layouts["tape_final"].stride,
-            "tape": segment * layouts["tape"].stride, "chunk": sizes["chunk"],
-            "saved": segments * layouts["carry"].stride,
-        }  # fmt: skip
-
-    @contextmanager
-    def _own(self, context: np.ndarray, sizes: dict[str, int]) -> Iterator[np.ndarray]:
-        """The context with separate scratch memory."""
-        scratch = spare.take(self)
-        if scratch is None or not scratch.suffices(sizes):
-            scratch = KernelMemory(sizes)
-        local = context.copy()
-        for name, position in scratch.where.items():
-            local[:, SLOTS[name]] = position
-        _apart(local, "cotangent", self.kernel.layouts["cotangent"].stride)
-        try:
-            yield local
-        finally:
-            spare.give(self, scratch)
+        return int(max(1, SUMS // max(1, _groups(-(-paths // self.kernel.lanes), item) * item)))
 
 
 class Spare:
@@ -181,10 +223,10 @@ class Spare:
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._waiting: list[tuple[weakref.ref[Runner], KernelMemory]] = []
+        self._waiting: list[tuple[weakref.ref[GroupRunner], KernelMemory]] = []
         self._bytes = 0
 
-    def take(self, runner: Runner) -> KernelMemory | None:
+    def take(self, runner: GroupRunner) -> KernelMemory | None:
         """Memory that this kernel had before, the latest first; None where there is none."""
         with self._lock:
             for i in reversed(range(len(self._waiting))):
@@ -195,7 +237,7 @@ class Spare:
             self._keep([item for item in self._waiting if item[0]() is not None])
         return None
 
-    def give(self, runner: Runner, memory: KernelMemory) -> None:
+    def give(self, runner: GroupRunner, memory: KernelMemory) -> None:
         """Keeps memory for this kernel's next call, if there is room."""
         with self._lock:
             self._waiting.append((runner.reference, memory))

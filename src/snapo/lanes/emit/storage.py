@@ -5,7 +5,7 @@ strides. Neither costs an instruction.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -113,6 +113,12 @@ class Layout:
         offset = -(-self.size // align) * align
         self.fields[key] = (offset, tuple(shape), dtype)
         self.size = offset + math.prod(shape) * stored * self.lanes
+
+    def size_to(self, keys: Iterable[object]) -> int:
+        """Bytes of a row as far as these fields go."""
+        fields = [self.fields[key] for key in keys]
+        sizes = (math.prod(shape) * dtype.itemsize for _, shape, dtype in fields)
+        return max((field[0] + self.lanes * size for field, size in zip(fields, sizes)), default=0)
 
     @property
     def stride(self) -> int:

@@ -18,7 +18,7 @@ G1 = Path(__file__).parents[1] / "cases" / "G1"
 # Keys whose comment shows an example, since they have no default or a plain one.
 EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
 EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
-EXAMPLES |= {"patience", "window", "clip", "keep", "validation_every"}
+EXAMPLES |= {"patience", "window", "clip", "keep", "validation_every", "quotes", "curve"}
 
 
 def test_commented_keys_of_the_new_case_are_right():

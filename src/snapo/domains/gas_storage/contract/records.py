@@ -24,6 +24,7 @@ from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.problem.inputs import Input
 
+from ..curves.quotes import QuotedCurve
 from ..prices.process import PriceProcess, use
 
 
@@ -226,6 +227,7 @@ class StorageCase:
     - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
+    - `quotes`: those from which the forward curve is made; None of a curve by day and month.
     """
 
     file: Path
@@ -246,6 +248,7 @@ class StorageCase:
     training: TrainingTable
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
+    quotes: QuotedCurve | None = None
 
     kind = "gas-storage"
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, SheetCell
+from snapo.case.given import CaseInput, NoPosition, SheetCell
 from snapo.case.plausible import CaseFiles, Plausible, implausible
 from snapo.case.settings import (
     EvaluationTable,
@@ -28,6 +28,7 @@ from snapo.case.table import TableContext, parse
 
 from ..contract.feasibility import check_feasible
 from ..contract.records import GasMarket, StorageCase, numbers_of
+from ..curves.quotes import QuotedCurve, QuotedCurveTable, read_quotes
 from ..prices.process import Delivery
 from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, payment_days, pays_by_price, read_contract
@@ -42,16 +43,41 @@ def read_market(
     price_days: Sequence[datetime.date],
     moving: np.ndarray,
     unit: str,
-) -> GasMarket:
-    """The market of a contract that trades on `days` and needs prices on `price_days`.
+) -> tuple[GasMarket, QuotedCurve | None]:
+    """The market of a contract that trades on `days` and needs prices on `price_days`, and the
+    quotes that its curve is made of.
 
     `moving`: [T] whether gas can move on the day.
     """
-    curve = read_curve(section, table.forward_curve, price_days, unit)
+    curve, quoted = _forward(section, table, price_days, unit)
     valuation = table.valuation_date
     rate, rate_day = _nodes(table.interest_rate, valuation)
     gas_day = payment_days(section, "settlement", table.settlement, days, valuation, moving)
-    return GasMarket(curve, rate, rate_day, gas_day)
+    return GasMarket(curve, rate, rate_day, gas_day), quoted
+
+
+_PLAIN = QuotedCurveTable()  # pyright: ignore[reportCallIssue]
+
+
+def _forward(
+    section: TableContext, table: MarketTable, days: Sequence[datetime.date], unit: str
+) -> tuple[CaseInput, QuotedCurve | None]:
+    """The forward price of each of `days`, from a curve or from quotes."""
+    if (table.forward_curve is None) == (table.quotes is None):
+        message = "[market] has one of both: forward_curve, a CSV file with columns date,price, or "
+        raise section.error("quotes", table.quotes, f"{message}quotes, one with product,price")
+    if table.forward_curve is not None:
+        if table.curve is not None:
+            raise section.error("curve", None, "it makes a curve from quotes; there are none")
+        return read_curve(section, table.forward_curve, days, unit), None
+    assert table.quotes is not None
+    forward = replace(FORWARD, unit=unit)
+    quoted = read_quotes(section, table.quotes, forward, table.curve or _PLAIN, days)
+    labels = [day.isoformat() for day in days]
+    reason = NoPosition(f"it is made from the quotes in {table.quotes}")
+    return forward.input(
+        "forward_curve", quoted.curve, labels, positions=(reason,) * len(days)
+    ), quoted
 
 
 def read_curve(
@@ -222,12 +248,12 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     unit = f"{contract_table.currency}/{contract_table.volume_unit}"
     limits = read_limits(where, contract_table, days)
     section = TableContext(file, "market", notes)
-    market = read_market(section, market_table, days, price_days, limits.moving(), unit)
+    market, quoted = read_market(section, market_table, days, price_days, limits.moving(), unit)
     contract = read_contract(where, contract_table, days, valuation, limits, market.gas_day)
     section = TableContext(file, "model", notes)
     delivery = Delivery(days, price_days, end, valuation, market.forward_curve)
     model = read_prices(section, top.model, delivery)
-    check_curve(market_table.forward_curve, model, delivery)
+    check_curve(market_table.forward_curve or str(market_table.quotes), model, delivery)
     case = StorageCase(
         file=file,
         title=top.title,
@@ -242,6 +268,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         expired=expired,
         contract=contract,
         market=market,
+        quotes=quoted,
         model=model,
         objective=read_objective(top.objective, str(file)),
         training=read_training(top.training, str(file)),

@@ -15,6 +15,8 @@ from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range
 from snapo.case.table import TITLE, CaseTable, NotNegative, Title
 
+from ..curves.quotes import QuotedCurveTable
+
 
 def _plain_day(value: Any) -> Any:
     # A TOML date with a time is a datetime, which Python counts as a date.
@@ -30,6 +32,10 @@ DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 FileName = Annotated[str, Field(min_length=1)]
 
 END_VALUES = "a CSV file with columns inventory,value"
+CURVE = (
+    'how quotes make a curve, { smoother = "spline", end = "free", factors = { sunday = 0.94 } }: '
+    'smoother "daily" or "spline", end "flat" or "free", factors above 0 by day of the week'
+)
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 RULES = (
     '"flow", { days = 10 }, { date = 2021-06-20 }, { months = 1, day = 20 } '
@@ -141,7 +147,11 @@ class MarketTable(CaseTable):
     """`[market]`"""
 
     valuation_date: DateKey = Field(description=DATE)
-    forward_curve: FileName = Field(description="a CSV file with columns date,price")
+    forward_curve: FileName | None = Field(
+        None, description="a CSV file with columns date,price; or quotes"
+    )
+    quotes: FileName | None = Field(None, description="a CSV file with columns product,price")
+    curve: QuotedCurveTable | None = Field(None, description=CURVE)
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)
 

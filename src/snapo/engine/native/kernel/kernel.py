@@ -315,6 +315,27 @@ def _both(build: Build, phase: Phase) -> None:
     reverse(build, phase, transposed, division)
 
 
+@dataclass(frozen=True)
+class KernelCode:
+    """All that running a kernel takes: the text of its module, and the bytes of its rows.
+
+    - `strides`: {layout: bytes of a row}; `sizes`: {name: bytes of scratch memory}.
+    - `filled`: {layout: bytes of a row that come from the caller}; `prepare` computes the others.
+    """
+
+    text: str
+    adjoint: bool
+    strides: dict[str, int]
+    filled: dict[str, int]
+    sizes: dict[str, int]
+
+    @property
+    def entries(self) -> dict[str, int]:
+        """The functions that are called from outside, with the number of their integers."""
+        both = {"prepare": 0, "run": 2}
+        return both | {"finish": 0} if self.adjoint else both
+
+
 @dataclass(eq=False)
 class Kernel:
     """The text of a module, and how memory is laid out for it."""
@@ -326,10 +347,12 @@ class Kernel:
     sizes: dict[str, int]
 
     @property
-    def entries(self) -> dict[str, int]:
-        """The functions that are called from outside, with the number of their integers."""
-        both = {"prepare": 0, "run": 2}
-        return both | {"finish": 0} if self.traced.setup.adjoint else both
+    def code(self) -> KernelCode:
+        """What running it takes, without the way back to the caller's trees."""
+        strides = {name: layout.stride for name, layout in self.layouts.items()}
+        leaves = {"table": self.traced.call, "steps": self.traced.now}
+        filled = {name: self.layouts[name].size_to(keys) for name, keys in leaves.items()}
+        return KernelCode(self.text, self.traced.setup.adjoint, strides, filled, self.sizes)
 
 
 def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:

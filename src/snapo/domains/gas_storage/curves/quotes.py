@@ -1,0 +1,172 @@
+"""Quotes of traded products, and the daily forward curve that has their means."""
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.quantity import Quantity
+from snapo.case.table import CaseTable, Positive, TableContext
+
+from .products import delivery
+
+AGREEMENT = 5e-4  # of the price, between quotes that are together those of the same days
+WEEKDAYS = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
+Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday"]
+
+
+class QuotedCurveTable(CaseTable):
+    """How a daily curve is made from quotes."""
+
+    smoother: Literal["daily", "spline"] = "daily"
+    end: Literal["flat", "free"] = "flat"
+    factors: dict[Weekday, Positive] = Field({})
+
+
+@dataclass(frozen=True, eq=False)
+class QuotedCurve:
+    """Quotes and the curve that is linear in them.
+
+    - `file`: their file; `products`, `prices` [n]: those of the file that determine the curve.
+    - `days`: those of the matrix; `matrix` [D, n]: the derivative of each day's price with respect
+      to each quote.
+    """
+
+    file: str
+    products: tuple[str, ...]
+    prices: Float[np.ndarray, " n"]
+    days: tuple[datetime.date, ...]
+    matrix: Float[np.ndarray, "D n"]
+
+    @property
+    def curve(self) -> Float[np.ndarray, " D"]:
+        """The forward price of each day."""
+        return self.matrix @ self.prices
+
+
+class _Product(NamedTuple):
+    """A quoted product: its line in the file, price, first day and the day after its last one."""
+
+    row: Row
+    price: float
+    first: datetime.date
+    after: datetime.date
+
+    @property
+    def name(self) -> str:
+        return self.row.cells["product"]
+
+
+def read_quotes(
+    section: TableContext,
+    name: str,
+    declaration: Quantity,
+    table: QuotedCurveTable,
+    days: Sequence[datetime.date],
+) -> QuotedCurve:
+    """The quotes in a CSV with columns product,price, and the prices of these days.
+
+    `declaration`: of a price. Quotes that others imply are compared with them and left out.
+
+    **Raises:** `CaseError` where a product is unknown or quoted twice, where quotes of the same
+    days disagree, where a day is in no product, and where more than one curve is as smooth.
+    """
+    reference = FileReference(section, "quotes", name)
+    from .smooth import Undetermined, prices_of_means  # SciPy: most cases are read without it
+
+    products = _products(read_rows(reference, ("product", "price")), declaration)
+    _cover(products, name, days)
+    products, implied = _independent(products)
+    if implied:
+        section.notes.append(
+            f"In {name} {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
+            "other quotes of the same days, which determine the curve."
+        )
+    start = min(product.first for product in products)
+    periods = [((x.first - start).days, (x.after - start).days) for x in products]
+    all_days = [start + datetime.timedelta(i) for i in range(max(after for _, after in periods))]
+    factors: Mapping[str, float] = {str(day): factor for day, factor in table.factors.items()}
+    scale = np.array([factors.get(WEEKDAYS[day.weekday()], 1.0) for day in all_days])
+    try:
+        matrix = prices_of_means(periods, scale, table.smoother, table.end == "flat")
+    except Undetermined:
+        message = "more than one curve is as smooth; add a quote of other days"
+        raise CaseError(name, "", None, message) from None
+    return QuotedCurve(
+        name,
+        tuple(product.name for product in products),
+        np.array([product.price for product in products]),
+        tuple(days),
+        matrix[[(day - start).days for day in days]],
+    )
+
+
+def _products(rows: Sequence[Row], declaration: Quantity) -> list[_Product]:
+    products: dict[tuple[datetime.date, datetime.date], _Product] = {}
+    for row in rows:
+        try:
+            first, last = delivery(row.cells["product"])
+        except ValueError as error:
+            raise row.error("product", str(error)) from None
+        price = declaration.cell(row)
+        product = _Product(row, price, first, last + datetime.timedelta(1))
+        if products.setdefault((first, last), product) is not product:
+            earlier = products[first, last].row.line
+            raise row.error("product", f"line {earlier} has a price of the same days already")
+    return list(products.values())
+
+
+def _cover(products: Sequence[_Product], name: str, days: Sequence[datetime.date]) -> None:
+    """**Raises:** `CaseError` for the first day that is in no product."""
+    for day in days:
+        if not any(product.first <= day < product.after for product in products):
+            message = (
+                "no quoted product contains this day; the contract needs quotes that contain every "
+                f"day from {days[0]} to {days[-1]}"
+            )
+            raise CaseError(name, day.isoformat(), None, message)
+
+
+def _independent(products: Sequence[_Product]) -> tuple[list[_Product], list[str]]:
+    """The products whose prices no others imply, in the order of the file, and the other names.
+
+    Short products count first: a quarter is implied by its months.
+
+    **Raises:** `CaseError` where an implied price is not the quoted one.
+    """
+    limits = sorted({limit for product in products for limit in (product.first, product.after)})
+    intervals = list(pairwise(limits))
+    shares = [
+        [
+            (after - first).days * (x.first <= first and after <= x.after)
+            for first, after in intervals
+        ]
+        for x in products
+    ]
+    rows = np.array(shares) / np.sum(shares, axis=1, keepdims=True)
+    selected: list[int] = []
+    implied: list[str] = []
+    for i in sorted(range(len(products)), key=lambda i: products[i].after - products[i].first):
+        weights = np.linalg.lstsq(rows[selected].T, rows[i])[0]
+        if np.abs(weights @ rows[selected] - rows[i]).max() > 1e-9:
+            selected.append(i)
+            continue
+        product, others = products[i], [products[j] for j in selected]
+        price = float(weights @ [other.price for other in others])
+        if abs(price - product.price) > AGREEMENT * abs(price):
+            used = [j for j, weight in zip(selected, weights) if abs(weight) > 1e-9]
+            names = [products[j].name for j in sorted(used)]
+            raise product.row.error(
+                "price",
+                f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
+                f"quotes of the same days agree within {100 * AGREEMENT:g} %",
+            )
+        implied.append(product.name)
+    return [products[i] for i in sorted(selected)], implied

@@ -1,0 +1,197 @@
+"""Gives orders to executors and collects their answers; an order that is lost is given out again.
+
+Anything with `submit` serves: `concurrent.futures`, Dask's `Client.get_executor(pure=False)`,
+Parsl, mpi4py. On one machine every worker is a pool of one process, so that a process that dies
+loses one order only, and the order that killed it is known.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+PARALLEL = 32  # orders at once of an executor without a number of workers
+LOSSES = 3  # after which an order is given up
+REFUSALS = 20  # of an order by workers of another processor, after which it is given up
+OTHER = b"other processor"  # the answer of a worker that would compute other bits
+
+Work = Callable[[bytes], bytes]
+
+
+class Submits(Protocol):
+    """The methods of an executor that are used."""
+
+    def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
+
+    def shutdown(self, wait: bool = True) -> None: ...
+
+
+@dataclass(frozen=True)
+class WorkerPool:
+    """Where orders are computed.
+
+    - `make`: a new executor, at the beginning and where one broke.
+    - `waiting`: how many orders it has in work or before it at most; `parallel`: in work.
+    - `close`: leaves the cluster.
+    """
+
+    make: Callable[[], Executor | Submits]
+    waiting: int = 2
+    close: Callable[[], object] = lambda: None
+    parallel: int = 1
+
+    @classmethod
+    def of(cls, executor: Executor | Submits, waiting: int = 2) -> "WorkerPool":
+        """An executor that cannot be made again."""
+        parallel = getattr(executor, "_max_workers", PARALLEL)
+        return cls(lambda: executor, max(waiting, parallel), parallel=parallel)
+
+
+class Lost(NamedTuple):
+    """An order that no worker answered, and the reason."""
+
+    reason: str
+
+
+class _Worker:
+    """An executor that is made again where it broke; `broken`: where it cannot be."""
+
+    def __init__(self, pool: WorkerPool):
+        self.pool, self.busy, self.broken = pool, 0, False
+        self.executor: Executor | Submits | None = None
+
+    def submit(self, work: Work, order: bytes) -> "Future[bytes] | None":
+        """The order's answer in the future; None where the executor is broken."""
+        for _ in range(2):
+            self.executor = self.executor or self.pool.make()
+            try:
+                future = self.executor.submit(work, order)
+            except RuntimeError:  # it is broken, or was shut down
+                self.stop()
+            else:
+                self.busy += 1
+                return future
+        self.broken = True
+        return None
+
+    def stop(self) -> None:
+        """Ends the executor after the order in work."""
+        if self.executor is not None:
+            self.executor.shutdown(wait=False)
+            self.executor = None
+
+
+Flight = dict["Future[bytes]", tuple[_Worker, bytes]]
+
+
+class Workers:
+    """The executors of some pools, for one series of orders after another.
+
+    - `parallel`: how many orders they compute at once.
+    """
+
+    def __init__(self, pools: Sequence[WorkerPool]):
+        self._workers = [_Worker(pool) for pool in pools]
+        self.parallel = sum(pool.parallel for pool in pools)
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.stop()
+            worker.pool.close()
+
+    def answers(
+        self, next_order: Callable[[], bytes | None], work: Work
+    ) -> Iterator[tuple[bytes, bytes | Lost]]:
+        """(order, answer) as they come; `work` depends on nothing but the order's bytes.
+
+        - `next_order`: the next order, None where there is none until another answer has come.
+
+        An order that is lost three times is answered by `Lost`; one that was in the queue of a
+        process when another one broke it has lost nothing.
+        """
+        repeated: deque[bytes] = deque()
+        losses, refusals = Counter[bytes](), Counter[bytes]()
+        flight: Flight = {}
+
+        def order_to_give() -> bytes | None:
+            return repeated.popleft() if repeated else next_order()
+
+        try:
+            while True:
+                self._fill(order_to_give, repeated, work, flight)
+                if not flight:
+                    while self._are_broken() and (order := order_to_give()) is not None:
+                        yield order, Lost("the executor is broken, and cannot be made again")
+                    return
+                done, _ = wait(flight, return_when=FIRST_COMPLETED)
+                blamed: set[_Worker] = set()
+                # In the order in which they were given out: the first one of a broken process is
+                # the one that was in work.
+                for future in [future for future in flight if future in done]:
+                    worker, order = flight.pop(future)
+                    worker.busy -= 1
+                    result, count, maximum = _result(future), losses, LOSSES
+                    if result == OTHER:
+                        result = Lost("no worker has a processor of the required kind")
+                        count, maximum = refusals, REFUSALS
+                    if isinstance(result, Lost):
+                        count[order] += worker not in blamed
+                        blamed.add(worker)
+                        if count[order] < maximum:
+                            repeated.append(order)
+                            continue
+                    yield order, result
+        finally:
+            for future, (worker, _) in flight.items():
+                future.cancel()
+                worker.busy -= 1
+
+    def _are_broken(self) -> bool:
+        return all(worker.broken for worker in self._workers)
+
+    def _fill(
+        self,
+        next_order: Callable[[], bytes | None],
+        repeated: deque[bytes],
+        work: Work,
+        flight: Flight,
+    ) -> None:
+        """Gives every worker as many orders as it may have, one after the other."""
+        while idle := [
+            worker
+            for worker in self._workers
+            if worker.busy < worker.pool.waiting and not worker.broken
+        ]:
+            for worker in sorted(idle, key=lambda worker: worker.busy):
+                if (order := next_order()) is None:
+                    return
+                future = worker.submit(work, order)
+                if future is None:
+                    repeated.appendleft(order)
+                else:
+                    flight[future] = worker, order
+
+
+def answers(
+    next_order: Callable[[], bytes | None], work: Work, pools: Sequence[WorkerPool]
+) -> Iterator[tuple[bytes, bytes | Lost]]:
+    """The answers to one series of orders, after which the workers end: see `Workers.answers`."""
+    with Workers(pools) as workers:
+        yield from workers.answers(next_order, work)
+
+
+def _result(future: "Future[bytes]") -> bytes | Lost:
+    try:
+        return bytes(future.result())
+    except (Exception, CancelledError) as error:
+        return Lost(f"{type(error).__name__}: {error}"[:500])
