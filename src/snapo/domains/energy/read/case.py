@@ -147,7 +147,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
-        market = read_market(section, market_table, days, days, moving, unit)
+        market, _ = read_market(section, market_table, days, days, moving, unit)
         delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
         time = np.array([(date - valuation).days for date in days]) / 365.0
     contract = kind.read(where, table, days)
@@ -156,7 +156,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
         raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
     model = read_prices(section, top.model, delivery)
-    check_curve(market_table.forward_curve, model, delivery)
+    check_curve(_curve_file(market_table), model, delivery)
     objective, training = read_objective(top.objective, name), read_training(top.training, name)
     check_window(training, [objective.kind], name)
     day = np.array([(date - valuation).days for date in days], np.int64)
@@ -216,3 +216,8 @@ def swing_formats() -> Formats:
 def battery_formats() -> Formats:
     """The tables of a battery."""
     return formats("battery")
+
+
+def _curve_file(market: Any) -> str:
+    """The file of the forward prices, or of the quotes that they are made of."""
+    return market.forward_curve or market.quotes
