@@ -29,6 +29,27 @@ MINIATURES = {
             texts=thirty_days,
         ),
         Miniature(
+            "swing",
+            assignments=(
+                "contract.end=2026-10-21",
+                "contract.annual.min=5",
+                "contract.annual.max=9",
+                "training.steps=4",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
+        Miniature(
+            "battery",
+            assignments=(
+                "contract.end=2026-05-04T12:00:00",
+                "contract.energy=2",
+                "training.steps=4",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
+        Miniature(
             "pension",
             "small",
             (

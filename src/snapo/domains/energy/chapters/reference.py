@@ -1,0 +1,46 @@
+"""The exact value, and the value at today's forward prices."""
+
+from dataclasses import dataclass
+
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..core.simulator import simulator_of
+from ..methods.lattice import lattice, refined
+from ..setup import factors_of
+
+
+@dataclass(frozen=True)
+class Intrinsic:
+    """The best value at forward prices, with all decisions fixed today."""
+
+    intrinsic: Number
+
+
+@dataclass(frozen=True)
+class ExactValue:
+    """The exact value, and by how much finer grids still move it; None where there is none."""
+
+    dynamic_programming: float | None = None
+    dynamic_programming_error: float | None = None
+
+
+def measure_intrinsic(run: StudyRun) -> Intrinsic:
+    """The lattice at forward prices."""
+    problem = run.setup.problem
+    return Intrinsic(lattice(simulator_of(problem).layout, problem.schedule, None).value)
+
+
+def measure(run: StudyRun) -> ExactValue:
+    """The lattice in one or two price factors, where they are the whole process."""
+    problem = run.setup.problem
+    factors = factors_of(problem)
+    if factors is None or not factors.exact:
+        return ExactValue()
+    return ExactValue(*refined(simulator_of(problem).layout, problem.schedule, factors))
+
+
+INTRINSIC = Chapter("intrinsic value", "Intrinsic value", Intrinsic, measure_intrinsic,
+                    lambda run, result: [], needs=())  # fmt: skip
+REFERENCE = Chapter("dynamic programming", "Dynamic programming", ExactValue, measure,
+                    lambda run, result: [], needs=())  # fmt: skip

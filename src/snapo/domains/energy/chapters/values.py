@@ -1,0 +1,79 @@
+"""The value by several methods, from the lowest to the highest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from snapo.report.folder import RunFiles
+from snapo.report.page import Block
+from snapo.report.rows import Bar, Column, ladder, table
+from snapo.solver.evaluate import evaluate
+from snapo.study.chapter import Chapter, Number
+from snapo.study.chapters.bound import BOUND
+from snapo.study.study import StudyRun
+
+from ..core.policy import WorthPolicy
+from .reference import INTRINSIC, REFERENCE
+
+PATHS = 16384
+
+
+@dataclass(frozen=True)
+class MethodValue:
+    """The value by one method, its error where it has one, and the meaning."""
+
+    name: str
+    value: Number
+    standard_error: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class MethodValues:
+    """All of them."""
+
+    value_ladder: tuple[MethodValue, ...] = ()
+
+
+def measure(run: StudyRun) -> MethodValues:
+    """Intrinsic, the fitted rule, the trained policy, the lattice, the bound."""
+    solution, setup, rows = run.solution, run.setup, []
+    if (plan := INTRINSIC.of(run)) is not None:
+        note = "all decisions fixed today, at forward prices"
+        rows.append(MethodValue("Intrinsic", plan.intrinsic, None, note))
+    policy = solution.policy
+    if isinstance(policy, WorthPolicy):
+        rule = evaluate(
+            setup.problem, policy.value_rule, paths=PATHS, engine=setup.engines.evaluate
+        )
+        note = "least squares, before training; out of sample"
+        rows.append(MethodValue("Fitted rule", rule.value, rule.standard_error, note))
+    note = "exact simulator, fresh paths"
+    rows.append(MethodValue("Trained policy", solution.value, solution.standard_error, note))
+    reference = REFERENCE.of(run)
+    if reference is not None and reference.dynamic_programming is not None:
+        moved = reference.dynamic_programming_error or 0.0
+        note = f"lattice; finer grids move it by {moved:,.2g}"
+        rows.append(MethodValue("Dynamic programming", reference.dynamic_programming, None, note))
+    if (bounds := BOUND.of(run)) is not None:
+        above, note = bounds.upper, "perfect foresight with a penalty: no policy earns more"
+        rows.append(MethodValue("Upper bound", above.value, above.standard_error, note))
+    return MethodValues(tuple(rows))
+
+
+def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
+    """A ladder and a table."""
+    bars = [
+        Bar(x.name, x.value, x.standard_error, strong=x.name == "Trained policy")
+        for x in result.value_ladder
+    ]
+    columns = [
+        Column("Method", lambda row: row.name),
+        Column("Meaning", lambda row: row.note),
+        Column("Value", lambda row: row.value, run.unit),
+    ]
+    caption = "Present values of the same contract; a policy is below the best one."
+    return [ladder("values", bars, caption), table(result.value_ladder, columns)]
+
+
+VALUES = Chapter("value ladder", "Value by method", MethodValues, measure, show, "Methods",
+                 needs=("training",))  # fmt: skip

@@ -1,0 +1,161 @@
+"""Battery: energy bought and sold by the hour, with losses, wear and a limit on cycles.
+
+    earnings = sum over hours of discount x (d (efficiency out S - wear) - c S / efficiency in)
+
+c is stored and d taken from the store in an hour, both in energy in the store: c at most power in x
+efficiency in, d at most power out. A cycle is `energy` taken; the cycles of each calendar day, or
+of the whole term, may be limited.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+from pydantic import Field
+
+from snapo.case.given import CaseInput
+from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
+from snapo.case.table import CaseTable, TableContext, parse
+
+from ...gas_storage.prices.process import use
+from ...gas_storage.read.tables import FileName
+from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
+
+GROUP = "contract"
+ENERGY = Quantity("MWh", POSITIVE, GROUP, move=0.1, name="energy")
+POWER = Quantity("MW", POSITIVE, GROUP, move=0.1)
+EFFICIENCY = Quantity("1", Range(0.0, 1.0, "(]"), GROUP, move=0.01,
+                      display_unit="percentage point", display_factor=100.0)  # fmt: skip
+CYCLES = Quantity("1", POSITIVE, GROUP, move=0.1)
+
+
+class ChargeTable(CaseTable):
+    """{ power = 1.0, efficiency = 0.9 }: MW bought; the share of it that is stored."""
+
+    power: CaseInput = POWER("bought while it charges", name="charge_power")
+    efficiency: CaseInput = EFFICIENCY("of charging", 1.0, name="charge_efficiency")
+
+
+class DischargeTable(CaseTable):
+    """{ power = 1.0, efficiency = 0.95 }: MW taken from the store; the share of it that is sold."""
+
+    power: CaseInput = POWER("taken from the store", name="discharge_power")
+    efficiency: CaseInput = EFFICIENCY("of discharging", 1.0, name="discharge_efficiency")
+
+
+class CyclesTable(CaseTable):
+    """{ day = 1.5 }, { term = 60.0 }: most of each calendar day, or of the whole term."""
+
+    day: CaseInput | None = CYCLES("most of a calendar day", None, name="cycles_day")
+    term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
+
+
+class BatteryTable(CaseTable):
+    """`[contract]` of kind "battery"."""
+
+    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    start: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
+    end: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
+    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
+    energy: CaseInput = ENERGY("most energy in store")
+    stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
+    charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")
+    discharge: dict = Field(description="a table like { power = 1.0, efficiency = 0.95 }")
+    wear: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
+        "for each MWh taken from the store", 0.0
+    )
+    cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
+
+
+class BatteryContract(EnergyContract):
+    """The terms of a battery; see `BatteryTable`. `day_ends` [T]: the last hour of a local day."""
+
+    energy: CaseInput
+    stored: CaseInput
+    charge: CaseInput
+    charge_efficiency: CaseInput
+    discharge: CaseInput
+    discharge_efficiency: CaseInput
+    wear: CaseInput
+    cycles_day: CaseInput | None
+    cycles_term: CaseInput | None
+    day_ends: Bool[np.ndarray, " T"]
+    layout: ContractLayout = eqx.field(static=True)
+
+    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
+        count = len(self.day_ends)
+        one, zero = jnp.ones(count), jnp.zeros(count)
+        energy, into = use(inputs, self.energy), use(inputs, self.charge_efficiency)
+        out, wear = use(inputs, self.discharge_efficiency), use(inputs, self.wear)
+        charge, discharge = use(inputs, self.charge), use(inputs, self.discharge)
+        high, again = [energy * one], [jnp.zeros(count, bool)]
+        if self.cycles_day is not None:
+            high.append(use(inputs, self.cycles_day) * energy * one)
+            again.append(jnp.asarray(self.day_ends))
+        if self.cycles_term is not None:
+            high.append(use(inputs, self.cycles_term) * energy * one)
+            again.append(jnp.zeros(count, bool))
+        none = jnp.zeros((count, len(high)))
+        start = jnp.zeros(len(high)).at[0].set(use(inputs, self.stored))
+        steps = StepTerms(
+            jnp.zeros((count, 2)),
+            jnp.stack([charge * into * one, discharge * one], axis=1),
+            jnp.stack([-paid / into, paid * out], axis=1),
+            jnp.stack([zero, -wear * paid], axis=1),
+            none,
+            jnp.stack(high, axis=1),
+            none,
+            none,
+            jnp.stack(again, axis=1),
+            jnp.zeros((count, 1)),
+        )
+        return Terms(start, steps)
+
+
+def layout_of(day: bool, term: bool) -> ContractLayout:
+    """Energy in store, and the energy taken today or in the whole term."""
+    levels = [Level("energy", "MWh")]
+    levels += [Level("taken today", "MWh")] * day + [Level("taken", "MWh")] * term
+    counted = len(levels) - 1
+    charge = EnergyFlow("charge", "MWh", (1.0, *(0.0,) * counted))
+    return ContractLayout(
+        tuple(levels), (charge, EnergyFlow("discharge", "MWh", (-1.0, *(1.0,) * counted)))
+    )
+
+
+def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
+    """The contract; `days`: the local date of each hour."""
+    file, notes = str(where.file), where.notes
+
+    def inner(kind, data, name: str) -> Any:
+        return parse(kind, data, file, f"{where.name}.{name}", notes)
+
+    charge = inner(ChargeTable, table.charge, "charge")
+    discharge = inner(DischargeTable, table.discharge, "discharge")
+    cycles = inner(CyclesTable, table.cycles or {}, "cycles")
+    stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
+    if stored > energy:
+        raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
+    if cycles.day is not None and cycles.term is not None:
+        message = "allowed are cycles by day or of the term, not both"
+        raise where.error("cycles", None, message)
+    ends = [day != following for day, following in zip(days, [*days[1:], None])]
+    return BatteryContract(  # pyright: ignore[reportCallIssue]
+        table.energy,
+        table.stored,
+        charge.power,
+        charge.efficiency,
+        discharge.power,
+        discharge.efficiency,
+        table.wear,
+        cycles.day,
+        cycles.term,
+        np.array(ends, bool),
+        layout=layout_of(  # pyright: ignore[reportCallIssue]
+            cycles.day is not None, cycles.term is not None
+        ),
+    )

@@ -1,0 +1,137 @@
+"""The five things that a contract tells the core: levels, modes, moves, cash and words.
+
+Everything else reads these alone: feasible moves, the simulator of one path, the policy, the
+lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
+a static `ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves
+that begin in its mode, and each flow of that move takes a volume from an interval.
+
+    levels after a step = levels + move.changes + effects[flow] volume
+    earnings of a step  = move's money + volume (price S + money)
+
+All money is a present value. Limits hold after each step; a level that `restarts` is then
+settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
+"""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+ONLY = 0  # the mode of a contract that has one
+
+
+class Level(NamedTuple):
+    """A volume that a contract counts: `name` in reports, its `unit`."""
+
+    name: str
+    unit: str
+
+
+class EnergyFlow(NamedTuple):
+    """A volume that may move: `name`, `unit`, and its effect on each level per unit."""
+
+    name: str
+    unit: str
+    effects: tuple[float, ...]
+
+
+class ContractMove(NamedTuple):
+    """A way through one step.
+
+    - `name`: in reports; `before`, `after`: modes.
+    - `flows`: indices of those that may flow, at most one of them on a step of a method that
+      compares volumes; the others are zero.
+    - `changes`: of each level, whatever flows.
+    """
+
+    name: str
+    before: int
+    after: int
+    flows: tuple[int, ...]
+    changes: tuple[float, ...]
+
+
+class ContractLayout(NamedTuple):
+    """What is fixed in a contract: compiled code depends on it."""
+
+    levels: tuple[Level, ...]
+    flows: tuple[EnergyFlow, ...]
+    modes: tuple[str, ...] = ("",)
+    moves: tuple[ContractMove, ...] = ()
+
+    def plain(self) -> tuple:
+        """The same in plain tuples, as a file of a policy holds it."""
+        levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
+        return levels, flows, self.modes, moves
+
+    @classmethod
+    def of_plain(cls, parts: tuple) -> "ContractLayout":
+        """The inverse of `plain`."""
+        levels, flows, modes, moves = parts
+        made = tuple(Level(*x) for x in levels), tuple(EnergyFlow(*x) for x in flows)
+        return cls(*made, modes, tuple(ContractMove(*x) for x in moves))
+
+    @property
+    def every_move(self) -> tuple[ContractMove, ...]:
+        """The moves; of a contract without any, that in which everything may flow."""
+        none = (0.0,) * len(self.levels)
+        everything = ContractMove("", ONLY, ONLY, tuple(range(len(self.flows))), none)
+        return self.moves or (everything,)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """(move, flow) of every volume that a policy decides."""
+        return tuple((m, f) for m, move in enumerate(self.every_move) for f in move.flows)
+
+    @property
+    def effects(self) -> np.ndarray:
+        """[flows, levels]"""
+        return np.array([flow.effects for flow in self.flows])
+
+    @property
+    def changes(self) -> np.ndarray:
+        """[moves, levels]"""
+        return np.array([move.changes for move in self.every_move])
+
+
+class StepTerms(NamedTuple):
+    """The numbers of every step: leaves [T, flows] or [T, levels].
+
+    - `least`, `most`: the interval of a flow. `price`, `money`: a unit of it earns price x spot +
+      money.
+    - `low`, `high`: limits of the levels after the step.
+    - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
+    - `restarts`: whether the level is set to zero after the step.
+    - `fixed`: [T, moves] money of a move.
+    """
+
+    least: Float[Array, "T flows"]
+    most: Float[Array, "T flows"]
+    price: Float[Array, "T flows"]
+    money: Float[Array, "T flows"]
+    low: Float[Array, "T levels"]
+    high: Float[Array, "T levels"]
+    owed: Float[Array, "T levels"]
+    short: Float[Array, "T levels"]
+    restarts: Bool[Array, "T levels"]
+    fixed: Float[Array, "T moves"]
+
+
+class Terms(NamedTuple):
+    """The numbers of a contract: `start` [levels], and those of its steps."""
+
+    start: Float[Array, " levels"]
+    steps: StepTerms
+
+
+class EnergyContract(eqx.Module):
+    """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
+
+    layout: eqx.AbstractVar[ContractLayout]
+
+    @abc.abstractmethod
+    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
+        """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
+        money that is owed when the step is over, a day later."""

@@ -1,0 +1,111 @@
+"""Levels from which all obligations can be met, and the volumes that lead to such levels.
+
+Each level has an interval at the start of every step: backwards from the end, those from which
+some move reaches the interval of the next step. Levels are looked at one by one, so a contract must
+not have obligations on one level that only another one limits.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .contract import ContractLayout, StepTerms
+
+
+class Intervals(NamedTuple):
+    """Of the levels, [T, levels] each: at the start of a step, and after its moves."""
+
+    low: Float[Array, "T levels"]
+    high: Float[Array, "T levels"]
+    next_low: Float[Array, "T levels"]
+    next_high: Float[Array, "T levels"]
+
+
+def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
+    """An empty one has its low above its high, and so have all before it."""
+    least, most = changes(layout, steps)
+
+    def back(successor, row):
+        low, high, restarts, least, most = row
+        next_low, next_high = successor
+        possible = (next_low <= 0) & (next_high >= 0)
+        after = (
+            jnp.where(restarts, jnp.where(possible, low, jnp.inf), jnp.maximum(low, next_low)),
+            jnp.where(restarts, jnp.where(possible, high, -jnp.inf), jnp.minimum(high, next_high)),
+        )
+        start = after[0] - most, after[1] - least
+        return start, (*start, *after)
+
+    free = jnp.full(len(layout.levels), jnp.inf)
+    rows = steps.low, steps.high, steps.restarts, least, most
+    return Intervals(*jax.lax.scan(back, (-free, free), rows, reverse=True)[1])
+
+
+def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
+    """[T, levels] the least and the most that a step may change each level by."""
+    least, most = [], []
+    for move in layout.every_move:
+        low = high = jnp.broadcast_to(jnp.asarray(move.changes), steps.low.shape)
+        for flow in move.flows:
+            effect = jnp.asarray(layout.flows[flow].effects)
+            volumes = steps.least[:, flow, None] * effect, steps.most[:, flow, None] * effect
+            low, high = low + jnp.minimum(*volumes), high + jnp.maximum(*volumes)
+        least.append(low)
+        most.append(high)
+    return jnp.min(jnp.stack(least), axis=0), jnp.max(jnp.stack(most), axis=0)
+
+
+class FeasibleVolumes(NamedTuple):
+    """Of the flows of a move: the forced volume of each, and the most."""
+
+    forced: Array
+    most: Array
+
+
+def volumes(
+    layout: ContractLayout, move: int, now: Any, levels: Array, smooth, scale
+) -> FeasibleVolumes:
+    """The volumes of one move from these levels [levels], in the order of its flows.
+
+    A flow is forced where levels would otherwise leave the next interval, and is at most what
+    keeps them in it. `now`: a row of a schedule with `terms` and `intervals`.
+    """
+    this = layout.every_move[move]
+    start = [levels[i] + change for i, change in enumerate(this.changes)]
+    forced, most = [], []
+    for flow in this.flows:
+        least, room = now.terms.least[flow], now.terms.most[flow]
+        for i, effect in enumerate(layout.flows[flow].effects):
+            if not effect:
+                continue
+            low, high = now.intervals.next_low[i] - start[i], now.intervals.next_high[i] - start[i]
+            need, leave = (low, high) if effect > 0 else (high, low)
+            least = smooth.maximum(least, need / effect, scale)
+            room = smooth.minimum(room, leave / effect, scale)
+        # One feasible volume where rounding leaves the least above the most.
+        least, room = jax.lax.optimization_barrier((least, room))
+        room = jnp.maximum(room, 0.0)
+        least = jnp.clip(least, 0.0, jnp.maximum(room, now.terms.least[flow]))
+        forced.append(least)
+        most.append(jnp.maximum(room, least))
+    return FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
+
+
+def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
+    """(step, level) at which no decision can keep the limits; None where all can be met.
+
+    The step is -1 where only the start is the reason.
+    """
+    result, terms = schedule.steps.intervals, schedule.steps.terms
+    tolerance = 1e-9 * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
+    start = np.asarray(schedule.constants.start)
+    for i in range(len(layout.levels)):
+        empty = np.flatnonzero(result.next_low[:, i] > result.next_high[:, i] + tolerance)
+        if len(empty):
+            return int(empty[-1]), i
+        if not result.low[0, i] - tolerance <= start[i] <= result.high[0, i] + tolerance:
+            return -1, i
+    return None

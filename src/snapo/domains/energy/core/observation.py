@@ -1,0 +1,136 @@
+"""The observation of a policy: today's gains of each volume and move, and features of the state."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.smooth import EXACT
+
+from .contract import ContractLayout
+from .feasibility import volumes
+from .tables import UnitValues, along, nearest_row
+
+POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
+
+
+class Head(NamedTuple):
+    """Numbers of the decision rule, at the start of the observation; prices over their scale.
+
+    - `units` [pairs, POINTS]: gains of units of each feasible volume, evenly spaced in it.
+    - `room` [pairs]: the free volume, over the largest volume of a step.
+    - `base` [moves]: gain of each move without its free volume, over price and volume scale; those
+      that are not open are far below. Empty where there is no choice.
+    """
+
+    units: Array
+    room: Array
+    base: Array
+
+    @classmethod
+    def of(cls, observation: Array, layout: ContractLayout) -> "Head":
+        """From the start of an observation."""
+        pairs, size = len(layout.pairs), head_size(layout)
+        units = observation[: pairs * POINTS].reshape((pairs, POINTS))
+        end = pairs * (POINTS + 1)
+        return cls(units, observation[pairs * POINTS : end], observation[end:size])
+
+
+def head_size(layout: ContractLayout) -> int:
+    """How many numbers a head has."""
+    return (POINTS + 1) * len(layout.pairs) + len(layout.moves)
+
+
+CLOSED = -1e4
+
+
+def head(
+    layout: ContractLayout,
+    process: Any,
+    constants: Any,
+    now: Any,
+    state: Any,
+    spot: Array,
+    free: Array,
+) -> Head:
+    """The gains of one step at one state; `free` [moves]: which are open."""
+    price, size = constants.price_scale, constants.volume_scale
+    worth = None if now.worth is None else jax.lax.stop_gradient(now.worth)
+    read = jnp.zeros(())
+    if worth is not None:
+        read = worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
+    units, rooms, base = [], [], []
+    for i, move in enumerate(layout.every_move):
+        start = state.levels + jnp.asarray(move.changes)
+        forced_gain = now.terms.fixed[i] / price / size
+        if move.flows:
+            room = volumes(layout, i, now, state.levels, EXACT, size)
+            for k, flow in enumerate(move.flows):
+                effects = jnp.asarray(layout.flows[flow].effects)
+                unit = now.terms.price[flow] * spot + now.terms.money[flow]
+                gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
+                if worth is not None:
+                    table = worth.slopes[layout.pairs.index((i, flow))]
+                    for j in range(POINTS):
+                        volume = room.forced[k] + free_volume * j / (POINTS - 1)
+                        last, place = j == POINTS - 1, start + volume * effects
+                        row = _slope(worth, table, layout.flows[flow].effects, place, last)
+                        gains[j] = unit + jnp.sum(row * read)
+                units.append(jnp.stack(gains) / price)
+                rooms.append(free_volume / size)
+                forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
+        if layout.moves:
+            if worth is not None and worth.moves is not None:
+                table = worth.moves[i]
+                flat, position = (
+                    table.reshape((-1, table.shape[-1])),
+                    _position(worth, state.levels),
+                )
+                row = nearest_row(flat, jnp.round(position), table.shape[:-1])
+                forced_gain = forced_gain + jnp.sum(row * read) / price / size
+            base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
+    return Head(jnp.concatenate(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
+
+
+def _position(worth: UnitValues, levels: Array) -> Array:
+    rows = worth.rows
+    return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
+
+
+def _slope(
+    worth: UnitValues, table: Array, effects: tuple[float, ...], levels: Array, last: bool
+) -> Array:
+    """The row of the unit that starts at a level, or of the last one up to it."""
+    dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
+    if not dims:
+        return flat[0]
+    return nearest_row(flat, along(_position(worth, levels), effects, not last), dims)
+
+
+def observation(
+    layout: ContractLayout,
+    process: Any,
+    constants: Any,
+    now: Any,
+    state: Any,
+    spot: Array,
+    free: Array,
+) -> Float[Array, " features"]:
+    """The head first, then the features of the network."""
+    gains = head(layout, process, constants, now, state, spot, free)
+    year, left = 2 * jnp.pi * now.time, constants.last_time - now.time
+    low, high = now.intervals.low, now.intervals.high
+    width = jnp.maximum(high - low, 1e-6 * constants.volume_scale)
+    filling = jnp.clip((state.levels - low) / width, -1.0, 2.0)
+    features = [
+        jnp.stack([jnp.sin(year), jnp.cos(year), jnp.tanh(left), jnp.tanh(20 * left)]),
+        2 * filling - 1,
+        jnp.tanh(5 * gains.units[::POINTS]),
+        jnp.tanh(5 * gains.units[POINTS - 1 :: POINTS]),
+        process.observe(constants.price, now.price, state.price),
+        now.ahead,
+    ]
+    if len(layout.modes) > 1:
+        features.append(state.mode)
+    return jnp.concatenate([*gains, *features])

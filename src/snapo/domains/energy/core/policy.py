@@ -1,0 +1,105 @@
+"""The policy of all contracts: the fitted worth of a unit of each level and mode, and a network.
+
+A volume flows while a unit earns more than it takes of the worth of the levels; a move is made
+where it gains most. The network corrects the worth of a unit of each level, how it changes with the
+volume, and the worth of each mode.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.smooth import EXACT
+
+from .contract import ContractLayout
+from .observation import POINTS, Head, head_size
+
+CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
+
+
+class WorthPolicy(Policy):
+    """The action is a share of each volume, and a weight of each move."""
+
+    network: Network
+    form: tuple = eqx.field(static=True)
+
+    def __init__(
+        self, layout: ContractLayout, features: int, *, key, hidden: tuple[int, ...] = (32, 32)
+    ):
+        outputs = max(2 * len(layout.levels) + len(layout.modes) - 1, 1)
+        widths = (features - head_size(layout), *hidden, outputs)
+        self.network = Network(widths, key=key, activation=jax.nn.tanh)
+        self.form = layout.plain()
+
+    @property
+    def layout(self) -> ContractLayout:
+        """Levels, flows, modes and moves."""
+        return ContractLayout.of_plain(self.form)
+
+    @property
+    def head(self) -> int:
+        """Numbers of the observation that the network does not see."""
+        return head_size(self.layout)
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        layout, gains = self.layout, Head.of(observation, self.layout)
+        units, base = self.corrected(gains, observation[self.head :])
+        parts = [[smooth.share(unit[k], unit[k + 1]) for k in range(POINTS - 1)] for unit in units]
+        shares = [sum(part) / (POINTS - 1) for part in parts]
+        if not layout.moves:
+            return jnp.stack(shares)
+        scores = [base[m] for m in range(len(layout.moves))]
+        for i, (m, _) in enumerate(layout.pairs):
+            unit, width = units[i], gains.room[i] / (POINTS - 1)
+            for k, share in enumerate(parts[i]):
+                mean = unit[k] + share * (unit[k + 1] - unit[k]) / 2
+                scores[m] = scores[m] + width * share * mean
+        return jnp.concatenate([jnp.stack(shares), _weights(layout, jnp.stack(scores), smooth)])
+
+    def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
+        """Gains of the units of each volume, and the gain of each move."""
+        layout, numbers = self.layout, CORRECTION * self.network(seen)
+        levels, count = numbers[: len(layout.levels)], len(layout.levels)
+        bends, modes = numbers[count : 2 * count], numbers[2 * count :]
+        effects, changes = layout.effects, layout.changes
+        units, along = [], jnp.linspace(0.0, 1.0, POINTS)
+        for i, (_, flow) in enumerate(layout.pairs):
+            more = sum((effects[flow, j] * levels[j] for j in range(count)), jnp.zeros(()))
+            bend = sum((effects[flow, j] * bends[j] for j in range(count)), jnp.zeros(()))
+            units.append(gains.units[i] + more + bend * gains.room[i] * along)
+        base = gains.base
+        if layout.moves:
+            worths = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
+            shift = [
+                worths[move.after] + sum((changes[m, j] * levels[j] for j in range(count)),
+                                         jnp.zeros(()))
+                for m, move in enumerate(layout.moves)
+            ]  # fmt: skip
+            base = base + jnp.stack(shift)
+        return units, base
+
+    @property
+    def value_rule(self) -> "WorthPolicy":
+        """The fitted worth only, by a network that adds nothing."""
+
+        def last(policy: WorthPolicy):
+            return policy.network.weights[-1], policy.network.biases[-1]
+
+        return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
+
+
+def _weights(layout: ContractLayout, scores: Array, smooth) -> Array:
+    """[moves] the weights of the moves of each mode."""
+    result = jnp.zeros(len(layout.moves))
+    before = np.array([move.before for move in layout.moves])
+    for mode in range(len(layout.modes)):
+        places = np.flatnonzero(before == mode)
+        if len(places) == 1:
+            result = result.at[places[0]].set(1.0)
+        elif len(places):
+            result = result.at[places].set(smooth.weights(scores[places]))
+    return result

@@ -1,0 +1,45 @@
+"""The numbers of a problem that all paths share, and the state of one path."""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Float, PyTree
+
+from .contract import StepTerms
+from .feasibility import Intervals
+
+
+class Step(NamedTuple):
+    """One step, the same for all paths; leaves have a leading axis T in the schedule.
+
+    - `time`: years from the valuation date; `forward`: of the commodity.
+    - `price`: the row of the price process; `ahead`: the shape of the curve.
+    - `worth`, `surprise`: tables of the fitted value, None without one.
+    """
+
+    time: Array
+    forward: Array
+    terms: StepTerms
+    intervals: Intervals
+    price: PyTree
+    ahead: Array
+    worth: Any = None
+    surprise: Any = None
+
+
+class Constants(NamedTuple):
+    """`start`: of the levels; `price`: constants of the price process; scales of the features."""
+
+    start: Float[Array, " levels"]
+    price: PyTree
+    price_scale: Array
+    volume_scale: Array
+    last_time: Array
+    first_value: Any = None
+
+
+class State(NamedTuple):
+    """Levels at the start of a step, the weight of each mode (one of them 1), and the prices."""
+
+    levels: Float[Array, " levels"]
+    mode: Float[Array, " modes"]
+    price: PyTree

@@ -1,0 +1,278 @@
+"""One path of any contract: prices, feasible volumes, cash.
+
+The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
+beyond the forced volume, and, where there is a choice of moves, a weight for each move. In
+training moves may be mixed: levels, modes and cash are then means over them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Box
+from snapo.problem.form import Use, formed
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
+from ...gas_storage.contract.schedule import Discount
+from ...gas_storage.policy.network import curve_ahead
+from ...gas_storage.prices.process import PriceProcess, use
+from .contract import ContractLayout, EnergyContract, StepTerms
+from .feasibility import intervals, volumes
+from .observation import observation
+from .schedule import Constants, State, Step
+from .tables import Surprises, WorthTable, at_end, of_step
+
+NEAR = 1e-6  # of the largest volume: rounding does not close a move
+
+
+class EnergySimulator(Simulator):
+    """A contract and its prices.
+
+    **Arguments:**
+
+    - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
+      used.
+    - `paid`, `settled`: discount factors of the commodity, and of money on the day, of every step.
+    - `time` [T]: years from the valuation date; `first`: the first step in the calendar.
+    - `worth`: the fitted value that the policy starts from; `surprises`: its control variate.
+    - `price_scale`, `volume_scale`: mean size of the forward price, and largest volume of a step.
+    """
+
+    contract: EnergyContract
+    process: PriceProcess
+    curve: Use
+    rate: Use
+    paid: Discount
+    settled: Discount
+    time: Float[np.ndarray, " T"]
+    price_scale: Float[np.ndarray, ""]
+    volume_scale: Float[np.ndarray, ""]
+    worth: WorthTable | None = None
+    surprises: Surprises | None = None
+    layout: ContractLayout = eqx.field(static=True, default=ContractLayout((), ()))
+    first: int = eqx.field(static=True, default=0)
+    action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 1))
+    fully_observed = True
+
+    @classmethod
+    def of(cls, case: Any) -> Self:
+        """The contract of a case, with the scales of its numbers."""
+        layout, market = case.contract.layout, case.market
+        made = cls(  # pyright: ignore[reportCallIssue]
+            formed(case.contract),
+            formed(case.model),
+            market.forward_curve.use(),
+            market.zero_rate.use(),
+            Discount.of(market.gas_day, market.zero_rate_day),
+            Discount.of(case.day + 1, market.zero_rate_day),
+            case.time,
+            np.ones(()),
+            np.ones(()),
+            layout=layout,
+            first=int(case.first_step),
+            action=Box(  # pyright: ignore[reportCallIssue]
+                0.0, 1.0, len(layout.pairs) + len(layout.moves)
+            ),
+        )
+        return made.scaled({x.name: x.values for x in case.numbers()})
+
+    def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
+        """With the scales of features of these inputs."""
+        inputs = {name: jnp.asarray(value) for name, value in values.items()}
+        most = self._terms(inputs).steps.most
+        size = np.mean(np.abs(self.curve.in_numpy(values)))
+        return replace(
+            self,
+            price_scale=np.asarray(size or 1.0),
+            volume_scale=np.asarray(float(jnp.max(most, initial=0.0)) or 1.0),
+        )
+
+    def _terms(self, inputs: dict[str, Any]):
+        rates = use(inputs, self.rate)
+        return self.contract.terms(inputs, self.paid(rates), self.settled(rates))
+
+    def on_paths(self):
+        names = (
+            "contract", "process", "curve", "rate", "paid", "settled", "worth", "surprises",
+        )  # fmt: skip
+        bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
+        return replace(self, **dict(zip(names, bare)))
+
+    @property
+    def horizon(self) -> int:
+        return len(self.time)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_noise_size
+
+    @property
+    def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.first
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_steps
+
+    def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        prices, terms = self.process.prepare(inputs), self._terms(inputs)
+        forward = use(inputs, self.curve)[: self.horizon]
+        steps = Step(
+            jnp.asarray(self.time),
+            forward,
+            terms.steps,
+            intervals(self.layout, terms.steps),
+            jax.tree.map(lambda leaf: leaf[: self.horizon], prices.steps),
+            curve_ahead(forward, self.price_scale),
+        )
+        constants = Constants(
+            terms.start,
+            prices.constants,
+            jnp.asarray(self.price_scale),
+            jnp.asarray(self.volume_scale),
+            jnp.asarray(self.time[-1] if self.horizon else 0.0),
+        )
+        return self._completed(Schedule(constants, steps))
+
+    def prepared_apart(self):
+        return replace(self, worth=None, surprises=None), self._completed
+
+    def _completed(self, schedule: Schedule) -> Schedule:
+        """With the tables of the fitted value, which no input makes here."""
+        worth, surprises = self.worth, self.surprises
+        steps = schedule.steps._replace(
+            worth=None if worth is None else worth.steps,
+            surprise=None if surprises is None else surprises.steps,
+        )
+        first = None if surprises is None else surprises.first
+        return Schedule(schedule.constants._replace(first_value=first), steps)
+
+    def initial(self, constants: Constants, noise) -> State:
+        mode = jnp.zeros(len(self.layout.modes)).at[0].set(1.0)
+        return State(constants.start, mode, self.process.initial(constants.price, noise))
+
+    def spot(self, constants: Constants, now: Step, state: State) -> Float[Array, ""]:
+        """The price of the step."""
+        return self.process.level(constants.price, now.price, state.price)
+
+    def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
+        """1 for each move that leads to levels from which the contract can be met, else 0."""
+        if len(self.layout.every_move) == 1:
+            return jnp.ones(1)
+        near, result = NEAR * scale, []
+        for i, move in enumerate(self.layout.every_move):
+            room = (
+                volumes(self.layout, i, now, state.levels, Exact(), scale) if move.flows else None
+            )
+            after = state.levels + jnp.asarray(move.changes)
+            for k, flow in enumerate(move.flows):
+                assert room is not None
+                after = after + room.forced[k] * jnp.asarray(self.layout.flows[flow].effects)
+            within = (after >= now.intervals.next_low - near) & (
+                after <= now.intervals.next_high + near
+            )
+            result.append(jnp.all(within) * 1.0)
+        return jnp.stack(result)
+
+    def observe(self, constants: Constants, now: Step, state: State) -> Float[Array, " features"]:
+        spot = self.spot(constants, now, state)
+        free = self.open_moves(now, state, constants.volume_scale)
+        return observation(self.layout, self.process, constants, now, state, spot, free)
+
+    def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
+        layout, scale = self.layout, constants.volume_scale
+        spot, terms = self.spot(constants, now, state), now.terms
+        chosen = self._weights(constants, now, state, action)
+        levels = jnp.zeros_like(state.levels)
+        mode = jnp.zeros_like(state.mode)
+        cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
+        place = 0
+        for i, move in enumerate(layout.every_move):
+            after, earned = state.levels + jnp.asarray(move.changes), terms.fixed[i]
+            if move.flows:
+                room = volumes(layout, i, now, state.levels, smooth, scale)
+                for k, flow in enumerate(move.flows):
+                    volume = room.forced[k] + action[place] * (room.most[k] - room.forced[k])
+                    place += 1
+                    after = after + volume * jnp.asarray(layout.flows[flow].effects)
+                    earned = earned + volume * (terms.price[flow] * spot + terms.money[flow])
+                    flows[flow] = flows[flow] + chosen[i] * volume
+            levels = levels + chosen[i] * after
+            mode = mode.at[move.after].add(chosen[i])
+            cash = cash + chosen[i] * earned
+        missed = smooth.positive_part(terms.owed - levels, scale)
+        lost = jnp.sum(jnp.where(terms.restarts, terms.short * missed, 0.0))
+        after = State(
+            jnp.where(terms.restarts, 0.0, levels),
+            mode,
+            self.process.step(constants.price, now.price, state.price, noise),
+        )
+        outputs = {"cash_flow": cash - lost, "shortfall": lost}
+        outputs |= {flow.name: volume for flow, volume in zip(layout.flows, flows)}
+        if now.surprise is not None:
+            moved = self.process.gaussian(state.price)
+            outputs["value_surprise"] = of_step(now.surprise, moved, state, after)
+        weight = self.process.weight(state.price)
+        return after, {name: weight * output for name, output in outputs.items()}
+
+    def _weights(self, constants: Constants, now: Step, state: State, action) -> Array:
+        """[moves] the weight of each move: of its mode, times that of the action."""
+        layout = self.layout
+        if len(layout.every_move) == 1:
+            return jnp.ones(1)
+        free = self.open_moves(now, state, constants.volume_scale)
+        asked = action[len(layout.pairs) :] * free
+        before = np.array([move.before for move in layout.every_move])
+        result = []
+        for mode in range(len(layout.modes)):
+            wanted, possible = (jnp.where(before == mode, x, 0.0) for x in (asked, free))
+            # A policy that wants only closed moves gets the open ones.
+            wanted = jnp.where(jnp.sum(wanted) > 0, wanted, possible)
+            total = jnp.sum(wanted)
+            result.append(state.mode[mode] * wanted / jnp.where(total > 0, total, 1.0))
+        return jnp.sum(jnp.stack(result), axis=0)
+
+    def terminal(self, constants: Constants, state: State, smooth):
+        if constants.first_value is None:
+            return {}
+        return {"value_surprise": at_end(constants.first_value)}
+
+    def in_mean(self):
+        return self.process.in_mean()
+
+    def control_variates(self) -> tuple[str, ...]:
+        return () if self.surprises is None else ("value_surprise",)
+
+    def slack(self, constants: Constants, now: Step, state: State, outputs):
+        result = {}
+        for i, level in enumerate(self.layout.levels):
+            low, high = now.intervals.next_low[i], now.intervals.next_high[i]
+            kept = jnp.where(now.terms.restarts[i], 0.0, 1.0)
+            result[f"least {level.name}"] = jnp.where(kept > 0, state.levels[i] - low, 0.0)
+            result[f"most {level.name}"] = jnp.where(kept > 0, high - state.levels[i], 0.0)
+        return result | {flow.name: outputs[flow.name] for flow in self.layout.flows}
+
+
+def simulator_of(problem: Problem) -> EnergySimulator:
+    """The simulator of a contract of this room."""
+    simulator = problem.simulator
+    if not isinstance(simulator, EnergySimulator):
+        raise TypeError(f"{type(simulator).__name__} is no contract of energy.")
+    return simulator
+
+
+def step_terms(problem: Problem) -> StepTerms:
+    """The numbers of every step."""
+    return problem.schedule.steps.terms

@@ -1,0 +1,141 @@
+"""Tables of a fitted value on one path: the worth of one more unit, and the control variate.
+
+A value on a step is a sum of functions of the price factors (`functions`), whose coefficients lie
+on evenly spaced rows of the levels. The tables are data: a sensitivity moves the contract and the
+market, not them.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ...gas_storage.bounds.basis import REACH
+from ...gas_storage.policy.guide import Reading, functions
+
+
+class LevelRows(NamedTuple):
+    """Where rows lie: `low` and `spacing` of each level [levels]."""
+
+    low: Array
+    spacing: Array
+
+
+class UnitValues(NamedTuple):
+    """One step: the worth of one more unit of each volume after the step, and of each move.
+
+    - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
+    - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
+      the first move of its mode; None where there is no choice.
+    - `unit` [pairs, levels]: the change of the levels in rows by the volume of a slope.
+    """
+
+    rows: LevelRows
+    slopes: Array
+    moves: Array | None
+    reading: Reading
+
+    def read(self, factors: Array) -> Array:
+        """[n] the functions of the factors."""
+        return functions(self.reading, factors, self.slopes.shape[-1], REACH)
+
+
+class WorthTable(eqx.Module):
+    """`steps`: a `UnitValues` whose leaves have a leading axis of steps."""
+
+    steps: Any
+
+
+def nearest_row(table: Array, position: Array, dims: tuple[int, ...]) -> Array:
+    """The row of `table` [rows …, n] at a position of whole numbers [levels]."""
+    place = jnp.zeros((), jnp.int32)
+    for i, count in enumerate(dims):
+        place = place * count + jnp.clip(position[i], 0, count - 1).astype(jnp.int32)
+    return table[place]
+
+
+def along(position: Array, effects: tuple[float, ...], first: bool) -> Array:
+    """The row from which a flow starts: that at or behind a position in its direction; of the last
+    unit, that before it."""
+    ahead = jnp.asarray([1.0 if effect >= 0 else -1.0 for effect in effects])
+    touched = jnp.asarray([1.0 if effect else 0.0 for effect in effects])
+    directed = position * ahead
+    whole = jnp.floor(directed + NEAR) if first else jnp.ceil(directed - NEAR) - touched
+    return jnp.where(touched > 0, whole * ahead, jnp.round(position))
+
+
+NEAR = 0.02  # of a row: a level this near to it is on it
+
+
+class Values(NamedTuple):
+    """The value on one date: `coefficients` [modes, rows …, n] on rows of the levels."""
+
+    rows: LevelRows
+    coefficients: Array
+
+
+class Surprise(NamedTuple):
+    """One step: the value at its start, and that of the next step as expected."""
+
+    now: Values
+    ahead: Values
+    reading: Reading
+
+
+class Surprises(eqx.Module):
+    """`steps`: a `Surprise` with a leading axis of steps; `first`: the value expected today.
+
+    `dims`: counts of the rows of each level.
+    """
+
+    steps: Any
+    first: Any
+
+
+def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
+    """The value at the start of a step less its expectation for the start of the next one.
+
+    Summed over the steps, and less `first`, it is the sum of the innovations. The value is 0 when
+    the last step is over.
+    """
+    row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
+    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
+    return _value(row.now, before, observed) - _value(row.ahead, after, observed)
+
+
+def at_end(first: Array) -> Array:
+    """The end's part of the sum."""
+    return -first
+
+
+def _value(table: Values, state: Any, observed: Array) -> Array:
+    """Linear between rows, flat beyond them."""
+    total = jnp.zeros(())
+    for mode in range(table.coefficients.shape[0]):
+        rows = table.coefficients[mode]
+        total = total + state.mode[mode] * _between(rows, table.rows, state.levels) @ observed
+    return total
+
+
+def _between(table: Array, rows: LevelRows, levels: Array) -> Array:
+    """[n] a row between those around the levels; the table has an axis for each level."""
+    dims = table.shape[:-1]
+    flat = table.reshape((-1, table.shape[-1]))
+    if not dims:
+        return flat[0]
+    width = jnp.where(rows.spacing > 0, rows.spacing, 1.0)
+    top = jnp.asarray([max(count - 1, 0) for count in dims], levels.dtype)
+    position = jnp.clip((levels - rows.low) / width, 0.0, top)
+    left = jnp.minimum(jnp.floor(position), jnp.maximum(top - 1, 0.0))
+    share, total = position - left, jnp.zeros(flat.shape[-1])
+    for corner in range(2 ** len(dims)):
+        weight, place = jnp.ones(()), jnp.zeros((), jnp.int32)
+        for i, count in enumerate(dims):
+            up = (corner >> i) & 1
+            weight = weight * (share[i] if up else 1 - share[i])
+            row = jnp.minimum(left[i] + up, count - 1).astype(jnp.int32)
+            place = place * count + row
+        total = total + weight * flat[place]
+    return total

@@ -1,0 +1,210 @@
+"""The fitted value: least squares of the value of the best move on functions of the price factors.
+
+Backwards in time, on nodes of the levels and quadrature nodes of the factors. The expectation of
+the functions a step later is known in closed form, so that only the fit is an approximation
+(Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12, 2001). From it come the policy's
+worth of a unit of each level and mode, the control variate, and the penalty of the upper bound.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...gas_storage.bounds.basis import PolynomialBasis, gaussian_basis
+from ...gas_storage.bounds.regression import Regression, product, regression
+from ...gas_storage.policy.guide import Reading
+from ...gas_storage.prices.process import GaussianFactors
+from ..core.contract import ContractLayout
+from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, Values, WorthTable
+from .grid import ContractGrid, StepGrid, arrived, best, node_levels
+
+SINGLE, SEVERAL = 401, 49  # most rows of the worth of a level: of the only one, of one of several
+SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
+
+
+@dataclass(frozen=True, eq=False)
+class FittedContract:
+    """The value at the start of each of T steps, and after the last.
+
+    - `coefficients`: T + 1 arrays [modes, nodes, K] of the functions of `basis`.
+    - `value`: today's; an approximation.
+    """
+
+    basis: PolynomialBasis
+    grid: ContractGrid
+    coefficients: list[np.ndarray]
+    value: float
+
+    @property
+    def available(self) -> Regression:
+        """The regression that it is the result of."""
+        return regression(self.basis)
+
+
+def fit(
+    layout: ContractLayout, schedule: Any, factors: GaussianFactors, grid: ContractGrid
+) -> FittedContract:
+    """The fitted value of a schedule with NumPy leaves, which has a step."""
+    terms, horizon = schedule.steps.terms, len(grid.steps)
+    basis = gaussian_basis(factors, priced=False)
+    available, size = regression(basis), basis.size
+    coefficients = [np.zeros((len(layout.modes), grid.size(horizon), size))]
+    for t in reversed(range(horizon)):
+        step, later = grid.steps[t], coefficients[-1]
+        value = product(later.reshape(-1, size), available.day(t).ahead)
+        after = arrived(step, value.reshape(*later.shape[:2], -1))
+        spot = schedule.steps.forward[t] * available.noise(t)
+        cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
+        value = best(step, layout, cash, terms.fixed[t], after)
+        flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
+        found = product(available.day(t).fit, flat.T).T
+        coefficients.append(found.reshape(*value.shape[:2], size))
+    coefficients.reverse()
+    return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
+
+
+def _constant(basis: PolynomialBasis) -> int:
+    """The number of the function 1 among those that are not hinges."""
+    return -1 if basis.common else int(np.flatnonzero(np.all(basis.powers == 0, axis=1))[0])
+
+
+def worth_table(layout: ContractLayout, fitted: FittedContract) -> WorthTable:
+    """The worth of a unit of each volume after each step, and of each move."""
+    horizon, basis = len(fitted.grid.steps), fitted.basis
+    counts = _row_counts(layout, fitted.grid)
+    lows, spacings, slopes, moves = [], [], [], []
+    for t in range(horizon):
+        step = fitted.grid.steps[t]
+        low, spacing = _rows(step, counts)
+        after = _after(fitted, t)
+        rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
+        local = [_slope(layout, step, after, rows, spacing, m, f) for m, f in layout.pairs]
+        slopes.append(np.stack(local).reshape(len(local), *counts, -1))
+        if layout.moves:
+            worth = [_interpolated(step.after, after[move.after], rows + np.array(move.changes))
+                     for move in layout.moves]  # fmt: skip
+            before = [move.before for move in layout.moves]
+            relative = [x - worth[before.index(mode)] for x, mode in zip(worth, before)]
+            moves.append(np.stack(relative).reshape(len(relative), *counts, -1))
+        lows.append(low)
+        spacings.append(spacing)
+    place = LevelRows(np.stack(lows), np.stack(spacings))  # pyright: ignore
+    reading = Reading(*(x[:horizon] for x in basis.linear()))  # pyright: ignore
+    table = UnitValues(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
+    return WorthTable(table)
+
+
+def _after(fitted: FittedContract, t: int) -> np.ndarray:
+    """[modes, nodes after, n] coefficients after a step, as expected before the next one."""
+    step, later = fitted.grid.steps[t], fitted.coefficients[t + 1]
+    result = (later @ fitted.available.day(t).drift)[:, step.arrive]
+    result[:, :, _constant(fitted.basis)] -= step.lost
+    return result
+
+
+def _row_counts(layout: ContractLayout, grid: ContractGrid) -> tuple[int, ...]:
+    most = SINGLE if len(layout.levels) == 1 else SEVERAL
+    counts = []
+    for i in range(len(layout.levels)):
+        finest = [
+            np.ptp(x.after[i]) / np.diff(x.after[i]).min()
+            for x in grid.steps
+            if len(x.after[i]) > 1
+        ]
+        counts.append(int(min(round(max(finest, default=1.0)) + 1, most)))
+    return tuple(counts)
+
+
+def _rows(step: StepGrid, counts) -> tuple[np.ndarray, np.ndarray]:
+    """`low` and `spacing` of the rows of each level: on its nodes where these are few enough."""
+    low, spacing = np.zeros(len(counts)), np.zeros(len(counts))
+    for i, (nodes, count) in enumerate(zip(step.after, counts)):
+        low[i] = nodes[0]
+        if len(nodes) > 1:
+            gaps, width = np.diff(nodes), np.ptp(nodes)
+            even = np.ptp(gaps) < 1e-6 * gaps[0] and len(nodes) <= count
+            spacing[i] = gaps[0] if even else width / (count - 1)
+    return low, spacing
+
+
+def _slope(
+    layout: ContractLayout, step: StepGrid, after, rows, spacing, m: int, f: int
+) -> np.ndarray:
+    """[rows, n] the change of the value by one more unit along a flow from each row."""
+    effects = np.array(layout.flows[f].effects)
+    touched = np.flatnonzero((effects != 0) & (spacing > 0)) if len(effects) else []
+    values = after[layout.every_move[m].after]
+    if not len(touched):
+        return np.zeros((len(rows), values.shape[-1]))
+    unit = min(spacing[i] / abs(effects[i]) for i in touched)
+    low, high = (np.array([x[k] for x in step.after]) for k in (0, -1))
+    first = np.clip(rows, low, high)
+    last = first + unit * effects
+    # At the limits the slope is that of the last unit before them.
+    back = np.maximum(np.maximum(last - high, 0), np.maximum(low - last, 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(effects != 0, back / np.abs(unit * effects), 0.0).max(axis=1)
+    share = np.minimum(share, 1.0)[:, None]
+    first, last = first - share * unit * effects, last - share * unit * effects
+    first, last = np.clip(first, low, high), np.clip(last, low, high)
+    ends = [_interpolated(step.after, values, x) for x in (first, last)]
+    return (ends[1] - ends[0]) / unit
+
+
+def _interpolated(nodes, values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """[n, K] at points [n, levels] of values [nodes, K]: linear between nodes, flat beyond."""
+    count = len(points)
+    if not nodes:
+        return np.broadcast_to(values[0], (count, values.shape[-1]))
+    sizes = [len(x) for x in nodes]
+    lefts, shares = [], []
+    for i, x in enumerate(nodes):
+        position = np.interp(points[:, i], x, np.arange(len(x), dtype=float))
+        left = np.minimum(position.astype(int), max(len(x) - 2, 0))
+        lefts.append(left)
+        shares.append(position - left)
+    total = np.zeros((count, values.shape[-1]))
+    for corner in range(2 ** len(sizes)):
+        weight, place = np.ones(count), np.zeros(count, int)
+        for i, size in enumerate(sizes):
+            up = (corner >> i) & 1
+            weight = weight * (shares[i] if up else 1 - shares[i])
+            place = place * size + np.minimum(lefts[i] + up, size - 1)
+        total += weight[:, None] * values[place]
+    return total
+
+
+def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
+    """The control variate: the value on a few rows, and its expectation a step before."""
+    basis, grid, available = fitted.basis, fitted.grid, fitted.available
+    dates, count = len(grid.nodes), SURPRISES[len(layout.levels)]
+    counts = (count,) * len(layout.levels)
+    lows, spacings, now = [], [], []
+    for t in range(dates):
+        nodes = grid.nodes[t]
+        low = np.array([x[0] for x in nodes])
+        spacing = np.array([np.ptp(x) / (count - 1) for x in nodes]) if nodes else np.zeros(0)
+        rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
+        plain = fitted.coefficients[t] @ available.day(t).plain
+        now.append(np.stack([_interpolated(nodes, mode, rows) for mode in plain]))
+        lows.append(low)
+        spacings.append(spacing)
+    values = np.stack(now)  # [T + 1, modes, rows, n]
+    flat = values.reshape(dates, -1, values.shape[-1])
+    ahead = basis.expected_coefficients(flat[1:]).reshape(values[1:].shape)
+    shape = (dates, len(layout.modes), *counts, values.shape[-1])
+    values, ahead = values.reshape(shape), ahead.reshape(dates - 1, *shape[1:])
+    low, spacing = np.stack(lows), np.stack(spacings)
+    reading = Reading(*(x[:-1] for x in basis.linear()))  # pyright: ignore
+    rows = [LevelRows(low[:-1], spacing[:-1]), LevelRows(low[1:], spacing[1:])]  # pyright: ignore
+    table = Surprise(Values(rows[0], values[:-1]), Values(rows[1], ahead), reading)  # pyright: ignore
+    constant = np.all(basis.powers == 0, axis=1).astype(float)
+    mean = np.append(constant, 1.0) if basis.common else constant
+    start = values[0].reshape(len(layout.modes), -1, values.shape[-1])[0, 0]
+    return Surprises(table, np.asarray(start @ mean))
+
+
+def levels_of(fitted: FittedContract, t: int) -> np.ndarray:
+    """[nodes, levels] at the start of a step."""
+    return node_levels(fitted.grid.nodes[t])

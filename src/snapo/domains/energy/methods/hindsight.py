@@ -1,0 +1,109 @@
+"""The upper bound: the best moves of each path with its prices known, penalised for knowing them.
+
+The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
+V(next prices) - E[V(next prices)], which has mean zero for whoever does not know them. Whatever V
+is, the bound holds; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
+best decisions lead from node to node (`ContractGrid.exact`) the best penalised moves do too.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import numpy as np
+
+from snapo.problem.problem import Problem
+
+from ...gas_storage.bounds.regression import product
+from ..core.simulator import simulator_of
+from ..setup import fitted_value, price_schedule
+from .grid import arrived, best, corners, grid_of, opposed_levels
+
+BLOCK = 128  # paths at once
+PARTS = 3  # of the penalty: polynomials, hinges, the constant
+
+
+class EnergyRelaxation:
+    """See `snapo.Relaxation`."""
+
+    description = "the innovations of a fitted value of the contract"
+
+    def __init__(self, problem: Problem):
+        simulator = simulator_of(problem)
+        self.layout = simulator.layout
+        self.process, self.schedule = simulator.process, problem.schedule
+        self.prices, result = price_schedule(problem), fitted_value(problem)
+        self.fitted = None if result is None else result.fitted
+        self.grid = grid_of(self.layout, self.schedule) if result is None else result.fitted.grid
+        if not self.grid.exact:
+            raise ValueError("its volumes have no common measure, so that its grid is no bound")
+
+    @property
+    def terms(self) -> int:
+        return 0 if self.fitted is None else PARTS
+
+    def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
+        prices = self._path(rollout.record["state"].price, rollout.state.price)
+        spots, innovations = self._spots(prices), self._innovations(prices, scale)
+        blocks = [slice(i, i + BLOCK) for i in range(0, spots.shape[1], BLOCK)]
+
+        def solve(block: slice) -> np.ndarray:
+            moved = None if innovations is None else innovations[:, :, block]
+            return self._solve(spots[:, block], moved)
+
+        with ThreadPoolExecutor(2) as pool:
+            return np.concatenate(list(pool.map(solve, blocks)))
+
+    def charged(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
+        record, end = rollout.record["state"], rollout.state
+        innovations = self._innovations(self._path(record.price, end.price), scale)
+        levels = self._path(record.levels, end.levels)
+        mode = np.argmax(self._path(record.mode, end.mode), axis=2)
+        total = np.zeros(levels.shape[1])
+        if innovations is None or self.fitted is None:
+            return total
+        for nodes, table, moved, level, now in zip(
+            self.grid.nodes, self.fitted.coefficients, innovations, levels, mode
+        ):
+            rows, weights = corners(nodes, level, opposed_levels(self.layout))
+            for row, weight in zip(rows, weights):
+                total += weight * np.einsum("pk,kp->p", table[now, row], moved)
+        return total
+
+    def _solve(self, spots: np.ndarray, innovations: np.ndarray | None) -> np.ndarray:
+        terms, horizon = self.schedule.steps.terms, len(self.grid.steps)
+        count = len(self.layout.modes)
+        value = np.zeros((count, self.grid.size(horizon), spots.shape[1]))
+        for t in reversed(range(horizon + 1)):
+            if t < horizon:
+                cash = terms.price[t][:, None] * spots[t] + terms.money[t][:, None]
+                after = arrived(self.grid.steps[t], value)
+                value = best(self.grid.steps[t], self.layout, cash, terms.fixed[t], after)
+            if innovations is not None and self.fitted is not None:
+                table = self.fitted.coefficients[t]
+                value = value - product(table.reshape(-1, table.shape[2]), innovations[t]).reshape(
+                    value.shape
+                )
+        return value[0, 0]
+
+    def _path(self, days, end):
+        """A part of the state at the T steps and after them, leaves [T + 1, N, …]."""
+        return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
+
+    def _spots(self, states) -> np.ndarray:
+        """[T, N]"""
+        count = len(self.grid.steps)
+        rows = jax.tree.map(lambda leaf: leaf[:count], (self.prices.steps, states))
+        with jax.enable_x64(True):
+            level = jax.vmap(self.process.level, in_axes=(None, None, 0))
+            return np.asarray(jax.vmap(level, in_axes=(None, 0, 0))(self.prices.constants, *rows))
+
+    def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
+        """[T + 1, K, N] functions of the prices less their expectation a step before."""
+        if self.fitted is None:
+            return None
+        with jax.enable_x64(True):
+            factors = np.asarray(jax.vmap(jax.vmap(self.process.gaussian))(states))
+        basis = self.fitted.basis
+        moved = basis.increments(np.ascontiguousarray(np.moveaxis(factors, 1, 2)))
+        counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
+        return moved * np.repeat(scale, counts)[:, None]

@@ -1,0 +1,108 @@
+"""The exact value: dynamic programming in the levels, modes and one or two price factors."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...gas_storage.prices.process import GaussianFactors
+from ...gas_storage.references.marginal import FactorGrid, factor_grid
+from ..core.contract import ContractLayout
+from .grid import ContractGrid, arrived, best, grid_of
+
+SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
+SLOW = 17
+MOVED, HALVED = 1e-4, 3  # see `refined`
+
+
+class RefinedValue(NamedTuple):
+    """A present value, and the sum of the last moves of its grids."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """The value of a contract, and what it was computed on."""
+
+    value: float
+    grid: ContractGrid
+
+
+def lattice(
+    layout: ContractLayout,
+    schedule: Any,
+    factors: GaussianFactors | None,
+    *,
+    parts: int = 1,
+    finer: int = 1,
+    slow: int = SLOW,
+    grid: ContractGrid | None = None,
+) -> Lattice:
+    """The value of a schedule with NumPy leaves; without `factors`, at forward prices.
+
+    `parts` of the measure of the levels; `finer`, `slow`: nodes of the price factors.
+    """
+    grid = grid_of(layout, schedule, parts) if grid is None else grid
+    terms, horizon = schedule.steps.terms, len(schedule.steps.forward)
+    prices = None if factors is None else _factor_grid(factors, finer, slow)
+    columns = 1 if prices is None else prices.columns
+    value = np.zeros((len(layout.modes), grid.size(horizon), columns))
+    for t in reversed(range(horizon)):
+        noise = np.ones(1) if prices is None else prices.noise(t)
+        if prices is not None:
+            flat = value.reshape(-1, columns)
+            value = prices.after(t).expect(flat).reshape(value.shape)
+        spot = schedule.steps.forward[t] * noise
+        cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
+        after = arrived(grid.steps[t], value)
+        value = best(grid.steps[t], layout, cash, terms.fixed[t], after)
+    today = value[0] if prices is None else prices.start().expect(value[0])
+    return Lattice(float(today[0, 0]), grid)
+
+
+def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
+    """Those that move prices, the fastest first."""
+    moves = np.abs(factors.loading[:-1]).max(axis=0) > 0
+    moves &= np.max(np.abs(factors.shock), axis=(0, 2)) > 0
+    speed = np.argsort(factors.decay.mean(axis=0), kind="stable")
+    return tuple(int(i) for i in speed if moves[i]) or (int(speed[0]),)
+
+
+def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
+    selected = selected_factors(factors)
+    if len(selected) > 2:
+        raise ValueError(
+            f"a lattice holds one or two price factors, and {len(selected)} move prices"
+        )
+    return factor_grid(factors, selected, SPACINGS[len(selected)] / finer, slow)
+
+
+def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> RefinedValue:
+    """The value, its grids halved until that moves it by less than 0.01 %."""
+    first = lattice(layout, schedule, factors)
+    sides = []
+    if not first.grid.exact:
+        sides.append(
+            _halved(first.value, lambda n: lattice(layout, schedule, factors, parts=n).value)
+        )
+    if factors is not None:
+        keep = first.grid
+        sides.append(_halved(first.value, lambda n: lattice(
+            layout, schedule, factors, finer=n, grid=keep).value))  # fmt: skip
+        if len(selected_factors(factors)) > 1:
+            sides.append(_halved(first.value, lambda n: lattice(
+                layout, schedule, factors, slow=(SLOW - 1) * n + 1, grid=keep).value))  # fmt: skip
+    moved = sum(side.value - first.value for side in sides)
+    return RefinedValue(first.value + moved, sum(side.error for side in sides))
+
+
+def _halved(first: float, value) -> RefinedValue:
+    before, moved = first, 0.0
+    for times in range(1, HALVED + 1):
+        after = value(2**times)
+        before, moved = after, abs(after - before)
+        if moved <= MOVED * abs(after):
+            break
+    return RefinedValue(before, moved)

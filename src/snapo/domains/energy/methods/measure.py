@@ -1,0 +1,50 @@
+"""The common measure of the volumes of a contract: the largest of which all are multiples."""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from functools import reduce
+from math import gcd, lcm
+
+import numpy as np
+
+from ..core.contract import ContractLayout
+
+DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
+
+
+def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
+    """The largest volume of which all of a level are multiples; one for levels of the same flow."""
+    groups = [{i} for i in range(len(layout.levels))]
+    for flow in layout.flows:
+        touched = {i for i, effect in enumerate(flow.effects) if effect}
+        if touched:
+            joined = set().union(touched, *(g for g in groups if g & touched))
+            groups = [g for g in groups if not g & touched] + [joined]
+    result: list[float | None] = [None] * len(layout.levels)
+    for group in groups:
+        volumes: set[float] = set()
+        for i in group:
+            volumes.add(float(start[i]))
+            volumes |= {move.changes[i] for move in layout.every_move}
+            for numbers in (terms.low[:, i], terms.high[:, i], terms.owed[:, i]):
+                volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
+            for flow in range(len(layout.flows)):
+                effect = layout.flows[flow].effects[i]
+                for numbers in (terms.least[:, flow], terms.most[:, flow]):
+                    volumes |= set(np.unique(effect * numbers).tolist())
+        found = common_measure(volumes)
+        for i in group:
+            result[i] = found
+    return result
+
+
+def common_measure(volumes: Iterable[float]) -> float | None:
+    """The largest number of which all are multiples; None where they are no simple fractions."""
+    sizes = [abs(x) for x in volumes if x]
+    fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
+    if not sizes:
+        return 1.0
+    if any(abs(float(part) - x) > 1e-12 * x for part, x in zip(fractions, sizes)):
+        return None
+    below = reduce(lcm, (f.denominator for f in fractions))
+    return reduce(gcd, (int(f * below) for f in fractions)) / below

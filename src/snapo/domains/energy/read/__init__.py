@@ -1,0 +1,1 @@
+"""Reads the TOML tables and CSV files of a case into records."""

@@ -1,0 +1,223 @@
+"""Reads a case of any contract, a TOML file and its CSVs, into an `EnergyCase`."""
+
+import datetime
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.given import CaseInput
+from snapo.case.quantity import numbers_in
+from snapo.case.settings import (
+    EvaluationTable,
+    ObjectiveTable,
+    TrainingTable,
+    check_window,
+    read_evaluation,
+    read_objective,
+    read_training,
+)
+from snapo.case.table import TITLE, CaseTable, Formats, TableContext, Title, parse
+from snapo.problem.inputs import Input
+
+from ...gas_storage.contract.records import GasMarket
+from ...gas_storage.prices.process import Delivery, PriceProcess
+from ...gas_storage.prices.registry import check_curve, kinds, read_prices
+from ...gas_storage.read.case import read_market
+from ...gas_storage.read.tables import MarketTable
+from ..contracts.battery import (
+    BatteryTable,
+    ChargeTable,
+    CyclesTable,
+    DischargeTable,
+    read_battery,
+)
+from ..contracts.swing import AnnualTable, RightsTable, SwingTable, read_swing
+from ..core.contract import EnergyContract
+from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
+
+
+class EnergyTable(CaseTable):
+    """The whole file."""
+
+    kind: Literal["swing", "battery"]
+    title: Title = Field("", description=TITLE)
+    contract: dict = Field(description="the table [contract]")
+    market: dict = Field(description="the table [market]")
+    model: dict = Field(description="the table [model]")
+    objective: dict = Field({}, description="the table [objective]")
+    training: dict = Field({}, description="the table [training]")
+    evaluation: dict = Field({}, description="the table [evaluation]")
+
+
+class ContractKind(NamedTuple):
+    """What a kind of contract brings: its table, its reader, tables within it, a title.
+
+    `hourly`: whether its steps are hours of the local calendar, not days.
+    """
+
+    table: type[CaseTable]
+    read: Callable[[TableContext, Any, Sequence[datetime.date]], EnergyContract]
+    title: str
+    inner: Mapping[str, type[CaseTable]]
+    hourly: bool = False
+
+    @property
+    def market(self) -> type[CaseTable]:
+        """The format of its `[market]`."""
+        return HourlyMarketTable if self.hourly else MarketTable
+
+
+BY_HOUR = ("one-factor", "multi-factor")  # kinds of prices whose steps may be hours
+KINDS: dict[str, ContractKind] = {
+    "swing": ContractKind(
+        SwingTable, read_swing, "Swing contract", {"annual": AnnualTable, "rights": RightsTable}
+    ),
+    "battery": ContractKind(
+        BatteryTable,
+        read_battery,
+        "Battery",
+        {"charge": ChargeTable, "discharge": DischargeTable, "cycles": CyclesTable},
+        hourly=True,
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyCase:
+    """All data of a case.
+
+    - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
+    - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
+      [T]: in years; `first_step`: steps from the valuation date to the first.
+    """
+
+    kind: str
+    file: Path
+    title: str
+    volume_unit: str
+    currency: str
+    valuation_date: datetime.date
+    days: tuple[datetime.date, ...]
+    day: np.ndarray
+    time: np.ndarray
+    first_step: int
+    contract: EnergyContract
+    market: GasMarket
+    model: PriceProcess
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
+    notes: tuple[str, ...] = ()
+
+    def numbers(self) -> Iterator[CaseInput]:
+        """Every number of contract, market and prices."""
+        return numbers_in((self.contract, self.market, self.model))
+
+    def inputs(self) -> dict[str, Input]:
+        """{name: Input}; those of contract, market and model."""
+        numbers: dict[str, CaseInput] = {}
+        for entry in self.numbers():
+            if numbers.setdefault(entry.name, entry) is not entry:
+                raise ValueError(f"{entry.name}: two inputs of a case share this name.")
+        return {name: entry.input() for name, entry in numbers.items()}
+
+
+def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
+    """The case in the TOML file `file`, whose tables were read already: `data`.
+
+    **Raises:** `CaseError` where a table, a file or a number is wrong.
+    """
+    name, notes = str(file), []
+    top = parse(EnergyTable, data, name, "")
+    kind = KINDS[top.kind]
+    table: Any = parse(kind.table, top.contract, name, "contract", notes)
+    market_table: Any = parse(kind.market, top.market, name, "market", notes)
+    valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
+    section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
+    delivery: Any
+    if kind.hourly:
+        hours = hours_of(where, table, valuation)
+        market = read_hourly(section, market_table, hours, unit)
+        days, delivery = hours.days, replace(hours, curve=market.forward_curve)
+        time = np.array(hours.ahead[:-1]) / HOURS
+    else:
+        days = decision_days(where, table.start, table.end, valuation)
+        moving = np.ones(len(days), bool)
+        market, _ = read_market(section, market_table, days, days, moving, unit)
+        delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
+        time = np.array([(date - valuation).days for date in days]) / 365.0
+    contract = kind.read(where, table, days)
+    section = TableContext(file, "model", notes)
+    if kind.hourly and top.model.get("kind") not in BY_HOUR:
+        allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
+        raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
+    model = read_prices(section, top.model, delivery)
+    check_curve(_curve_file(market_table), model, delivery)
+    objective, training = read_objective(top.objective, name), read_training(top.training, name)
+    check_window(training, [objective.kind], name)
+    day = np.array([(date - valuation).days for date in days], np.int64)
+    return EnergyCase(
+        top.kind,
+        file,
+        top.title or kind.title,
+        table.volume_unit,
+        table.currency,
+        valuation,
+        days,
+        day,
+        time,
+        delivery.ahead[0],
+        contract,
+        market,
+        model,
+        objective,
+        training,
+        read_evaluation(top.evaluation, name),
+        tuple(notes),
+    )
+
+
+def decision_days(
+    where: TableContext, start: datetime.date, end: datetime.date, valuation: datetime.date
+) -> tuple[datetime.date, ...]:
+    """The days on which the contract may still act, seen from the valuation date."""
+    first = max(start, valuation)
+    if end <= first:
+        message = f"the first day without a decision must come after {first}"
+        raise where.error("end", end, message)
+    return tuple(first + datetime.timedelta(n) for n in range((end - first).days))
+
+
+def formats(kind: str) -> Formats:
+    """The tables of a kind of contract."""
+    this = KINDS[kind]
+    inner = {f"contract.{key}": table for key, table in this.inner.items()}
+    return {
+        "": EnergyTable,
+        "contract": this.table,
+        **inner,
+        "market": this.market,
+        "model": [process.table for process in kinds().values()],
+        "objective": ObjectiveTable,
+        "training": TrainingTable,
+        "evaluation": EvaluationTable,
+    }
+
+
+def swing_formats() -> Formats:
+    """The tables of a swing contract."""
+    return formats("swing")
+
+
+def battery_formats() -> Formats:
+    """The tables of a battery."""
+    return formats("battery")
+
+
+def _curve_file(market: Any) -> str:
+    """The file of the forward prices, or of the quotes that they are made of."""
+    return market.forward_curve or market.quotes

@@ -1,0 +1,153 @@
+"""Hours of the local calendar: steps of a contract, their prices and times."""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.csv import FileReference, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import CaseInput
+from snapo.case.table import CaseTable, TableContext
+from snapo.problem.process import Gaps
+
+from ...gas_storage.contract.records import GasMarket
+from ...gas_storage.prices.process import FEWEST, Times
+from ...gas_storage.read.tables import DATE, FORWARD, ZERO_RATE, DateKey, FileName
+
+HOURS = 8760.0  # of a year of 365 days
+TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
+FIELDS = ("time", "price")
+
+
+class HourlyMarketTable(CaseTable):
+    """`[market]` of a contract by the hour."""
+
+    valuation_date: DateKey = Field(description=DATE)
+    forward_curve: FileName = Field(description="a CSV file with columns time,price")
+    interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Hours:
+    """The decision hours, and the delivery of a price process (see `Delivery`).
+
+    - `instants` [T]: in UTC; `days` [T]: the local date of each; `end`: that of the end.
+    - `ahead` [T + 1]: hours from midnight of the valuation date, local time.
+    - `curve`: the forward price of each hour, once it is read.
+    """
+
+    instants: tuple[datetime.datetime, ...]
+    local: tuple[str, ...]
+    days: tuple[datetime.date, ...]
+    end: datetime.date
+    valuation: datetime.date
+    ahead: tuple[int, ...]
+    curve: Any = None
+
+    @property
+    def price_days(self) -> tuple[datetime.date, ...]:
+        """The dates of the prices."""
+        return self.days
+
+    @property
+    def dates(self) -> tuple[datetime.date, ...]:
+        """[T + 1] the date of each hour, and of the end."""
+        return (*self.days, self.end)
+
+    @property
+    def times(self) -> Times:
+        """When there are prices, in years."""
+        years, before = np.array(self.ahead) / HOURS, self.ahead[0]
+        rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
+        age = (before - 1 - np.arange(max(rows, 1))) / HOURS
+        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows)
+
+
+def hours_of(where: TableContext, table: Any, valuation: datetime.date) -> Hours:
+    """The hours of a contract: from `start`, or the valuation date, to `end`, local time."""
+    try:
+        zone = ZoneInfo(table.time_zone)
+    except (ZoneInfoNotFoundError, ValueError):
+        message = 'this is no name of a time zone such as "Europe/Berlin"'
+        raise where.error("time_zone", table.time_zone, message) from None
+    first = max(_instant(where, "start", table.start, zone), _utc(valuation, zone))
+    last = _instant(where, "end", table.end, zone)
+    count = int((last - first).total_seconds() // 3600)
+    if count < 1:
+        raise where.error("end", table.end, "the end must come after the start")
+    instants = tuple(first + datetime.timedelta(hours=n) for n in range(count))
+    shown = [instant.astimezone(zone) for instant in instants]
+    ahead = int((first - _utc(valuation, zone)).total_seconds() // 3600)
+    return Hours(
+        instants,
+        tuple(x.strftime("%Y-%m-%dT%H:%M") for x in shown),
+        tuple(x.date() for x in shown),
+        last.astimezone(zone).date(),
+        valuation,
+        tuple(ahead + n for n in range(count + 1)),
+    )
+
+
+def _utc(day: datetime.date, zone: ZoneInfo) -> datetime.datetime:
+    local = datetime.datetime(day.year, day.month, day.day, tzinfo=zone)
+    return local.astimezone(datetime.UTC)
+
+
+def _instant(where: TableContext, key: str, value: Any, zone: ZoneInfo) -> datetime.datetime:
+    """A date or a local time of the TOML file, in UTC."""
+    if isinstance(value, datetime.datetime) and value.tzinfo is None:
+        if value.minute or value.second:
+            raise where.error(key, value, f"allowed is {TIME}")
+        return value.replace(tzinfo=zone).astimezone(datetime.UTC)
+    if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
+        return _utc(value, zone)
+    raise where.error(key, value, f"allowed is {TIME}")
+
+
+def read_hourly(
+    section: TableContext, table: HourlyMarketTable, hours: Hours, unit: str
+) -> GasMarket:
+    """Prices by the hour, and rates by the day."""
+    curve, rate = _curve(section, table.forward_curve, hours, unit), table.interest_rate
+    day = np.array([(date - table.valuation_date).days for date in hours.days], np.int64)
+    starts = rate.starts
+    nodes = np.zeros(1, np.int64) if starts is None else starts - table.valuation_date.toordinal()
+    return GasMarket(curve, replace(rate, index=np.arange(len(rate.values))), nodes, day)
+
+
+def _curve(section: TableContext, name: str, hours: Hours, unit: str) -> CaseInput:
+    """The price of each hour, by its local time; an hour that comes twice has two rows in order."""
+    rows = read_rows(FileReference(section, "forward_curve", name), FIELDS)
+    known: dict[str, list] = {}
+    for row in rows:
+        text = row.cells["time"].strip().replace(" ", "T")[:16]
+        try:
+            datetime.datetime.fromisoformat(text)
+        except ValueError:
+            raise row.error("time", "an hour is written 2026-05-01T07:00") from None
+        known.setdefault(text, []).append(row)
+    seen: dict[str, int] = {}
+    found = []
+    for label in hours.local:
+        place = seen.get(label, 0)
+        seen[label] = place + 1
+        if place >= len(known.get(label, ())):
+            message = (
+                f"there is no price for this hour; one is needed for each from {hours.local[0]} "
+                f"to {hours.local[-1]}"
+            )
+            raise CaseError(name, label, None, message)
+        found.append(known[label][place])
+    return _input(found, hours.local, unit)
+
+
+def _input(rows: Sequence[Any], labels: Sequence[str], unit: str) -> CaseInput:
+    forward = replace(FORWARD, unit=unit, meaning="price today for delivery in the hour")
+    values = [FORWARD.cell(row) for row in rows]
+    cells = tuple(row.position("price") for row in rows)
+    return forward.input("forward_curve", values, labels, positions=cells)

@@ -1,0 +1,28 @@
+"""The report of a contract."""
+
+from snapo.report.evidence import history, making
+from snapo.report.folder import RunFiles
+from snapo.report.quantity import long_date, number
+from snapo.study.chapters.bound import value_bounds
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.headline import headline
+from snapo.study.chapters.profile import profile
+from snapo.study.chapters.sensitivities import sensitivities
+from snapo.study.domain import Report
+
+from .chapters.values import VALUES
+
+SECTIONS = (
+    headline, VALUES, value_bounds, profile(), sensitivities, DISTRIBUTION, history, CERTIFICATE,
+    making,
+)  # fmt: skip
+
+
+def _about(run: RunFiles) -> list[tuple[str, str]]:
+    dates = [("Valuation date", run.get("valuation_date")), ("First decision", run.get("start"))]
+    pairs = [(name, long_date(date)) for name, date in dates if date]
+    return [*pairs, ("Decisions", number(run.get("horizon"), 0)), ("Prices", str(run.get("model")))]
+
+
+REPORT = Report("Energy contract", RunFiles, _about, SECTIONS)

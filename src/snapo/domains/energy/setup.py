@@ -1,0 +1,112 @@
+"""A case made ready to solve: the problem with its fitted value, its policy and its engines."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.case.objective import make_objective
+from snapo.engine import EngineName
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Schedule
+from snapo.solver.learning.settings import TrainingPlan
+from snapo.solver.solve import Evaluation
+from snapo.study.ready import engines_for
+from snapo.study.study import Setup
+
+from ..gas_storage.prices.process import GaussianFactors
+from .core.policy import WorthPolicy
+from .core.simulator import EnergySimulator, simulator_of
+from .methods.fitted import FittedContract, fit, surprises, worth_table
+from .methods.grid import grid_of
+from .read.case import EnergyCase
+
+OUTPUT = "cash_flow"
+MAX_FACTORS = 3  # of a fitted value, next to those that move all prices in proportion
+
+
+def bare_problem(case: EnergyCase) -> Problem:
+    """The contract without a fitted value."""
+    return Problem(EnergySimulator.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
+
+
+def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
+    """Simulator with its fitted value, scenarios, policy and engines."""
+    training = TrainingPlan.from_settings(case.training.model_dump())
+    evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
+    sources = case.model.sources(seed) or evaluation.sources(seed)
+    problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
+    policy = WorthPolicy(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
+    return Setup(
+        problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
+    )
+
+
+def setup_at(setup: Setup, case: EnergyCase) -> Setup:
+    """The setup of a case that differs only in its numbers: `make_setup(case)`."""
+    bare = bare_problem(case)
+    if case.model.sources(setup.training.seed) or bare.form != _bare(setup.problem).form:
+        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
+    moved = replace(setup.problem, simulator=bare.simulator, inputs=bare.inputs)
+    return setup._replace(problem=rebuilt(moved), case=case)
+
+
+def rebuilt(problem: Problem) -> Problem:
+    """The problem with the fitted value and the scales of features of its inputs."""
+    problem = _bare(problem)
+    values = {name: item.value for name, item in problem.inputs_by_name.items()}
+    return fitted_problem(replace(problem, simulator=simulator_of(problem).scaled(values)))
+
+
+def _bare(problem: Problem) -> Problem:
+    return replace(problem, simulator=replace(simulator_of(problem), worth=None, surprises=None))
+
+
+def fitted_problem(problem: Problem) -> Problem:
+    """The problem with the worth that its policy starts from, and with a control variate where its
+    prices have no other risks than its factors'."""
+    result = fitted_value(problem)
+    if result is None:
+        return problem
+    simulator, layout = simulator_of(problem), simulator_of(problem).layout
+    control = surprises(layout, result.fitted) if result.factors.exact else None
+    worth = worth_table(layout, result.fitted)
+    return replace(problem, simulator=replace(simulator, worth=worth, surprises=control))
+
+
+class FactorFit(NamedTuple):
+    """A fitted value and the factors that it is a function of."""
+
+    fitted: FittedContract
+    factors: GaussianFactors
+
+
+def fitted_value(problem: Problem) -> FactorFit | None:
+    """The fitted value, where prices have at most three Gaussian factors that matter."""
+    found = factors_of(problem)
+    if found is None:
+        return None
+    schedule = problem.schedule
+    grid = grid_of(simulator_of(problem).layout, schedule)
+    result = fit(simulator_of(problem).layout, schedule, found, grid)
+    return FactorFit(result, found) if len(result.basis.selected) <= MAX_FACTORS else None
+
+
+def price_schedule(problem: Problem) -> Schedule:
+    """The schedule of the price process, T + 1 rows of NumPy."""
+    with jax.enable_x64(True):
+        inputs = {name: jnp.asarray(x.value) for name, x in problem.inputs_by_name.items()}
+        return jax.tree.map(np.asarray, simulator_of(problem).process.prepare(inputs))
+
+
+def factors_of(problem: Problem) -> GaussianFactors | None:
+    """The price factors that a dynamic program can use."""
+    return simulator_of(problem).process.factors(price_schedule(problem))
+
+
+def case_of(setup: Setup) -> EnergyCase:
+    """The case that was made ready."""
+    assert isinstance(setup.case, EnergyCase)
+    return setup.case

@@ -1,0 +1,137 @@
+"""The study of a contract: the parts of a run, and the headline of its result."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.problem import Problem
+from snapo.study.chapters.bound import BOUND
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import profile
+from snapo.study.chapters.sensitivities import MOVES
+from snapo.study.domain import Options
+from snapo.study.study import Setup, Study, StudyRun
+from snapo.study.training import TRAINING, trained
+
+from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
+from .chapters.values import VALUES
+from .core.feasibility import first_fault
+from .core.simulator import simulator_of
+from .methods.grid import grid_of
+from .methods.hindsight import EnergyRelaxation
+from .methods.lattice import lattice
+from .read.case import KINDS, EnergyCase
+from .setup import bare_problem, make_setup, setup_at
+
+
+def checked(case: EnergyCase) -> Problem:
+    """The problem of a contract that can be met.
+
+    **Raises:** `CaseError` with the first step and level that no decisions can keep.
+    """
+    problem = bare_problem(case)
+    layout = case.contract.layout
+    fault = first_fault(layout, problem.schedule)
+    if fault is not None:
+        step, level = fault
+        day = case.days[max(step, 0)]
+        name = layout.levels[level].name
+        raise CaseError(str(case.file), f"contract: {name}", None,
+                        f"its limits cannot be met from {day} on, whatever is decided")  # fmt: skip
+    return problem
+
+
+def lines(case: EnergyCase) -> list[str]:
+    """The case in a few lines: nothing is trained."""
+    problem = checked(case)
+    layout, schedule = simulator_of(problem).layout, problem.schedule
+    numbers = sum(entry.value.size for entry in problem.inputs_by_name.values())
+    value = lattice(layout, schedule, None).value
+    return [
+        f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
+        f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
+        f"flows: {', '.join(x.name for x in layout.flows)}",
+        f"{len(problem.inputs_by_name)} inputs with {numbers} numbers, each with a sensitivity",
+        f"intrinsic value {value:,.2f} {case.currency}",
+        "the contract can be met",
+    ]
+
+
+def study(case: EnergyCase, options: Options) -> Study:
+    """All parts of a run."""
+    ready, problem = _Prepared(case, options.engine), checked(case)
+    relaxation = _relaxation(ready, problem)
+    parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
+             CERTIFICATE.part]  # fmt: skip
+    parts += [BOUND.part] if callable(relaxation) else []
+    parts += [REFERENCE.part] if options.reference else []
+    return Study(
+        case.kind,
+        _about(case),
+        (*parts, VALUES.part),
+        _result,
+        lambda: ready.setup,
+        relaxation,
+        setup_at=setup_at,
+        inputs=lambda other: other.inputs(),
+    )
+
+
+def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyRelaxation] | str:
+    kind = prepared.case.objective.kind
+    if kind != "mean":
+        return f'only a mean is bounded from above, and the objective is "{kind}"'
+    if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
+        return "its volumes have no common measure: bounds would be too low between its nodes"
+    return lambda: EnergyRelaxation(prepared.setup.problem)
+
+
+class _Prepared:
+    """The case made ready once, when the first part asks for it."""
+
+    def __init__(self, case: EnergyCase, engine: Any):
+        self.case, self.engine = case, engine
+
+    @cached_property
+    def setup(self) -> Setup:
+        return make_setup(self.case, self.engine)
+
+
+def _about(case: EnergyCase) -> dict[str, Any]:
+    """Known before any work: title, units, dates, notes."""
+    layout, money = case.contract.layout, case.currency
+    unit = money if case.objective.keeps_unit else ""
+    units = {flow.name: flow.unit for flow in layout.flows}
+    return {
+        "title": case.title,
+        "unit": unit,
+        "value_unit": unit,
+        "currency": money,
+        "volume_unit": case.volume_unit,
+        "units": units | {"cash_flow": money, "shortfall": money, "levels": case.volume_unit},
+        "valuation_date": case.valuation_date.isoformat(),
+        "start": case.days[0].isoformat(),
+        "step": "hour" if KINDS[case.kind].hourly else "day",
+        "horizon": len(case.days),
+        "model": case.model.describe(),
+        "objective": f"{case.objective.kind} of the discounted cash flow",
+        "objective_output": "cash_flow",
+        "notes": list(case.notes),
+        "forward": np.asarray(case.market.forward_curve.used()),
+    }
+
+
+def _result(run: StudyRun) -> dict[str, Any]:
+    plan, reference, bounds = INTRINSIC.of(run), REFERENCE.of(run) or ExactValue(), BOUND.of(run)
+    exact, error = reference.dynamic_programming, reference.dynamic_programming_error
+    references = {
+        "intrinsic": plan.intrinsic if plan else None,
+        "dynamic_programming": exact,
+        "upper_bound": bounds.upper.value if bounds else None,
+    }
+    errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors

@@ -1,0 +1,56 @@
+"""Cases of the templates with other keys, and their problems."""
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import snapo
+from snapo.case.load import load
+from snapo.domains.energy.methods.lattice import lattice
+from snapo.domains.energy.read.case import EnergyCase, read_case
+from snapo.domains.energy.setup import bare_problem, factors_of
+
+HOME = Path(snapo.__file__).parent / "domains" / "energy"
+
+
+def case_at(folder: Path, changes: dict[str, Any]) -> EnergyCase:
+    """The case of a folder with other values of keys, {"contract.strike": 30.0}; None: without."""
+    file, data = load(folder)
+    data = copy.deepcopy(data)
+    for name, value in changes.items():
+        *tables, key = name.split(".")
+        table: Any = data
+        for item in tables:
+            table = table.setdefault(item, {})
+        if value is None:
+            table.pop(key, None)
+        else:
+            table[key] = value
+    return read_case(file, data)
+
+
+def swing(**changes: Any) -> EnergyCase:
+    """The template of a swing contract, keys of `[contract]` changed."""
+    named = {f"contract.{name}": value for name, value in changes.items()}
+    return case_at(HOME / "template_swing", named)
+
+
+def battery(**changes: Any) -> EnergyCase:
+    """The template of a battery, keys of `[contract]` changed."""
+    named = {f"contract.{name}": value for name, value in changes.items()}
+    return case_at(HOME / "template_battery", named)
+
+
+def exact(case: EnergyCase, forward: bool = False, finer: int = 2) -> float:
+    """The value on a lattice, `finer` than its first one; `forward`: at forward prices."""
+    problem = bare_problem(case)
+    factors = None if forward else factors_of(problem)
+    return lattice(case.contract.layout, problem.schedule, factors, finer=finer).value
+
+
+def plain(tree):
+    """NumPy leaves."""
+    return jax.tree.map(np.asarray, tree)

@@ -1,0 +1,80 @@
+"""A battery by the hour against the exact numbers of D5 (shared/cases/desk.md)."""
+
+import datetime
+
+import pytest
+from tests.domains.energy.energy_cases import battery, exact
+
+from snapo.case.error import CaseError
+from snapo.domains.energy.methods.lattice import refined
+from snapo.domains.energy.read.hours import hours_of
+from snapo.domains.energy.setup import bare_problem, factors_of
+
+
+def test_forward_prices():
+    """D5, deterministic: 1,084.480."""
+    assert exact(battery(), forward=True) == pytest.approx(1084.480, abs=5e-4)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("changes", "value", "error"),
+    [
+        ({}, 1151.74, 0.03),
+        ({"cycles": {"day": 0.5}}, 717.58, 0.05),
+        ({"cycles": {"day": 1.5}}, 1317.03, 0.05),
+        ({"cycles": {"day": 2.0}}, 1348.81, 0.05),
+        ({"wear": 0.0}, 1235.76, 0.05),
+    ],
+)
+def test_a_week(changes, value, error):
+    """D5, exact with the errors given there; the lattice has one of its own."""
+    case = battery(**changes)
+    problem = bare_problem(case)
+    result = refined(case.contract.layout, problem.schedule, factors_of(problem))
+    assert result.error < 0.01
+    assert result.value == pytest.approx(value, abs=error + result.error)
+
+
+@pytest.mark.prove
+def test_cycles_of_the_term_are_worth_more_than_those_by_day():
+    by_day, by_term = (
+        exact(battery(end=datetime.datetime(2026, 5, 7), cycles=cycles), forward=True)
+        for cycles in ({"day": 0.5}, {"term": 1.5})
+    )
+    assert by_term >= by_day > 0
+
+
+def test_the_day_of_summer_time_has_23_hours():
+    class Table:
+        time_zone = "Europe/Berlin"
+        start = datetime.date(2026, 3, 29)
+        end = datetime.date(2026, 3, 30)
+
+    hours = hours_of(None, Table, datetime.date(2026, 3, 29))  # pyright: ignore
+    assert len(hours.instants) == 23 and len(set(hours.local)) == 23
+    assert "2026-03-29T02:00" not in hours.local
+    Table.start, Table.end = datetime.date(2026, 10, 25), datetime.date(2026, 10, 26)
+    hours = hours_of(None, Table, datetime.date(2026, 10, 25))  # pyright: ignore
+    assert len(hours.instants) == 25 and hours.local.count("2026-10-25T02:00") == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"stored": 5.0}, "stored"),
+        ({"cycles": {"day": 1.0, "term": 3.0}}, "cycles"),
+        ({"time_zone": "Atlantis"}, "time_zone"),
+        ({"end": datetime.datetime(2026, 5, 12)}, "2026-05-11T00:00"),
+        ({"charge": {"power": 1.0, "efficiency": 1.2}}, "charge.efficiency"),
+    ],
+)
+def test_mistakes_are_named(changes, where):
+    with pytest.raises(CaseError, match=where):
+        battery(**changes)
+
+
+def test_a_day_ends_with_its_last_hour():
+    ends = battery().contract.day_ends
+    assert ends.sum() == 7 and ends[23] and ends[-1]
+    assert bare_problem(battery()).simulator.horizon == 168

@@ -1,0 +1,201 @@
+"""Swing contracts against the exact numbers of D3 and D4 (shared/cases/desk.md)."""
+
+import datetime
+import math
+import shutil
+
+import numpy as np
+import pytest
+from tests.domains.energy.energy_cases import HOME, case_at, exact, swing
+
+from snapo.case.error import CaseError
+from snapo.domains.energy.methods.grid import grid_of
+from snapo.domains.energy.methods.hindsight import EnergyRelaxation
+from snapo.domains.energy.setup import bare_problem, make_setup
+from snapo.domains.energy.study import checked
+from snapo.solver.bound import bound
+from snapo.solver.evaluate import evaluate
+
+FIRM = {"shortfall": "firm"}
+
+
+def limits(low, high):
+    return {"annual": {"min": float(low), "max": float(high)}}
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("changes", "value", "error"),
+    [
+        (FIRM, 806.14, 0.03),
+        ({}, 818.17, 0.04),
+        (FIRM | limits(199, 300), 808.58, 0.03),
+        (FIRM | limits(201, 300), 803.66, 0.03),
+        (FIRM | limits(200, 299), 806.11, 0.03),
+        (FIRM | limits(200, 301), 806.16, 0.03),
+        (FIRM | limits(250, 250), 617.53, 0.03),
+    ],
+)
+def test_take_or_pay(changes, value, error):
+    """D3: "exact" with the errors given there."""
+    assert exact(swing(**changes)) == pytest.approx(value, abs=error)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(("changes", "slope"), [(FIRM, -213.94), ({}, -206.86)])
+def test_the_derivative_by_strike(changes, slope):
+    """D3, central differences good to 0.2 %."""
+    up, down = (exact(swing(strike=29 + x, **changes)) for x in (0.1, -0.1))
+    assert (up - down) / 0.2 == pytest.approx(slope, rel=4e-3)
+
+
+def test_no_annual_limits():
+    """D3: one option a day, 929.04."""
+    assert exact(swing(annual=None)) == pytest.approx(929.04, abs=0.03)
+
+
+def test_volumes_off_a_grid_are_breakpoints():
+    """A start of 1/3 and a limit of 7 1/7 at forward prices: the first days, then the rest."""
+    changes = {"taken": 1 / 3, "annual": {"min": 0.0, "max": 7 + 1 / 7}}
+    changes |= {"end": datetime.date(2026, 11, 1)}
+    case = swing(**changes, max_daily=1.0, strike=27.0)
+    problem = bare_problem(case)
+    assert grid_of(case.contract.layout, problem.schedule).exact
+    discount = np.exp(-0.03 * np.arange(31) / 365)
+    best = np.sort(discount * (28 - 27.0))[::-1]
+    room = 7 + 1 / 7 - 1 / 3
+    plan = best[: int(room)].sum() + (room - int(room)) * best[int(room)]
+    assert exact(case, forward=True) == pytest.approx(plan, abs=1e-9)
+
+
+def test_a_minimum_that_cannot_be_met_is_refused():
+    with pytest.raises(CaseError, match="cannot be met"):
+        checked(swing(**FIRM, annual={"min": 366.0, "max": 400.0}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"shortfall": "soft"}, "shortfall"),
+        ({"annual": {"min": 30.0, "max": 20.0}}, "annual.min"),
+        ({"min_daily": 2.0}, "min_daily"),
+        ({"year_begins": "13-45"}, "year_begins"),
+        ({"rights": {"most": 0}}, "rights.most"),
+        ({"rights": {"most": 3}, "shortfall": "firm"}, "shortfall"),
+    ],
+)
+def test_mistakes_are_named(changes, where):
+    with pytest.raises(CaseError, match=where):
+        swing(**changes)
+
+
+def short(**changes):
+    """The first 24 days, between 6 and 12 units."""
+    settings = {
+        "contract.end": datetime.date(2026, 10, 25),
+        "contract.annual": {"min": 6.0, "max": 12.0},
+        "training.steps": 0,
+        "evaluation.paths": 4096,
+    }
+    return case_at(HOME / "template_swing", settings | changes)
+
+
+@pytest.mark.prove
+def test_policy_and_bound_enclose_the_exact_value():
+    """The fitted rule is below the exact value by 0.3 % at most, the bound above by 0.5 %."""
+    case = short()
+    setup, value = make_setup(case), exact(case)
+    engine = setup.engines.evaluate
+    rule = evaluate(setup.problem, setup.policy.value_rule, paths=4096, engine=engine)
+    assert value * 0.997 <= rule.value + 3 * rule.standard_error
+    assert rule.value <= value + 3 * rule.standard_error
+    result = bound(
+        setup.problem,
+        setup.policy.value_rule,
+        relaxation=EnergyRelaxation(setup.problem),
+        engine=engine,
+        paths=1024,
+    )
+    error = 3 * result.upper.standard_error
+    assert value - error <= result.upper.value <= 1.005 * value + error
+
+
+@pytest.mark.prove
+def test_rights_with_rest_by_brute_force():
+    """Two rights with two days of rest at forward prices: the best pair of days."""
+    case = case_at(
+        HOME / "template_swing",
+        {
+            "contract.end": datetime.date(2026, 11, 8),
+            "contract.annual": None,
+            "contract.shortfall": None,
+            "contract.strike": 27.0,
+            "contract.rights": {"most": 2, "rest": 2},
+        },
+    )
+    count = len(case.days)
+    gain = case.market.forward_curve.used() - 27.0
+    gain = gain * np.exp(-0.03 * np.arange(count) / 365)
+    best = max(gain[i] + gain[j] for i in range(count) for j in range(i + 3, count))
+    assert exact(case, forward=True) == pytest.approx(best, abs=1e-9)
+    setup = make_setup(case)
+    rule = evaluate(
+        setup.problem, setup.policy.value_rule, paths=16384, engine=setup.engines.evaluate
+    )
+    value = exact(case)
+    assert 0.99 * value <= rule.value + 3 * rule.standard_error
+    assert rule.value <= value + 3 * rule.standard_error
+
+
+def bermudan(folder, rights):
+    """D4: puts struck at 40 on 50 dates of a year, here days with rates and volatility to match."""
+    shutil.copytree(HOME / "template_swing", folder)
+    days = [datetime.date(2026, 10, 1) + datetime.timedelta(n) for n in range(1, 51)]
+    rows = [f"{day},{40 * math.exp(0.06 * n / 50)!r}" for n, day in enumerate(days, 1)]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    settings = {
+        "contract.start": days[0],
+        "contract.end": days[-1] + datetime.timedelta(1),
+        "contract.side": "put",
+        "contract.strike": 40.0,
+        "contract.annual": None,
+        "contract.shortfall": None,
+        "contract.rights": rights,
+        "market.interest_rate": 0.06 * 365 / 50,
+        "model.mean_reversion": 0.0,
+        "model.volatility": 0.2 * math.sqrt(365 / 50),
+    }
+    return case_at(folder, settings)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("rights", "value"),
+    [
+        ({"most": 1}, 2.31407),
+        ({"most": 2}, 4.60443),
+        ({"most": 5}, 11.33102),
+        ({"most": 50}, 78.72618),
+        ({"most": 2, "rest": 4}, 4.50935),
+        ({"most": 5, "rest": 4}, 10.31617),
+    ],
+)
+def test_rights_of_a_bermudan_put(rights, value, tmp_path):
+    """D4, exact."""
+    result = exact(bermudan(tmp_path / "case", rights), finer=4)
+    assert result == pytest.approx(value, rel=2e-4)
+
+
+def test_no_file_of_the_core_names_a_contract():
+    """Core, methods and chapters read levels, modes, moves and cash alone."""
+    for folder in ("core", "methods", "chapters"):
+        for file in (HOME / folder).glob("*.py"):
+            text = file.read_text().lower()
+            for name in ("swing", "battery", "plant", "strike", "discharge"):
+                assert name not in text, f"{file.name} names {name}"
+
+
+def test_years_end_on_their_day():
+    case = swing(year_begins="04-01")
+    ends = np.flatnonzero(case.contract.year_ends)
+    assert [case.days[t].isoformat() for t in ends] == ["2027-03-31", "2027-09-30"]
