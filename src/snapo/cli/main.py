@@ -111,7 +111,7 @@ def _add_solve(commands) -> None:
         metavar="DIR",
         type=Path,
         help="folder of the run, which replaces one that is there (default: a new one in runs, "
-        "next to the case, to which run leads)",
+        "next to the case, to which run points)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(

@@ -119,7 +119,7 @@ def carry_out(
 
 
 def _finish(writer: "_Writer") -> dict[str, Any]:
-    """Writes a run that ends, and says where `run` leads if it leads elsewhere."""
+    """Writes a run that ends, and says where `run` points if it points elsewhere."""
     _keep(writer.run, writer.record)
     add_difference(writer.record, writer.run.folder)
     result, run = writer.write(), writer.run

@@ -112,7 +112,7 @@ def solve(
     workers: "Workers | None" = None,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
-    to the case; `run` leads to the latest of them.
+    to the case; `run` points to the latest of them.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.

@@ -1,4 +1,4 @@
-"""`run` next to a case leads to the folder of its latest run in `runs`.
+"""`run` next to a case points to the folder of its latest run in `runs`.
 
 It is a symbolic link, or a small text file where links are not possible, so that every reader of a
 run folder goes through `followed`.
@@ -14,7 +14,7 @@ LONGEST = 100  # bytes of the text file
 
 
 def target(link: Path) -> Path | None:
-    """The folder that `link` leads to; None where it is neither such a link nor such a file."""
+    """The folder that `link` points to; None where it is neither such a link nor such a file."""
     try:
         if link.is_symlink():
             text = os.readlink(link)
@@ -29,7 +29,7 @@ def target(link: Path) -> Path | None:
 
 
 def followed(path: Path) -> Path:
-    """The path of a run folder or of a file in it, with `run` replaced by the run it leads to."""
+    """The path of a run folder or of a file in it, with `run` replaced by the run it points to."""
     for part in (path, *path.parents):
         if part.name == LATEST and (folder := target(part)) is not None:
             return folder / path.relative_to(part)

@@ -22,7 +22,7 @@ RUNNING, STOPPED = "running", "stopped, solve with --resume continues it"
 class RunRow(NamedTuple):
     """One run of a case.
 
-    - `run`: its name; `folder`; `latest`: whether `run` leads to it; `began`: the date and time.
+    - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
     - `value`, `low`, `high`: with its 95 % interval, None where there is none.
     - `status`: of result.json; or "running", or the reason why there is none.
     - `changes`: the settings that differ from the run before.
@@ -51,11 +51,11 @@ def listed(path: Path) -> list[RunRow]:
     **Raises:** `CaseError` where there is no such folder.
     """
     home = _home(path)
-    leads, rows = target(home / LATEST), []
+    latest, rows = target(home / LATEST), []
     before: Mapping[str, Any] | None = None
     for folder in folders(home):
         plain = folder == home / LATEST
-        row, decides = _row(folder, before, plain or folder == leads)
+        row, decides = _row(folder, before, plain or folder == latest)
         rows.append(row)
         before = before if decides is None else decides
     return rows
@@ -119,7 +119,7 @@ def described(rows: Sequence[RunRow]) -> Iterator[str]:
         yield f"{row.run + ' *' * row.latest:<24}{cells}  {row.status}"
         for text in _changes(row.changes):
             yield f"    {text}"
-    yield f"* `{LATEST}` leads to it; below a run: what differs from the one before"
+    yield f"* `{LATEST}` points to it; below a run: what differs from the one before"
 
 
 def _cell(number: float | None, form: str) -> str:
@@ -136,7 +136,7 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
     """Removes the runs with these names, or all but the last `keep`; returns their names.
 
     A name may be its last four letters. Of all but the last, those that are running and the one
-    to which `run` leads stay. Where the latest is removed, `run` leads to the one before it.
+    to which `run` points stay. Where the latest is removed, `run` points to the one before it.
 
     **Raises:** `CaseError` where there is no such run, or it is running; then nothing is removed.
     """
@@ -146,9 +146,9 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
         available = {folder.name: folder for folder in folders(home)}
         selected = [_named(name, available) for name in names]
         if keep is not None:
-            leads = target(home / LATEST)
+            latest = target(home / LATEST)
             older = list(available.values())[: max(0, len(available) - keep)]
-            selected += [item for item in older if item != leads and not is_busy(item)]
+            selected += [item for item in older if item != latest and not is_busy(item)]
         selected = list(dict.fromkeys(selected))
         if busy := next((folder for folder in selected if is_busy(folder)), None):
             message = "a process works on this run; stop it first"

@@ -35,7 +35,7 @@ def origin(
 
 
 def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The run to which `run` leads, and the settings that differ from it; None without one."""
+    """The run to which `run` points, and the settings that differ from it; None without one."""
     folder = target(home / LATEST)
     if folder is None or folder == out or not is_good(folder):
         return None

@@ -1,4 +1,4 @@
-"""The folders of the runs of a case, and `run`, which leads to the latest of them.
+"""The folders of the runs of a case, and `run`, which points to the latest of them.
 
 mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
 mine/run                           a symbolic link to the latest one (a text file without links)
@@ -97,7 +97,7 @@ def lead_to(folder: Path) -> bool:
 
 
 def set_link(home: Path, folder: Path) -> None:
-    """Replaces `run` at once, so that at no moment it is missing or leads elsewhere."""
+    """Replaces `run` at once, so that at no moment it is missing or points elsewhere."""
     made = home / f".{LATEST}-{secrets.token_hex(4)}"
     text = f"{RUNS}/{folder.name}"
     try:
@@ -122,7 +122,7 @@ def only_one(home: Path) -> Iterator[None]:
 
 
 def adopt(home: Path) -> None:
-    """Moves a run of an earlier version, in a plain folder `run`, to the others, and leads to it.
+    """Moves a run of an earlier version, in a plain folder `run`, to the others, and points to it.
 
     **Raises:** `CaseError` where `run` is something else, which must stay as it is.
     """
@@ -174,7 +174,7 @@ def case_folder(path: Path) -> Path:
 
 
 def shown(folder: Path) -> Path:
-    """The shortest name of a run folder: `run` where it leads there."""
+    """The shortest name of a run folder: `run` where it points there."""
     home = home_of(folder)
     return home / LATEST if home and target(home / LATEST) == folder else folder
 

@@ -1,4 +1,4 @@
-"""The five things that a contract tells the core: levels, modes, moves, cash and words.
+"""The five things that a contract tells the core: levels, modes, moves, cash and names.
 
 Everything else reads these alone: feasible moves, the simulator of one path, the policy, the
 lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and

@@ -168,7 +168,7 @@ class EnergySimulator(Simulator):
         return self.process.level(constants.price, now.price, state.price)
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
-        """1 for each move that leads to levels from which the contract can be met, else 0."""
+        """1 for each move to levels from which the contract can be met, else 0."""
         if len(self.layout.every_move) == 1:
             return jnp.ones(1)
         near, result = NEAR * scale, []

@@ -1,4 +1,4 @@
-"""Tables of a fitted value on one path: the worth of one more unit, and the control variate.
+"""Tables of a fitted value on one path: the value of one more unit, and the control variate.
 
 A value on a step is a sum of functions of the price factors (`functions`), whose coefficients lie
 on evenly spaced rows of the levels. The tables are data: a sensitivity moves the contract and the
@@ -24,7 +24,7 @@ class LevelRows(NamedTuple):
 
 
 class UnitValues(NamedTuple):
-    """One step: the worth of one more unit of each volume after the step, and of each move.
+    """One step: the value of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of

@@ -19,7 +19,7 @@ from ..core.contract import ContractLayout
 from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, Values, WorthTable
 from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
-SINGLE, SEVERAL = 401, 49  # most rows of the worth of a level: of the only one, of one of several
+SINGLE, SEVERAL = 401, 49  # most rows of the value of a level: of the only one, of one of several
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -70,7 +70,7 @@ def _constant(basis: PolynomialBasis) -> int:
 
 
 def worth_table(layout: ContractLayout, fitted: FittedContract) -> WorthTable:
-    """The worth of a unit of each volume after each step, and of each move."""
+    """The value of a unit of each volume after each step, and of each move."""
     horizon, basis = len(fitted.grid.steps), fitted.basis
     counts = _row_counts(layout, fitted.grid)
     lows, spacings, slopes, moves = [], [], [], []

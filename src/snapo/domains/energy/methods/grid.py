@@ -30,7 +30,7 @@ class Passage(NamedTuple):
 
     - `flow`: its index, -1 for none; `volume`: how much.
     - `rows`: numbers of nodes before. `goals` [corners, rows]: those after, with their `weights`
-      [corners, rows, 1], None where each leads to a node.
+      [corners, rows, 1], None where each one ends at a node.
     """
 
     flow: int
@@ -264,8 +264,8 @@ def _possible(effects, changes, ends, before, after, near: float) -> list[float]
 
 
 def _moved(flow: int, volume: float, change, before, after, opposed: bool, near: float):
-    """The passages of one volume: from the nodes that it leads to a node, and from the others that
-    it leads between nodes."""
+    """The passages of one volume: from the nodes that it moves to a node, and from the others that
+    it moves between nodes."""
     if not before:
         return [Passage(flow, volume, np.zeros(1, int), np.zeros((1, 1), int), None)]
     goals, on, inside = [], [], []
