@@ -154,6 +154,7 @@ def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
         "resume": True,
         "policy": Path("before"),
         "seeds": (0, 3),
+        "workers": None,
     }
     assert "12.50" in capsys.readouterr().out
 
@@ -163,7 +164,7 @@ def test_solve_has_defaults(asked):
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
     bare = {"out": None, "engine": "auto", "reference": False, "resume": False}
-    assert given == {**bare, "policy": None, "seeds": None}
+    assert given == {**bare, "policy": None, "seeds": None, "workers": None}
 
 
 def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from snapo import __version__
 
+from .arguments import even_number, port, seed, seeds, shard, simulator_class, whole_number
+
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
@@ -127,7 +129,7 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--seeds",
         metavar="N",
-        type=_seeds,
+        type=seeds,
         help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
     )
     _add_workers(solve, "processes of this machine that compute a part of a large problem's paths")
@@ -145,7 +147,7 @@ def _add_book(commands) -> None:
     book.add_argument(
         "--shard",
         metavar="K/N",
-        type=_shard,
+        type=shard,
         help="compute the part K of N, from 1; the parts meet in one folder",
     )
     book.add_argument(
@@ -156,7 +158,7 @@ def _add_book(commands) -> None:
 
 def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=_count, help=processes)
+    where.add_argument("--workers", metavar="N", type=whole_number, help=processes)
     where.add_argument(
         "--on",
         metavar="WHERE",
@@ -187,7 +189,7 @@ def _add_sweep(commands) -> None:
         help="a key of the case and its N values from FIRST to LAST, a list of them (1,2,5), or "
         "one value; repeatable: all combinations are valued",
     )
-    sweep.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
+    sweep.add_argument("--seed", metavar="N", type=seed, help="the same as --set training.seed=N")
     sweep.add_argument(
         "--train",
         action="store_true",
@@ -196,7 +198,7 @@ def _add_sweep(commands) -> None:
     sweep.add_argument(
         "--sobol",
         metavar="N",
-        type=_count,
+        type=whole_number,
         help="this number of Sobol points in the ranges FIRST:LAST instead of a grid",
     )
     sweep.add_argument(
@@ -206,7 +208,10 @@ def _add_sweep(commands) -> None:
         help="folder of the results (default: sweep, next to the case)",
     )
     sweep.add_argument(
-        "--workers", metavar="N", type=_count, help="processes of this machine (default: its cores)"
+        "--workers",
+        metavar="N",
+        type=whole_number,
+        help="processes of this machine (default: its cores)",
     )
     sweep.add_argument(
         "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
@@ -217,7 +222,10 @@ def _add_certify(commands) -> None:
     certify = commands.add_parser("certify", help="bound the value of a run from both sides")
     certify.add_argument("run", metavar="RUN", type=Path, help=RUN)
     certify.add_argument(
-        "--paths", metavar="N", type=_paths, help="number of paths for the bound (default: 1024)"
+        "--paths",
+        metavar="N",
+        type=even_number,
+        help="number of paths for the bound (default: 1024)",
     )
     certify.add_argument(
         "--penalty",
@@ -265,7 +273,7 @@ def _add_open(commands) -> None:
     page.add_argument(
         "--port",
         metavar="N",
-        type=_port,
+        type=port,
         default=0,
         help="port of this machine (default: a free one)",
     )
@@ -273,7 +281,7 @@ def _add_open(commands) -> None:
     page.add_argument(
         "--paths",
         metavar="N",
-        type=_paths,
+        type=even_number,
         help="number of paths for the value (default: chosen for a small error, 1024 to 12288)",
     )
     page.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
@@ -292,7 +300,7 @@ def _add_runs(commands) -> None:
         "--remove", metavar="RUN", nargs="+", default=[], help="remove these: names, or their ends"
     )
     runs.add_argument(
-        "--keep", metavar="N", type=_count, help="remove all but the last N, and the latest"
+        "--keep", metavar="N", type=whole_number, help="remove all but the last N, and the latest"
     )
 
 
@@ -331,72 +339,17 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
         help="change a key of the case for this run: contract.inventory=2000, "
         "assets.equity.weight=0.4 (an element of an array by its name or number); repeatable",
     )
-    parser.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
+    parser.add_argument("--seed", metavar="N", type=seed, help="the same as --set training.seed=N")
     _add_simulator(parser)
-
-
-def _seeds(text: str) -> int | tuple[int, ...]:
-    """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
-    parts = text.split(",")
-    if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
-        message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
-        raise argparse.ArgumentTypeError(f"{text!r} {message}")
-    seeds = tuple(map(int, parts))
-    if len(set(seeds)) < len(seeds):
-        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each makes one training")
-    if len(parts) > 1:
-        return seeds
-    if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
-    return int(text)
 
 
 def _add_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulator",
         metavar="MODULE:CLASS",
-        type=_simulator,
+        type=simulator_class,
         help='simulator class of a case of kind "own", next to the case or in the working folder',
     )
-
-
-def _paths(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
-    return int(text)
-
-
-def _count(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 4096:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 to 4096")
-    return int(text)
-
-
-def _shard(text: str) -> tuple[int, int]:
-    number, _, count = text.partition("/")
-    digits = (number + count).isascii() and number.isdigit() and count.isdigit()
-    if not digits or not 1 <= int(number) <= int(count):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a part such as 3/100, from 1/100 on")
-    return int(number), int(count)
-
-
-def _port(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or more")
-    return int(text)
-
-
-def _simulator(text: str) -> tuple[str, str]:
-    module, colon, name = text.partition(":")
-    if not (colon and name.isidentifier() and all(map(str.isidentifier, module.split(".")))):
-        raise argparse.ArgumentTypeError(f"{text!r} is not like my_module:MySimulator")
-    return module, name
 
 
 if __name__ == "__main__":

@@ -85,6 +85,7 @@ def scenarios(seed: int, paths: int) -> str:
 def written(folder: Path) -> Path:
     """The folder with all files that the cases name; returns the path of a case in it."""
     supplied = {"training.csv": scenarios(1, 80), "evaluation.csv": scenarios(2, 64)}
+    supplied["logo.svg"] = '<svg xmlns="http://www.w3.org/2000/svg"/>'
     for name, text in (FILES | supplied).items():
         (folder / name).write_text(text.lstrip())
     return folder / "case.toml"
@@ -170,7 +171,13 @@ CASES: dict[str, dict[str, Any]] = {
         | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
         "frontier": {"points": 2, "steps": 1, "level": 0.9},
-        "report": {"parts": [name for name in PARTS if name != "pots"]},
+        "report": {
+            "parts": [name for name in PARTS if name != "pots"],
+            "title": "Fund",
+            "author": "A. Actuary",
+            "note": "For the board.",
+            "logo": "logo.svg",
+        },
     },
     "index-linked": MARKET
     | {

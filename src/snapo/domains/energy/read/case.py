@@ -11,6 +11,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import numbers_in
+from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
     ObjectiveTable,
@@ -51,6 +52,7 @@ class EnergyTable(CaseTable):
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")
+    report: dict = Field({}, description="the table [report]")
 
 
 class ContractKind(NamedTuple):
@@ -133,6 +135,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     """
     name, notes = str(file), []
     top = parse(EnergyTable, data, name, "")
+    parse(ReportTable, top.report, name, "report")
     kind = KINDS[top.kind]
     table: Any = parse(kind.table, top.contract, name, "contract", notes)
     market_table: Any = parse(kind.market, top.market, name, "market", notes)
@@ -205,6 +208,7 @@ def formats(kind: str) -> Formats:
         "objective": ObjectiveTable,
         "training": TrainingTable,
         "evaluation": EvaluationTable,
+        "report": ReportTable,
     }
 
 

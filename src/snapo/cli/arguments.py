@@ -1,0 +1,58 @@
+"""Texts of the command line as the values of options; a wrong one is refused."""
+
+import argparse
+
+
+def seeds(text: str) -> int | tuple[int, ...]:
+    """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
+    parts = text.split(",")
+    if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
+        message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
+        raise argparse.ArgumentTypeError(f"{text!r} {message}")
+    seeds = tuple(map(int, parts))
+    if len(set(seeds)) < len(seeds):
+        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each makes one training")
+    if len(parts) > 1:
+        return seeds
+    if not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
+    return int(text)
+
+
+def even_number(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
+    return int(text)
+
+
+def whole_number(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 4096:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 to 4096")
+    return int(text)
+
+
+def shard(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    digits = (number + count).isascii() and number.isdigit() and count.isdigit()
+    if not digits or not 1 <= int(number) <= int(count):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a part such as 3/100, from 1/100 on")
+    return int(number), int(count)
+
+
+def port(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or more")
+    return int(text)
+
+
+def simulator_class(text: str) -> tuple[str, str]:
+    module, colon, name = text.partition(":")
+    if not (colon and name.isidentifier() and all(map(str.isidentifier, module.split(".")))):
+        raise argparse.ArgumentTypeError(f"{text!r} is not like my_module:MySimulator")
+    return module, name
