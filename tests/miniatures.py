@@ -45,6 +45,7 @@ MINIATURES = {
                 "contract.end=2026-05-04T12:00:00",
                 "contract.energy=2",
                 "training.steps=4",
+                "evaluation.judge_paths=0",
                 "evaluation.paths=256",
                 *LITTLE,
             ),

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import pytest
 from tests.book.books import HERE, write_book
 
+from snapo.book import work
 from snapo.book.file import Book, read_book
 from snapo.book.run import run_book
 
@@ -25,6 +26,14 @@ class Valued(NamedTuple):
     book: Book
     out: Path
     result: dict[str, Any]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_code_stays():
+    """The process of the tests is larger than a worker, which would drop its code after each order."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work, "LARGE", 1 << 40)
+        yield
 
 
 @pytest.fixture(scope="session")
