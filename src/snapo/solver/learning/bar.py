@@ -81,8 +81,8 @@ def _notebook() -> Callable[[str], None] | None:
     """Replaces one output of the cell; there is none where IPython runs in a terminal."""
     if "ipykernel" not in sys.modules:
         return None
-    from IPython.core.getipython import get_ipython
-    from IPython.display import display
+    from IPython.core.getipython import get_ipython  # pyright: ignore[reportMissingImports]
+    from IPython.display import display  # pyright: ignore[reportMissingImports]
 
     if not hasattr(get_ipython(), "kernel"):
         return None
