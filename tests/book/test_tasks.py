@@ -224,3 +224,14 @@ def test_a_book_for_a_level_has_its_values(tmp_path):
         values.append(result["sums"][0]["value"])
     assert values[0] == values[1]
     assert values[0] == pytest.approx(values[2], rel=1e-4)  # two steps of training in float32
+
+
+def test_texts_and_pictures_of_a_report_are_no_part_of_an_order(tmp_path):
+    """An order has no files but those with numbers: a logo, which it cannot find, is left out."""
+    file = write_book(tmp_path, ONE, stresses="")
+    case = tmp_path / "store" / "case.toml"
+    (tmp_path / "store" / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
+    case.write_text(case.read_text() + '\n[report]\nauthor = "x"\nlogo = "logo.svg"\n')
+    (contract,) = read_book(file).contracts
+    order = BookOrder.of(contract, read_book(file).tasks, 0)
+    assert "logo" not in order.case and "logo.svg" not in order.files and "author" not in order.case

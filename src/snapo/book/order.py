@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.report import TEXTS
 from snapo.case.toml import to_toml
 from snapo.solver.provenance import versions
 
@@ -56,7 +57,10 @@ class BookOrder:
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
         """Of a contract, without stresses where `more`, the other fields, has none."""
         fields = {"stresses": (), **more}
-        return cls(to_toml(contract.tables), contract.files, tasks=tasks, seed=seed, **fields)
+        report = contract.tables.get("report", {})
+        numbers = {key: value for key, value in report.items() if key not in TEXTS}
+        tables = {**contract.tables, "report": numbers} if report else contract.tables
+        return cls(to_toml(tables), contract.files, tasks=tasks, seed=seed, **fields)
 
     def pack(self) -> bytes:
         """The order as bytes; equal orders have equal bytes."""

@@ -74,7 +74,7 @@ class Files:
     def write(self, folder: Path) -> Path:
         """The case in a separate folder: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
-        for case_file in case_files(self.folder):
+        for case_file in case_files(self.folder, pictures=True):
             if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:
                 target = folder / case_file.name
                 if not target.exists():

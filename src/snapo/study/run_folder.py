@@ -60,6 +60,7 @@ WRITTEN = (
 LAYOUT = 4  # of the folder; it grows when older runs can no longer be read
 APART = ("parts", *TEXTS)  # keys of [report] on which no number depends
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
+PICTURES = (".png", ".svg")  # a logo of the report, on which no number depends
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 
@@ -81,9 +82,10 @@ def check_writable(out: Path) -> None:
         raise CaseError(str(out), "", None, message)
 
 
-def case_files(folder: Path) -> list[Path]:
-    """The files next to a case that may belong to it."""
-    return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in CASE_FILES)
+def case_files(folder: Path, pictures: bool = False) -> list[Path]:
+    """The files next to a case that may belong to it, with its `pictures` or without."""
+    suffixes = CASE_FILES + PICTURES if pictures else CASE_FILES
+    return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in suffixes)
 
 
 def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
