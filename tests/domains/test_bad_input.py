@@ -33,6 +33,8 @@ SHARES = {
     "own template": (2, 200),
     "inventory template": (3, 100),
     "control template": (2, 100),
+    "swing template": (3, 60),
+    "battery template": (3, 60),
 }
 LABELS = {"own": ("week",), "inventory": ("period",)}  # columns of names, where any text is right
 RAW = ("Input should", "Value error", "Traceback", "Errno")  # words of libraries
