@@ -33,10 +33,10 @@ OTHERS = {  # policies that the miniatures do not have
     "memory": Miniature(
         "control",
         "double-integrator",
-        ("plant.horizon=6", 'policy.memory="GRU"', *SHORT),
+        ("plant.horizon=6", 'policy.memory="GRU"', "policy.hidden=[8]", *SHORT),
     ),
     "loop": Miniature("pharma", texts=closed_loop),
-    "line": Miniature("inventory", "line", SHORT),
+    "line": Miniature("inventory", "line", ("training.steps=2", "evaluation.paths=256", *LITTLE)),
 }
 
 

@@ -59,7 +59,7 @@ def _as_recorded(data: Any, recorded: Any) -> Any:
     if _plain(data) == recorded:
         return data
     if isinstance(data, datetime.date) and isinstance(recorded, str):
-        return datetime.date.fromisoformat(recorded)
+        return type(data).fromisoformat(recorded)  # a date, or a date with a time
     return recorded
 
 

@@ -57,7 +57,9 @@ class Coordinates(NamedTuple):
         """[P] a random direction of all numbers, each drawn as large as its array's are."""
         # In float64: JAX's arrays and NumPy's would round the same numbers to other deviations.
         leaves = [np.asarray(x, np.float64) for x in jax.tree.leaves(trainable(self.policy)[0])]
-        drawn = [rng.standard_normal(x.shape) * max(float(np.std(x)), SMALL) for x in leaves]
+        drawn = [
+            rng.standard_normal(x.shape) * max(float(np.std(x)), SMALL) for x in leaves if x.size
+        ]
         return np.concatenate([np.zeros(0), *map(np.ravel, drawn)])
 
 
