@@ -74,6 +74,7 @@ FILES = (
 @pytest.mark.prove
 def test_damaged_files_of_a_run(run, case, capsys):
     """Resumed, reported and compared after each damage: 5 files, 7 or 8 damages, 3 commands."""
+    run = run.resolve()  # the folder to which `run` points is damaged, not the link
     good, page = numbers(run), (run / "report.html").read_bytes()
     whole = Path(shutil.copytree(run, run.with_name("whole")))
     files = 0
