@@ -25,7 +25,7 @@ from .chapters.bound import BOUND, measure
 from .domain import GOOD, Domain
 from .run_folder import REPORT
 from .runs.origin import add_difference
-from .runs.store import home_of, lead_to
+from .runs.store import home_of, point_to
 from .study import Part, ProgressCallback, Study, StudyRun
 from .training import TRAINING, no_policy
 
@@ -107,7 +107,7 @@ def carry_out(
     record["beside"] |= adjacent or {}
     if origin is not None and lookup(record, "provenance.run") != origin["run"]:
         record["provenance"] = run_folder.plain_json(origin)
-    _guarded(run, lambda: lead_to(out))
+    _guarded(run, lambda: point_to(out))
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:
@@ -124,11 +124,11 @@ def _finish(writer: "_Writer") -> dict[str, Any]:
     add_difference(writer.record, writer.run.folder)
     result, run = writer.write(), writer.run
 
-    def lead() -> None:
-        if home_of(run.folder) is not None and not lead_to(run.folder):
+    def point() -> None:
+        if home_of(run.folder) is not None and not point_to(run.folder):
             run.progress(f"`run` stays with an earlier run; this one: {result['status']}")
 
-    _guarded(run, lead)
+    _guarded(run, point)
     return result
 
 

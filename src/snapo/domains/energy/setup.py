@@ -17,9 +17,9 @@ from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from ..gas_storage.prices.process import GaussianFactors
-from .core.policy import WorthPolicy
+from .core.policy import UnitValuePolicy
 from .core.simulator import EnergySimulator, simulator_of
-from .methods.fitted import FittedContract, fit, surprises, worth_table
+from .methods.fitted import FittedContract, fit, surprises, unit_value_table
 from .methods.grid import grid_of
 from .read.case import EnergyCase
 
@@ -38,7 +38,9 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
-    policy = WorthPolicy(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
+    policy = UnitValuePolicy(
+        simulator_of(problem).layout, problem.features, key=jax.random.key(seed)
+    )
     return Setup(
         problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
     )
@@ -61,19 +63,23 @@ def rebuilt(problem: Problem) -> Problem:
 
 
 def _bare(problem: Problem) -> Problem:
-    return replace(problem, simulator=replace(simulator_of(problem), worth=None, surprises=None))
+    return replace(
+        problem, simulator=replace(simulator_of(problem), unit_values=None, surprises=None)
+    )
 
 
 def fitted_problem(problem: Problem) -> Problem:
-    """The problem with the worth that its policy starts from, and with a control variate where its
-    prices have no other risks than its factors'."""
+    """The problem with the unit values that its policy starts from, and with a control variate
+    where its prices have no other risks than its factors'."""
     result = fitted_value(problem)
     if result is None:
         return problem
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     control = surprises(layout, result.fitted) if result.factors.exact else None
-    worth = worth_table(layout, result.fitted)
-    return replace(problem, simulator=replace(simulator, worth=worth, surprises=control))
+    unit_values = unit_value_table(layout, result.fitted)
+    return replace(
+        problem, simulator=replace(simulator, unit_values=unit_values, surprises=control)
+    )
 
 
 class FactorFit(NamedTuple):

@@ -112,7 +112,7 @@ KINDS = {
     "Stages": "snapo.problem.policies.composed",
     **dict.fromkeys(("GRU", "LastObservations"), "snapo.problem.policies.memory"),
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
-    "WorthPolicy": "snapo.domains.energy.core.policy",
+    "UnitValuePolicy": "snapo.domains.energy.core.policy",
     "PensionPolicy": "snapo.domains.pension.policies.network",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",

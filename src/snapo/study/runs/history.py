@@ -153,7 +153,7 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
         if busy := next((folder for folder in selected if is_busy(folder)), None):
             message = "a process works on this run; stop it first"
             raise CaseError(str(busy), "", None, message)
-        _lead_elsewhere(home, [item for item in available.values() if item not in selected])
+        _point_elsewhere(home, [item for item in available.values() if item not in selected])
         for folder in selected:
             _remove(folder)
     return [folder.name for folder in selected]
@@ -170,8 +170,8 @@ def _named(name: str, available: Mapping[str, Path]) -> Path:
     return matches[0]
 
 
-def _lead_elsewhere(home: Path, left: Sequence[Path]) -> None:
-    """Makes `run` lead to one of the runs that are left; to none where there is none."""
+def _point_elsewhere(home: Path, left: Sequence[Path]) -> None:
+    """Makes `run` point to one of the runs that are left; to none where there is none."""
     if target(home / LATEST) in left:
         return
     best = [folder for folder in left if is_good(folder)] or left

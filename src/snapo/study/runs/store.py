@@ -83,8 +83,8 @@ def is_good(folder: Path) -> bool:
     return result.get("status") in GOOD
 
 
-def lead_to(folder: Path) -> bool:
-    """Makes `run` lead to a run in `runs`, unless a better one is there; whether it does now."""
+def point_to(folder: Path) -> bool:
+    """Makes `run` point to a run in `runs`, unless a better one is there; whether it does now."""
     home = home_of(folder)
     if home is None:
         return False

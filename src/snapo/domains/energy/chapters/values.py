@@ -11,7 +11,7 @@ from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.bound import BOUND
 from snapo.study.study import StudyRun
 
-from ..core.policy import WorthPolicy
+from ..core.policy import UnitValuePolicy
 from .reference import INTRINSIC, REFERENCE
 
 PATHS = 16384
@@ -41,7 +41,7 @@ def measure(run: StudyRun) -> MethodValues:
         note = "all decisions fixed today, at forward prices"
         rows.append(MethodValue("Intrinsic", plan.intrinsic, None, note))
     policy = solution.policy
-    if isinstance(policy, WorthPolicy):
+    if isinstance(policy, UnitValuePolicy):
         rule = evaluate(
             setup.problem, policy.value_rule, paths=PATHS, engine=setup.engines.evaluate
         )

@@ -56,10 +56,10 @@ def head(
 ) -> Head:
     """The gains of one step at one state; `free` [moves]: which are open."""
     price, size = constants.price_scale, constants.volume_scale
-    worth = None if now.worth is None else jax.lax.stop_gradient(now.worth)
+    unit_values = None if now.unit_values is None else jax.lax.stop_gradient(now.unit_values)
     read = jnp.zeros(())
-    if worth is not None:
-        read = worth.read(jax.lax.stop_gradient(process.gaussian(state.price)))
+    if unit_values is not None:
+        read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
@@ -70,42 +70,42 @@ def head(
                 effects = jnp.asarray(layout.flows[flow].effects)
                 unit = now.terms.price[flow] * spot + now.terms.money[flow]
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
-                if worth is not None:
-                    table = worth.slopes[layout.pairs.index((i, flow))]
+                if unit_values is not None:
+                    table = unit_values.slopes[layout.pairs.index((i, flow))]
                     for j in range(POINTS):
                         volume = room.forced[k] + free_volume * j / (POINTS - 1)
                         last, place = j == POINTS - 1, start + volume * effects
-                        row = _slope(worth, table, layout.flows[flow].effects, place, last)
+                        row = _slope(unit_values, table, layout.flows[flow].effects, place, last)
                         gains[j] = unit + jnp.sum(row * read)
                 units.append(jnp.stack(gains) / price)
                 rooms.append(free_volume / size)
                 forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
         if layout.moves:
-            if worth is not None and worth.moves is not None:
-                table = worth.moves[i]
+            if unit_values is not None and unit_values.moves is not None:
+                table = unit_values.moves[i]
                 flat, position = (
                     table.reshape((-1, table.shape[-1])),
-                    _position(worth, state.levels),
+                    _position(unit_values, state.levels),
                 )
                 row = nearest_row(flat, jnp.round(position), table.shape[:-1])
                 forced_gain = forced_gain + jnp.sum(row * read) / price / size
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
-    return Head(jnp.concatenate(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
+    return Head(jnp.stack(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
 
 
-def _position(worth: UnitValues, levels: Array) -> Array:
-    rows = worth.rows
+def _position(unit_values: UnitValues, levels: Array) -> Array:
+    rows = unit_values.rows
     return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
 
 
 def _slope(
-    worth: UnitValues, table: Array, effects: tuple[float, ...], levels: Array, last: bool
+    unit_values: UnitValues, table: Array, effects: tuple[float, ...], levels: Array, last: bool
 ) -> Array:
     """The row of the unit that starts at a level, or of the last one up to it."""
     dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
     if not dims:
         return flat[0]
-    return nearest_row(flat, along(_position(worth, levels), effects, not last), dims)
+    return nearest_row(flat, along(_position(unit_values, levels), effects, not last), dims)
 
 
 def observation(
@@ -126,11 +126,11 @@ def observation(
     features = [
         jnp.stack([jnp.sin(year), jnp.cos(year), jnp.tanh(left), jnp.tanh(20 * left)]),
         2 * filling - 1,
-        jnp.tanh(5 * gains.units[::POINTS]),
-        jnp.tanh(5 * gains.units[POINTS - 1 :: POINTS]),
+        jnp.tanh(5 * gains.units[:, 0]),
+        jnp.tanh(5 * gains.units[:, -1]),
         process.observe(constants.price, now.price, state.price),
         now.ahead,
     ]
     if len(layout.modes) > 1:
         features.append(state.mode)
-    return jnp.concatenate([*gains, *features])
+    return jnp.concatenate([*map(jnp.ravel, gains), *features])

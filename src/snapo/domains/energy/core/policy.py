@@ -20,7 +20,7 @@ from .observation import POINTS, Head, head_size
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
-class WorthPolicy(Policy):
+class UnitValuePolicy(Policy):
     """The action is a share of each volume, and a weight of each move."""
 
     network: Network
@@ -73,9 +73,9 @@ class WorthPolicy(Policy):
             units.append(gains.units[i] + more + bend * gains.room[i] * along)
         base = gains.base
         if layout.moves:
-            worths = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
+            mode_values = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
             shift = [
-                worths[move.after] + sum((changes[m, j] * levels[j] for j in range(count)),
+                mode_values[move.after] + sum((changes[m, j] * levels[j] for j in range(count)),
                                          jnp.zeros(()))
                 for m, move in enumerate(layout.moves)
             ]  # fmt: skip
@@ -83,10 +83,10 @@ class WorthPolicy(Policy):
         return units, base
 
     @property
-    def value_rule(self) -> "WorthPolicy":
-        """The fitted worth only, by a network that adds nothing."""
+    def value_rule(self) -> "UnitValuePolicy":
+        """The fitted value only, by a network that adds nothing."""
 
-        def last(policy: WorthPolicy):
+        def last(policy: UnitValuePolicy):
             return policy.network.weights[-1], policy.network.biases[-1]
 
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))

@@ -13,7 +13,7 @@ class Step(NamedTuple):
 
     - `time`: years from the valuation date; `forward`: of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
-    - `worth`, `surprise`: tables of the fitted value, None without one.
+    - `unit_values`, `surprise`: tables of the fitted value, None without one.
     """
 
     time: Array
@@ -22,7 +22,7 @@ class Step(NamedTuple):
     intervals: Intervals
     price: PyTree
     ahead: Array
-    worth: Any = None
+    unit_values: Any = None
     surprise: Any = None
 
 

@@ -24,11 +24,11 @@ from snapo.problem.smooth import Exact
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.process import PriceProcess, use
-from .contract import ContractLayout, EnergyContract, StepTerms
+from .contract import ContractLayout, EnergyContract
 from .feasibility import intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
-from .tables import Surprises, WorthTable, at_end, of_step
+from .tables import Surprises, UnitValueTable, at_end, of_step
 
 NEAR = 1e-6  # of the largest volume: rounding does not close a move
 
@@ -42,7 +42,7 @@ class EnergySimulator(Simulator):
       used.
     - `paid`, `settled`: discount factors of the commodity, and of money on the day, of every step.
     - `time` [T]: years from the valuation date; `first`: the first step in the calendar.
-    - `worth`: the fitted value that the policy starts from; `surprises`: its control variate.
+    - `unit_values`: the fitted value that the policy starts from; `surprises`: its control variate.
     - `price_scale`, `volume_scale`: mean size of the forward price, and largest volume of a step.
     """
 
@@ -55,7 +55,7 @@ class EnergySimulator(Simulator):
     time: Float[np.ndarray, " T"]
     price_scale: Float[np.ndarray, ""]
     volume_scale: Float[np.ndarray, ""]
-    worth: WorthTable | None = None
+    unit_values: UnitValueTable | None = None
     surprises: Surprises | None = None
     layout: ContractLayout = eqx.field(static=True, default=ContractLayout((), ()))
     first: int = eqx.field(static=True, default=0)
@@ -101,7 +101,7 @@ class EnergySimulator(Simulator):
 
     def on_paths(self):
         names = (
-            "contract", "process", "curve", "rate", "paid", "settled", "worth", "surprises",
+            "contract", "process", "curve", "rate", "paid", "settled", "unit_values", "surprises",
         )  # fmt: skip
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
         return replace(self, **dict(zip(names, bare)))
@@ -147,13 +147,13 @@ class EnergySimulator(Simulator):
         return self._completed(Schedule(constants, steps))
 
     def prepared_apart(self):
-        return replace(self, worth=None, surprises=None), self._completed
+        return replace(self, unit_values=None, surprises=None), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
         """With the tables of the fitted value, which no input makes here."""
-        worth, surprises = self.worth, self.surprises
+        unit_values, surprises = self.unit_values, self.surprises
         steps = schedule.steps._replace(
-            worth=None if worth is None else worth.steps,
+            unit_values=None if unit_values is None else unit_values.steps,
             surprise=None if surprises is None else surprises.steps,
         )
         first = None if surprises is None else surprises.first
@@ -271,8 +271,3 @@ def simulator_of(problem: Problem) -> EnergySimulator:
     if not isinstance(simulator, EnergySimulator):
         raise TypeError(f"{type(simulator).__name__} is no contract of energy.")
     return simulator
-
-
-def step_terms(problem: Problem) -> StepTerms:
-    """The numbers of every step."""
-    return problem.schedule.steps.terms

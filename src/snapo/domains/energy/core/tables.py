@@ -42,7 +42,7 @@ class UnitValues(NamedTuple):
         return functions(self.reading, factors, self.slopes.shape[-1], REACH)
 
 
-class WorthTable(eqx.Module):
+class UnitValueTable(eqx.Module):
     """`steps`: a `UnitValues` whose leaves have a leading axis of steps."""
 
     steps: Any

@@ -2,8 +2,9 @@
 
 Backwards in time, on nodes of the levels and quadrature nodes of the factors. The expectation of
 the functions a step later is known in closed form, so that only the fit is an approximation
-(Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12, 2001). From it come the policy's
-worth of a unit of each level and mode, the control variate, and the penalty of the upper bound.
+(Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12, 2001). From it come the values of
+a unit of each level and of each mode for the policy, the control variate, and the penalty of the
+upper bound.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from ...gas_storage.bounds.regression import Regression, product, regression
 from ...gas_storage.policy.guide import Reading
 from ...gas_storage.prices.process import GaussianFactors
 from ..core.contract import ContractLayout
-from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, Values, WorthTable
+from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, UnitValueTable, Values
 from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
 SINGLE, SEVERAL = 401, 49  # most rows of the value of a level: of the only one, of one of several
@@ -69,7 +70,7 @@ def _constant(basis: PolynomialBasis) -> int:
     return -1 if basis.common else int(np.flatnonzero(np.all(basis.powers == 0, axis=1))[0])
 
 
-def worth_table(layout: ContractLayout, fitted: FittedContract) -> WorthTable:
+def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
     """The value of a unit of each volume after each step, and of each move."""
     horizon, basis = len(fitted.grid.steps), fitted.basis
     counts = _row_counts(layout, fitted.grid)
@@ -82,17 +83,17 @@ def worth_table(layout: ContractLayout, fitted: FittedContract) -> WorthTable:
         local = [_slope(layout, step, after, rows, spacing, m, f) for m, f in layout.pairs]
         slopes.append(np.stack(local).reshape(len(local), *counts, -1))
         if layout.moves:
-            worth = [_interpolated(step.after, after[move.after], rows + np.array(move.changes))
+            values = [_interpolated(step.after, after[move.after], rows + np.array(move.changes))
                      for move in layout.moves]  # fmt: skip
             before = [move.before for move in layout.moves]
-            relative = [x - worth[before.index(mode)] for x, mode in zip(worth, before)]
+            relative = [x - values[before.index(mode)] for x, mode in zip(values, before)]
             moves.append(np.stack(relative).reshape(len(relative), *counts, -1))
         lows.append(low)
         spacings.append(spacing)
     place = LevelRows(np.stack(lows), np.stack(spacings))  # pyright: ignore
     reading = Reading(*(x[:horizon] for x in basis.linear()))  # pyright: ignore
     table = UnitValues(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
-    return WorthTable(table)
+    return UnitValueTable(table)
 
 
 def _after(fitted: FittedContract, t: int) -> np.ndarray:

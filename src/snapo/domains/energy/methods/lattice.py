@@ -1,25 +1,20 @@
 """The exact value: dynamic programming in the levels, modes and one or two price factors."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ...gas_storage.prices.process import GaussianFactors
+from ...gas_storage.references.lattice import SLOW, Refined, on_finer_grids
 from ...gas_storage.references.marginal import FactorGrid, factor_grid
 from ..core.contract import ContractLayout
 from .grid import ContractGrid, arrived, best, grid_of
 
+ENOUGH = 1e-5  # of the value: a grid is fine enough when half its spacing moves the value by less
 SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
-SLOW = 17
-MOVED, HALVED = 1e-4, 3  # see `refined`
-
-
-class RefinedValue(NamedTuple):
-    """A present value, and the sum of the last moves of its grids."""
-
-    value: float
-    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,30 +74,22 @@ def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
     return factor_grid(factors, selected, SPACINGS[len(selected)] / finer, slow)
 
 
-def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> RefinedValue:
-    """The value, its grids halved until that moves it by less than 0.01 %."""
-    first = lattice(layout, schedule, factors)
-    sides = []
+def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
+    """The value, each of its grids halved until that moves it by less than 0.001 %."""
+    of_levels = partial(lattice, layout, schedule, factors)
+    first = of_levels()
+    of_prices = partial(of_levels, grid=first.grid)
+    finer: list[Callable[[int], Lattice]] = []
     if not first.grid.exact:
-        sides.append(
-            _halved(first.value, lambda n: lattice(layout, schedule, factors, parts=n).value)
-        )
+        finer.append(lambda n: of_levels(parts=n))
     if factors is not None:
-        keep = first.grid
-        sides.append(_halved(first.value, lambda n: lattice(
-            layout, schedule, factors, finer=n, grid=keep).value))  # fmt: skip
+        finer.append(lambda n: of_prices(finer=n))
         if len(selected_factors(factors)) > 1:
-            sides.append(_halved(first.value, lambda n: lattice(
-                layout, schedule, factors, slow=(SLOW - 1) * n + 1, grid=keep).value))  # fmt: skip
-    moved = sum(side.value - first.value for side in sides)
-    return RefinedValue(first.value + moved, sum(side.error for side in sides))
+            finer.append(lambda n: of_prices(slow=(SLOW - 1) * n + 1))
+    results = [on_finer_grids(first.value, partial(_value, side), ENOUGH) for side in finer]
+    moved = sum(result.value - first.value for result in results)
+    return Refined(first.value + moved, sum(result.error for result in results))
 
 
-def _halved(first: float, value) -> RefinedValue:
-    before, moved = first, 0.0
-    for times in range(1, HALVED + 1):
-        after = value(2**times)
-        before, moved = after, abs(after - before)
-        if moved <= MOVED * abs(after):
-            break
-    return RefinedValue(before, moved)
+def _value(of: Callable[[int], Lattice], finer: int) -> float:
+    return of(finer).value

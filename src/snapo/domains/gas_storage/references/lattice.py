@@ -188,20 +188,21 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
         return lattice(schedule, factors, interpolation, selected, **grids).value
 
     first = value()
-    results = [_halved(first, value), _halved(first, lambda n: value(finer=n))]
+    results = [on_finer_grids(first, value), on_finer_grids(first, lambda n: value(finer=n))]
     if len(selected) > 1:
-        results.append(_halved(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
+        results.append(on_finer_grids(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
     total = first + sum(item.value - first for item in results)
     return Refined(total, sum(entry.error for entry in results))
 
 
-def _halved(first: float, value: Callable[[int], float]) -> Refined:
-    """The value on a grid that is halved until that moves it only slightly, and the last move."""
+def on_finer_grids(first: float, value: Callable[[int], float], enough: float = MOVED) -> Refined:
+    """The value on a grid that is halved until that moves it by less than the share `enough`, and
+    the last move."""
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)
         before, moved = after, abs(after - before)
-        if moved <= MOVED * abs(after):
+        if moved <= enough * abs(after):
             break
     return Refined(before, moved)
 
