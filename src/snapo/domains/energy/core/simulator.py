@@ -18,12 +18,12 @@ from jaxtyping import Array, Float
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.process import PriceProcess, use
+from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
 from .contract import ContractLayout, EnergyContract
 from .feasibility import intervals, volumes
 from .observation import observation
@@ -33,7 +33,7 @@ from .tables import Surprises, UnitValueTable, at_end, of_step
 NEAR = 1e-6  # of the largest volume: rounding does not close a move
 
 
-class EnergySimulator(Simulator):
+class EnergySimulator(PricedSimulator):
     """A contract and its prices.
 
     **Arguments:**
@@ -111,20 +111,8 @@ class EnergySimulator(Simulator):
         return len(self.time)
 
     @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_noise_size
-
-    @property
     def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.first
-
-    @property
-    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_steps
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices, terms = self.process.prepare(inputs), self._terms(inputs)

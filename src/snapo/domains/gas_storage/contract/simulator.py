@@ -21,18 +21,18 @@ from jaxtyping import Array, Float, Int
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
-from ..prices.process import PriceProcess, use
+from ..prices.process import PricedSimulator, PriceProcess, use
 from .feasibility import InventoryLimits, reachable
 from .records import Contract, EndTerms, StorageCase
 from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 
 
-class StorageSimulator(Simulator):
+class StorageSimulator(PricedSimulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
     It holds no case: contracts of the same form differ only in arrays and inputs.
@@ -117,20 +117,8 @@ class StorageSimulator(Simulator):
         return len(self.day)
 
     @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_noise_size
-
-    @property
     def first_step(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return int(self.day[0]) if self.horizon else 0
-
-    @property
-    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_steps
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices = self.process.prepare(inputs)

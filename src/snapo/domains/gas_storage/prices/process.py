@@ -21,6 +21,7 @@ from snapo.case.table import CaseTable, TableContext
 from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
+from snapo.problem.simulator import Simulator
 
 YEAR = 365.0
 FEWEST = 32  # days of noise before the first date, where they are several
@@ -184,6 +185,24 @@ class PriceProcess(Process):
     def sources(self, seed: int) -> Sources | None:
         """Separate scenarios for every role, instead of drawn normals."""
         return None
+
+
+class PricedSimulator(Simulator):
+    """A simulator whose only noise is that of the prices of its `process`."""
+
+    process: eqx.AbstractVar[PriceProcess]
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_noise_size
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_steps
 
 
 def use(inputs: dict[str, Any], series: CaseInput | Use):
