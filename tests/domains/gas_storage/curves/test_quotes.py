@@ -1,6 +1,7 @@
 """Quotes of a case: products by name, quotes of the same days, and the curve of a contract."""
 
 import datetime
+import json
 from pathlib import Path
 
 import jax
@@ -15,6 +16,8 @@ from snapo.engine import Xla
 from snapo.problem.inputs import plain
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
+from snapo.study import commands
+from snapo.study.domain import CaseRequest
 
 D = datetime.date
 CASE = """kind = "gas-storage"
@@ -157,3 +160,24 @@ def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_
     for i, (name, price) in enumerate(quotes.items()):
         up, down = (value(quotes | {name: price + h}) for h in (0.01, -0.01))
         assert by_quote[i] == pytest.approx((up - down) / 0.02, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.prove
+def test_a_run_reports_the_deltas_by_quote(tmp_path):
+    """All quotes 1 higher are a curve that is 1 higher: the deltas by quote sum to those by day."""
+    dates = {"start": D(2026, 1, 10), "end": D(2026, 3, 20)}
+    case(tmp_path, {"2026-01": 32.2, "2026-02": 31.8, "2026-03": 30.1}, **dates)
+    small = ("training.steps=2", "training.paths=32", "evaluation.paths=256",
+             "evaluation.sensitivity_paths=64", "evaluation.judge_paths=0")  # fmt: skip
+    request = CaseRequest(tmp_path, small)
+    commands.solve(request, lambda _: None, out=tmp_path / "out")
+    part = json.loads((tmp_path / "out" / "parts" / "deltas-by-quote.json").read_text())
+    rows = part["deltas_by_quote"]
+    assert [row["product"] for row in rows] == ["2026-01", "2026-02", "2026-03"]
+    daily = json.loads((tmp_path / "out" / "parts" / "deltas.json").read_text())["deltas_daily"]
+    for name in ("discounted", "undiscounted"):
+        assert sum(row[name] for row in rows) == pytest.approx(sum(daily[name]), rel=1e-9)
+    assert all(row["low"] <= row["discounted"] <= row["high"] for row in rows)
+    assert "Deltas by quoted product" in (tmp_path / "out" / "report.html").read_text()
+    written = (tmp_path / "out" / "quotes.csv").read_text().splitlines()
+    assert written[0].startswith("product,price,discounted") and len(written) == 4

@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from snapo.report.folder import PLANNED
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Section, Table, Text
 from snapo.report.quantity import decimals, number
@@ -96,6 +95,6 @@ QUOTE_DELTAS = Chapter("deltas by quote", "Deltas by quoted product", QuoteDelta
 
 def quotes(run: StorageRun) -> Section:
     """Its section; nothing where the curve is not made from quotes."""
-    if QUOTE_DELTAS.name in run.get(PLANNED, []):
+    if QUOTE_DELTAS.name in run.parts:
         return QUOTE_DELTAS(run)
     return Section("deltas-by-quote", "", "", [])
