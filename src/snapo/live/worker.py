@@ -7,6 +7,7 @@ moves of one page only the newest is answered: a newer one ends the work on the 
 import argparse
 import json
 import os
+import pickle
 import queue
 import shutil
 import sys
@@ -20,7 +21,7 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.solver.solution import Solution
 from snapo.study.commands import domain_of_run
-from snapo.study.domain import Options
+from snapo.study.domain import Domain, Options
 from snapo.study.prepare import case_of_run, options_of_run
 from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
@@ -38,13 +39,14 @@ def open_run(
     simulator: tuple[str, str] | None = None,
     engine: str = "auto",
     counts: PathCounts | None = None,
+    domain: Domain | None = None,
 ) -> WhatIf:
-    """The run in a folder.
+    """The run in a folder; `domain`: that of a problem in Python, by default that of its kind.
 
     **Raises:** `CaseError` where there is no such run, or nothing to move.
     """
     record = read(run)
-    domain = domain_of_run(run, record, simulator)
+    domain = domain or domain_of_run(run, record, simulator)
     file, data = case_of_run(run, record)
 
     def rebuild(case: Any) -> Study:
@@ -212,6 +214,13 @@ def _short(error: CaseError) -> str:
     return str(CaseError(file, error.where, error.value, error.allowed))
 
 
+def _unpickled(file: Path) -> Domain:
+    """The domain of a problem in Python, as the process that opened the page wrote it."""
+    with file.open("rb") as stream:
+        sys.path[:] = pickle.load(stream)  # the user's modules, by which the rest is read
+        return pickle.load(stream)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """`python -m snapo.live.worker RUN`: the way the server starts it."""
     parser = argparse.ArgumentParser(prog="snapo.live.worker")
@@ -219,6 +228,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--simulator")
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--paths", type=int)
+    parser.add_argument("--problem", type=Path)  # that `pickled` wrote for this process
     options = parser.parse_args(arguments)
     # Output of a user's code must not appear between the lines of the answers.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
@@ -229,8 +239,9 @@ def main(arguments: list[str] | None = None) -> int:
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None
     counts = None if options.paths is None else PathCounts.of(options.paths)
+    domain = _unpickled(options.problem) if options.problem else None
     try:
-        valuation = open_run(options.run, code, options.engine, counts)  # pyright: ignore
+        valuation = open_run(options.run, code, options.engine, counts, domain)  # pyright: ignore
     except CaseError as error:
         post(stage="failed", message=str(error))
         return 2

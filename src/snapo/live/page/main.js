@@ -27,7 +27,7 @@ function connect() {
     status("not connected", "lost");
     page.ready = false;
     tries += 1;
-    if (tries > 1) trouble(`The server of this page has ended. Start it again with "snapo open ${page.about?.folder ?? "RUN"}": the page that it opens offers the inputs that stand here.`);
+    if (tries > 1) trouble(`The server of this page has ended. ${page.about?.restart ?? ""}`);
     expect();
     setTimeout(connect, 1500);
   });
