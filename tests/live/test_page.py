@@ -23,6 +23,7 @@ pytestmark = [
 WORKER = Path(__file__).with_name("page_worker.py")
 ABOUT = {
     "title": "Item", "kind": "inventory", "folder": "mine/run", "days": None, "step": "week",
+    "restart": 'Start it again with "snapo open mine/run".',
     "trains": True, "meaning": "", "result": {"value": 455.0, "standard_error": 0.5},
 }  # fmt: skip
 REASON = "of the inputs before"

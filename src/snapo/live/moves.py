@@ -15,7 +15,7 @@ from snapo.case.error import CaseError
 from snapo.case.table import keys_of, recorded_tables
 from snapo.problem.inputs import Input
 from snapo.solver import statistics
-from snapo.study.study import Recalculated, Study
+from snapo.study.study import Headline, Recalculated, Study
 
 from .files import Files, Key
 from .positions import ChangedCase, InputPositions
@@ -247,6 +247,10 @@ class WhatIf:
     @abstractmethod
     def settings(self) -> dict[str, Any]:
         """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
+
+    def headline(self, value: float) -> Headline | None:
+        """A value as the domain shows it, at the inputs that were valued last; None: as it is."""
+        return None
 
     def source(self, name: str) -> str:
         """Where the run's reported derivative comes from; "" where it does not say."""

@@ -35,6 +35,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         raise no_policy(run, record)
     about = record.get("about", {})
     step = about.get("step")
+    # A value that is shown as another number follows with the calculation.
+    headline = about.get("headline", "")
     keys = ("value", "standard_error", "status", "convergence", "verdict", "bound", "paths")
     return {
         "title": about.get("title", run.name),
@@ -42,7 +44,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         "days": about.get("days"),
         "step": step if isinstance(step, str) else "step",
         "trains": trains,
-        "meaning": result.get("meaning", ""),
+        "meaning": headline or result.get("meaning", ""),
+        "follows": bool(headline),
         "folder": str(run),
         "restart": f'Start it again with "snapo open {run}": the page that it opens offers the '
         "inputs that stand here.",

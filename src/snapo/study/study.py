@@ -122,6 +122,18 @@ class PathTotals(NamedTuple):
         return ratio.value, ratio.standard_error
 
 
+class Headline(NamedTuple):
+    """A value as its reader knows it: an increasing function of it, "Certainty equivalent" in %.
+
+    - `number`: at the value; `slope`: d number / d value.
+    """
+
+    name: str
+    unit: str
+    number: float
+    slope: float
+
+
 class CalculatedOutput(NamedTuple):
     """An output of a study without a policy.
 
@@ -197,6 +209,7 @@ class Study:
     - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
     - `live_tables`: returns the sections of the domain on the live page.
+    - `headline`: gives the headline of a value of a setup's objective; None where it has none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
     """
 
@@ -214,6 +227,7 @@ class Study:
     inputs: Callable[[Any], Mapping[str, Input]] | None = None
     live_tables: Callable[[PathTotals], Sequence[LiveTable]] | None = None
     recalculated: Callable[[], Recalculated] | None = None
+    headline: Callable[[Setup, float], Headline | None] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

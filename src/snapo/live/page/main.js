@@ -69,7 +69,7 @@ function about({ about, page: name }) {
   at("title").textContent = about.title;
   at("about").textContent = `${about.kind}, ${about.folder}`;
   if (about.meaning) at("value-head").textContent = about.meaning;
-  if (!page.base) {
+  if (!page.base && !about.follows) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
     at("changes").replaceChildren(fact("of the run", "as solve reported it"));
@@ -101,6 +101,7 @@ function ready(message) {
   page.bounded = message.bounded;
   page.units = message.units;
   at("unit").textContent = page.unit;
+  if (message.meaning) at("value-head").textContent = message.meaning;
   trouble("");
   if (first) {
     page.inputs = message.inputs;
