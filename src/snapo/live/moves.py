@@ -264,10 +264,11 @@ class WhatIf:
         ]
 
     def units(self) -> dict[str, Any]:
-        """`unit` of the value, and `units` of states and outputs by name, where they are known."""
-        about, units = self.study.about, self.study.about.get("units")
-        available = dict(units) if isinstance(units, Mapping) else {}
-        return {"unit": about.get("value_unit", ""), "units": available}
+        """`unit` of the value; `units` and `names` of states, actions and outputs, where they are
+        known."""
+        about = self.study.about
+        tables = {key: dict(about.get(key) or {}) for key in ("units", "names")}
+        return {"unit": about.get("value_unit", ""), **tables}
 
     def changed(self, values: InputValues) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.

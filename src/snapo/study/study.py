@@ -93,12 +93,14 @@ class LiveTable(NamedTuple):
 
     - `title`; `description`: one line above; `columns`: (name, unit) of the table, and its `rows`,
       of texts and numbers.
+    - `facts`: (name, number, unit) of the figures to read first, above the table.
     """
 
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[Any]]
     description: str = ""
+    facts: Sequence[tuple[str, float, str]] = ()
 
 
 class PathTotals(NamedTuple):
@@ -194,7 +196,8 @@ class Study:
     """What a run does.
 
     - `kind`: of the domain.
-    - `about`: known before any work: title, currency, dates, notes …, for the report.
+    - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
+      "names" of series by name, for the live page.
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …

@@ -100,6 +100,7 @@ function ready(message) {
   page.unit = message.unit;
   page.bounded = message.bounded;
   page.units = message.units;
+  page.names = message.names ?? {};
   at("unit").textContent = page.unit;
   if (message.meaning) at("value-head").textContent = message.meaning;
   trouble("");

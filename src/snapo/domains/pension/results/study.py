@@ -109,6 +109,11 @@ def about(case: PensionCase) -> dict[str, Any]:
         "held": list(case.held),
         "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
+        "names": {
+            f"weights.{i}": f"{class_.name}, share of the assets"
+            for i, class_ in enumerate(case.assets.classes)
+        }
+        | {"theta": "indexation so far", "fresh": "rights accrued, over those of the baseline"},
         "headline": headline_name(objective_of(case)),
         "units": {"funding": "assets over liability"}
         | dict.fromkeys(("contribution", "benefit", "expenses", "cost"), case.currency),
