@@ -267,7 +267,8 @@ class WhatIf:
         """`unit` of the value; `units` and `names` of states, actions and outputs, where they are
         known."""
         about = self.study.about
-        tables = {key: dict(about.get(key) or {}) for key in ("units", "names")}
+        tables = {key: about.get(key) for key in ("units", "names")}
+        tables = {key: x if isinstance(x, Mapping) else {} for key, x in tables.items()}
         return {"unit": about.get("value_unit", ""), **tables}
 
     def changed(self, values: InputValues) -> dict[str, np.ndarray]:
