@@ -81,7 +81,7 @@ class Valuation(WhatIf):
             self.policy = loaded
             return
         if not 0 <= policy < len(self._policies):
-            message = "it ended with the calculation that trained it; the run's is there"
+            message = "it was lost when the calculation that trained it ended; use the run's policy"
             raise CaseError("this policy", "", None, message)
         self.policy = self._policies[policy]
 
