@@ -55,7 +55,7 @@ def fit(
         step, later = grid.steps[t], coefficients[-1]
         value = product(later.reshape(-1, size), available.day(t).ahead)
         after = arrived(step, value.reshape(*later.shape[:2], -1))
-        spot = schedule.steps.forward[t] * available.noise(t)
+        spot = available.spot(t, schedule.steps.forward[t])
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         value = best(step, layout, cash, terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])

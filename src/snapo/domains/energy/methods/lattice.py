@@ -45,11 +45,11 @@ def lattice(
     columns = 1 if prices is None else prices.columns
     value = np.zeros((len(layout.modes), grid.size(horizon), columns))
     for t in reversed(range(horizon)):
-        noise = np.ones(1) if prices is None else prices.noise(t)
+        spot = schedule.steps.forward[t, None]
         if prices is not None:
+            spot = prices.spot(t, spot)
             flat = value.reshape(-1, columns)
             value = prices.after(t).expect(flat).reshape(value.shape)
-        spot = schedule.steps.forward[t] * noise
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         after = arrived(grid.steps[t], value)
         value = best(grid.steps[t], layout, cash, terms.fixed[t], after)

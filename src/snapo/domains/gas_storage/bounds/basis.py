@@ -229,7 +229,7 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
     same = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
-    common = alone & same & np.all(of.decay == 1, axis=0)
+    common = alone & same & np.all(of.decay == 1, axis=0) & of.proportional
     defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(of.decay.mean(axis=0), kind="stable")
     selected = tuple(int(i) for i in speed if not common[i] and not defaulted[i]) or (

@@ -104,14 +104,17 @@ class Regression:
                 self._days[t] = day
         return day
 
-    def noise(self, t: int) -> np.ndarray:
-        """Spot over forward price [Q] on day t."""
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """Spot prices [Q] on day t, of mean `forward`."""
+        return self.basis.of.spot(forward, self._noise(t))
+
+    def _noise(self, t: int) -> np.ndarray:
         noise = self._noises.get(t)
         if noise is None:
             of, basis = self.basis.of, self.basis
             log = of.loading[t][list(basis.selected)] @ basis.back(t) @ self.y
             log += basis.level_deviation(t) * self.level * bool(basis.common)
-            noise = np.exp(log - of.variance[t] / 2)
+            noise = of.noise(log, of.variance[t])
             if self._keeps:
                 self._noises[t] = noise
         return noise
@@ -145,7 +148,8 @@ _last: Recent[Regression] = Recent(LAST)
 
 def regression(basis: PolynomialBasis) -> Regression:
     """The regression of a basis, cached by the factors."""
-    key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
+    of = basis.of
+    key = *basis.key(), of.loading.tobytes(), of.variance.tobytes(), of.additive, of.shift
     return _last.of(key, lambda: Regression(basis))
 
 

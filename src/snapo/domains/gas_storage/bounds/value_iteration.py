@@ -117,13 +117,13 @@ def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedVa
     basis = gaussian_basis(factors, constants.end_fraction != 0)
     available = regression(basis)
     nodes = [day.nodes for day in days] + [days[-1].after]
-    spot = constants.end_forward * available.noise(horizon)
+    spot = available.spot(horizon, constants.end_forward)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
         coefficients[t] = product(available.day(t).fit, value.T).T
         if t:
-            prices = unit_prices(schedule, t - 1, steps.forward[t - 1] * available.noise(t - 1))
+            prices = unit_prices(schedule, t - 1, available.spot(t - 1, steps.forward[t - 1]))
             value = best_value(
                 days[t - 1],
                 prices,

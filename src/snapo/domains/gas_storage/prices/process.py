@@ -111,9 +111,11 @@ class Times(eqx.Module):
 
 
 class GaussianFactors(NamedTuple):
-    """Factors of ln S as a dynamic program reads them, on the T days and the end date.
+    """Factors of the spot price as a dynamic program reads them, on the T days and the end date.
 
-    - `loading` [T + 1, F], `variance` [T + 1] of ln S.
+        S = (F + shift) exp(loading f - variance / 2) - shift,   or S = F + loading f (`additive`)
+
+    - `loading` [T + 1, F], `variance` [T + 1] of loading f.
     - `decay` [T + 1, F] and `shock` [T + 1, F, F] (lower Cholesky factor) lead INTO each date, the
       first from the valuation date, where all factors are 0.
     - `fast`: the factor in which a one-factor dynamic program is written.
@@ -126,6 +128,27 @@ class GaussianFactors(NamedTuple):
     shock: np.ndarray
     fast: int = 0
     exact: bool = True
+    additive: bool = False
+    shift: float = 0.0
+
+    @property
+    def proportional(self) -> bool:
+        """Whether every price is the forward price times noise."""
+        return not self.additive and self.shift == 0
+
+    def noise(self, moved: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """The random part of a price, `moved` by loading f of this variance."""
+        return moved if self.additive else np.exp(moved - variance / 2)
+
+    def spot(self, forward: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """The price with this noise, around its forward price."""
+        if self.additive:
+            return forward + noise
+        return (forward + self.shift) * noise - self.shift
+
+    def by_forward(self, noise: np.ndarray) -> np.ndarray:
+        """The derivative of `spot` with respect to the forward price."""
+        return np.ones_like(noise) if self.additive else noise
 
 
 class PriceProcess(Process):

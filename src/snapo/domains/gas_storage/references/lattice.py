@@ -96,10 +96,10 @@ def _at_the_end(schedule, selected, dropped) -> LatticeResult:
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
-    A non-reverting factor with the same loading on all days, independent of the others, scales
-    all prices in proportion; without proportional costs it leaves the value unchanged (a change of
-    numeraire), and almost so with small costs (a fixed payment for the gas left counts as one). It
-    is dropped unless it is the only factor.
+    A non-reverting factor with the same loading on all days, independent of the others, scales all
+    prices in proportion, where they are proportional to the curve; without proportional costs it
+    leaves the value unchanged (a change of numeraire), and almost so with small costs (a fixed
+    payment for the gas left counts as one). It is dropped unless it is the only factor.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)
@@ -109,7 +109,7 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     increments = np.max(np.abs(shock @ np.swapaxes(shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
     common = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
-    neutral = alone & common & np.all(decay == 1, axis=0)
+    neutral = alone & common & np.all(decay == 1, axis=0) & factors.proportional
     # A factor that never moves any price is dropped as well.
     defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(decay.mean(axis=0), kind="stable")
@@ -123,14 +123,14 @@ def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes
     horizon = len(steps.forward)
     low, high = visited(schedule, interpolation)
     nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
-    spots = constants.end_forward * grid.noise(horizon)
+    spots = grid.spot(horizon, constants.end_forward)
     value = end_value(schedule, nodes[:, None], spots)
     days: list[DayDecisions] = []
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
         day_rates = rates(schedule, interpolation, t)
         inventory = inventory_nodes(low[t], high[t], spacing, day_rates.levels)
-        prices = unit_prices(schedule, t, steps.forward[t] * grid.noise(t))
+        prices = unit_prices(schedule, t, grid.spot(t, steps.forward[t]))
         day, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
         days.append(day)
         nodes = inventory
@@ -149,11 +149,11 @@ def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
         net[t] = flow.injected.sum() - flow.withdrawn.sum()
         sold = (1 - steps.withdrawal_fuel[t]) * flow.withdrawn
         sold -= (1 + steps.injection_fuel[t]) * flow.injected
-        deltas[t] = steps.gas_discount[t] * (grid.noise(t) @ sold)
+        deltas[t] = steps.gas_discount[t] * (grid.by_forward(t) @ sold)
         weight, nodes = grid.after(t).spread(flow.weight), day.nodes
     left = nodes @ weight
     stock[horizon] = left.sum()
-    end_delta = constants.end_fraction * constants.end_discount * (grid.noise(horizon) @ left)
+    end_delta = constants.end_fraction * constants.end_discount * (grid.by_forward(horizon) @ left)
     return deltas, float(end_delta), net, stock
 
 

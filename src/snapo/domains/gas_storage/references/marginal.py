@@ -74,14 +74,22 @@ class FactorGrid:
     def columns(self) -> int:
         return len(self.slow) * len(self.fast)
 
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """Spot prices [columns] on day t (T: on the end date), of mean `forward`."""
+        return self.of.spot(forward, self.noise(t))
+
+    def by_forward(self, t: int) -> np.ndarray:
+        """Derivatives [columns] of the spot price of day t with respect to its forward price."""
+        return self.of.by_forward(self.noise(t))
+
     def noise(self, t: int) -> np.ndarray:
-        """Spot over forward price [columns] on day t (T: on the end date), of mean 1."""
+        """The random part of the spot price [columns] on day t."""
         loading = self.of.loading[t][list(self.selected)]
         variance = loading @ self.covariance[t] @ loading
         log = loading[0] * self.fast[None, :]
         if len(self.selected) > 1:
             log = log + loading[1] * self.slow[:, None]
-        return np.exp(log - variance / 2).ravel()
+        return self.of.noise(log, variance).ravel()
 
     def start(self) -> Transition:
         """From the valuation date, where all factors are 0, to the first day (one row)."""
@@ -304,10 +312,10 @@ def _with_noise(
     polynomials, reach = np.zeros((2, horizon, ROWS, DEGREE + 1)), _reach(grid)
     volumes = free_volumes(schedule, interpolation)
     nodes = table.nodes(horizon - 1)
-    value = end_value(schedule, nodes[:, None], constants.end_forward * grid.noise(horizon))
+    value = end_value(schedule, nodes[:, None], grid.spot(horizon, constants.end_forward))
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
-        spot = steps.forward[t] * grid.noise(t)
+        spot = grid.spot(t, steps.forward[t])
         sides = np.zeros((2, ROWS, 1)) + steps.gas_discount[t] * spot
         if len(nodes) > 1:
             at = partial(_interpolated, nodes, after)
