@@ -199,3 +199,23 @@ def test_years_end_on_their_day():
     case = swing(year_begins="04-01")
     ends = np.flatnonzero(case.contract.year_ends)
     assert [case.days[t].isoformat() for t in ends] == ["2027-03-31", "2027-09-30"]
+
+
+def test_a_large_shift_is_the_normal_price():
+    """Negative prices in the contract core: the lattice, the rule of the fitted value, the bound."""
+    reversion = {"model.mean_reversion": 12.0}
+    normal = {"model.kind": "one-factor-normal", "model.volatility": 30.0}
+    shifted = {"model.kind": "one-factor-shifted", "model.volatility": 3e-4, "model.shift": 1e5}
+    cases = [case_at(HOME / "template_swing", reversion | x) for x in (normal, shifted)]
+    values = [exact(case, finer=1) for case in cases]
+    assert abs(values[1] - values[0]) < 1e-3 * values[0]
+    made = make_setup(cases[0], "native")
+    found = bound(
+        made.problem,
+        made.policy.value_rule,
+        relaxation=EnergyRelaxation(made.problem),
+        paths=1024,
+        engine=made.engines.evaluate,
+    )
+    assert 0.995 * values[0] < found.lower.value < values[0] + 3 * found.lower.standard_error
+    assert values[0] - 3 * found.upper.standard_error < found.upper.value < 1.005 * values[0]

@@ -6,7 +6,7 @@ parameters, noise, dynamics, forward price, description. Nothing outside depends
 
 import abc
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -205,6 +205,14 @@ class PriceProcess(Process):
         the policy begins without the values of a dynamic program."""
         return None
 
+    def price_scale(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float:
+        """The typical size of a price, from the forward prices and the values of all inputs."""
+        return float(np.mean(np.abs(prices)))
+
+    def price_spread(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float | None:
+        """How far spot prices may be from the forward price, in money; None: in proportion."""
+        return None
+
     def sources(self, seed: int) -> Sources | None:
         """Separate scenarios for every role, instead of drawn normals."""
         return None
@@ -231,6 +239,11 @@ class PricedSimulator(Simulator):
 def use(inputs: dict[str, Any], series: CaseInput | Use):
     """The numbers of an input where they are used: its values at their index."""
     return (series if isinstance(series, Use) else series.use())(inputs)
+
+
+def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.ndarray:
+    """The same in NumPy."""
+    return (series if isinstance(series, Use) else series.use()).in_numpy(values)
 
 
 KINDS: dict[str, type[PriceProcess]] = {}
