@@ -23,6 +23,8 @@ from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
 from snapo.problem.simulator import Simulator
 
+from .spikes import Spikes
+
 YEAR = 365.0
 FEWEST = 32  # days of noise before the first date, where they are several
 
@@ -120,6 +122,7 @@ class GaussianFactors(NamedTuple):
       first from the valuation date, where all factors are 0.
     - `fast`: the factor in which a one-factor dynamic program is written.
     - `exact`: whether these factors are the whole process; a lattice then gives the exact value.
+    - `spikes`: those of ln S besides the factors, a further coordinate after them.
     """
 
     loading: np.ndarray
@@ -130,6 +133,7 @@ class GaussianFactors(NamedTuple):
     exact: bool = True
     additive: bool = False
     shift: float = 0.0
+    spikes: Spikes | None = None
 
     @property
     def proportional(self) -> bool:
@@ -193,7 +197,7 @@ class PriceProcess(Process):
         return jnp.zeros(())
 
     def gaussian(self, state) -> Float[Array, " F"]:
-        """The factors that `factors` describes."""
+        """The factors that `factors` describes, and its spikes."""
         return jnp.atleast_1d(self.fast(state))
 
     def slow_level(self, constants, now, state) -> Float[Array, ""]:

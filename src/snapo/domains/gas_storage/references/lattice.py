@@ -77,7 +77,7 @@ def lattice(
         return _at_the_end(schedule, selected, dropped)
     if volumes == "free":
         volumes = free_volumes(schedule, interpolation)
-    spacing = spacing or (0.15 if len(selected) == 1 else 0.3)
+    spacing = spacing or SPACINGS[coordinates(factors, selected)]
     grid = factor_grid(factors, selected, spacing, slow_nodes)
     step = step or volume_scale(schedule) / (inventories - 1)
     days, value = _backward(schedule, interpolation, grid, step, volumes)
@@ -115,6 +115,11 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     speed = np.argsort(decay.mean(axis=0), kind="stable")
     selected = tuple(int(i) for i in speed if not neutral[i] and not defaulted[i])
     return selected or (int(speed[0]),)
+
+
+def coordinates(factors: GaussianFactors, selected: tuple[int, ...]) -> int:
+    """Of a grid of prices: the factors kept, and the spikes."""
+    return len(selected) + (factors.spikes is not None)
 
 
 def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes):
@@ -160,7 +165,8 @@ def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
 MOVED = 1e-4  # of the value: a grid is fine enough when half its spacing moves the value by less
 HALVED = 3  # times at most
 SPACINGS = {1: 0.15, 2: 0.3}  # of the fast factor's nodes, by the number of factors
-NODES, MAX_NODES = 200, 800  # spacings of the first grid of inventories, and of one of daily flows
+NODES = (200, 30)  # spacings of the first grid of inventories, without spikes and with them
+MAX_NODES = 800  # and of one of daily flows
 SLOW = 17
 
 
@@ -181,7 +187,9 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
     selected = relevant_factors(schedule, factors)
-    step, spacing = _first_step(schedule), SPACINGS[min(len(selected), 2)]
+    count = coordinates(factors, selected)
+    step = _first_step(schedule, NODES[factors.spikes is not None])
+    spacing = SPACINGS[min(count, 2)]
 
     def value(parts: int = 1, finer: int = 1, slow: int = SLOW) -> float:
         grids = {"step": step / parts, "spacing": spacing / finer, "slow_nodes": slow}
@@ -189,7 +197,7 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
     first = value()
     results = [on_finer_grids(first, value), on_finer_grids(first, lambda n: value(finer=n))]
-    if len(selected) > 1:
+    if count > 1:
         results.append(on_finer_grids(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
     total = first + sum(item.value - first for item in results)
     return Refined(total, sum(entry.error for entry in results))
@@ -207,10 +215,10 @@ def on_finer_grids(first: float, value: Callable[[int], float], enough: float = 
     return Refined(before, moved)
 
 
-def _first_step(schedule) -> float:
+def _first_step(schedule, nodes: int) -> float:
     """The spacing of inventories: a part of the common measure of the daily flows, where it can."""
     room = volume_scale(schedule)
     volume = common_volume(schedule.steps)
     if volume is None or volume < room / MAX_NODES:
-        return room / NODES
-    return volume / max(1, round(volume * NODES / room))
+        return room / nodes
+    return volume / max(1, round(volume * nodes / room))
