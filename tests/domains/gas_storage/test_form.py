@@ -21,7 +21,7 @@ QUICK = {
 }
 
 
-KINDS = 8
+KINDS = 9
 
 
 def models(draw: np.random.Generator) -> list[dict]:
@@ -56,6 +56,13 @@ def models(draw: np.random.Generator) -> list[dict]:
         },
         {"kind": "regimes", **one, "tightens": 0.05, "eases": 0.2, "premium": 0.4},
         {"kind": "supplied", **FACTORS, **paths, "rescale_to_curve": bool(draw.integers(2))},
+        {
+            "kind": "one-factor-poisson-jumps",
+            **one,
+            "jump_intensity": float(draw.uniform(5, 8)),
+            "jump_size": 0.3,
+            "jump_mean_reversion": 150.0,
+        },
         {"kind": "one-factor-normal", **one, "volatility": 10 * volatility},
         {"kind": "one-factor-shifted", **one, "shift": float(draw.uniform(1, 50))},
     ]
