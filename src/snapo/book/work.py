@@ -58,6 +58,7 @@ from .order import (
 from .plan import kinds_of
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
+AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
@@ -245,14 +246,18 @@ class _Decided:
         bound = self.setup.engines.evaluate.bind(problem, controls=False)
         source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
         paths = source.available(min(self.order.tasks.paths, EXPOSURE_PATHS))
-        for block in source.blocks(paths, EXPOSURE_BLOCKS):
-            draws = source.draws(block, problem.simulator)
+        horizon, blocks = problem.simulator.horizon, list(source.blocks(paths, EXPOSURE_BLOCKS))
+        together = max(1, AT_ONCE // (len(blocks[0]) * horizon))
+        for i in range(0, len(blocks), together):
+            some = blocks[i : i + together]
+            draws = source.draws(np.concatenate(some), problem.simulator)
             outputs = bound.values(policy, draws, EXACT, record=("outputs",)).record["outputs"]
+            ends = np.cumsum([len(block) for block in some])[:-1]
             for name, values in leaves(outputs).items():
                 numbers = np.asarray(values, np.float64)
-                if numbers.ndim == 2:  # one number of a path and step
-                    means.setdefault(name, []).append(numbers.mean(1))
-        horizon = problem.simulator.horizon
+                if numbers.ndim == 2:  # one number of a step and path
+                    rows = (part.mean(1) for part in np.split(numbers, ends, axis=1))
+                    means.setdefault(name, []).extend(rows)
         days = about.get("days") or [str(i + 1) for i in range(horizon)]
         for name, rows in means.items():
             if np.isfinite(rows).all() and np.any(rows):
