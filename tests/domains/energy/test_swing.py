@@ -219,3 +219,30 @@ def test_a_large_shift_is_the_normal_price():
     )
     assert 0.995 * values[0] < found.lower.value < values[0] + 3 * found.lower.standard_error
     assert values[0] - 3 * found.upper.standard_error < found.upper.value < 1.005 * values[0]
+
+
+def test_spikes_in_rule_and_bound():
+    """The methods of the core in factor and spike, around the lattice."""
+    model = {
+        "kind": "one-factor-poisson-jumps",
+        "jump_intensity": 20.0,
+        "jump_size": 0.35,
+        "jump_mean_reversion": 120.0,
+    }
+    changes = {f"model.{name}": value for name, value in model.items()} | {
+        "contract.end": datetime.date(2026, 10, 31),
+        "contract.annual": {"min": 5.0, "max": 10.0},
+    }
+    case = case_at(HOME / "template_swing", changes)
+    made, value = make_setup(case, "native"), exact(case, finer=1)
+    assert made.problem.simulator.control_variates() == ("value_surprise",)
+    found = bound(
+        made.problem,
+        made.policy.value_rule,
+        relaxation=EnergyRelaxation(made.problem),
+        paths=1024,
+        engine=made.engines.evaluate,
+    )
+    errors = [3 * x.standard_error for x in (found.lower, found.upper)]
+    assert 0.99 * value < found.lower.value < value + errors[0]
+    assert value - errors[1] < found.upper.value < 1.008 * value + errors[1]
