@@ -7,7 +7,7 @@ parameters, noise, dynamics, forward price, description. Nothing outside depends
 import abc
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -253,7 +253,10 @@ def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.nd
 KINDS: dict[str, type[PriceProcess]] = {}
 
 
-def register(process: type[PriceProcess]) -> type[PriceProcess]:
+Registered = TypeVar("Registered", bound=PriceProcess)
+
+
+def register(process: type[Registered]) -> type[Registered]:
     """Makes a process known under its `kind`; one without a part of its behaviour is refused."""
     missing = missing_members(process)
     if missing:
