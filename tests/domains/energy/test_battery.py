@@ -3,7 +3,7 @@
 import datetime
 
 import pytest
-from tests.domains.energy.energy_cases import battery, exact
+from tests.domains.energy.energy_cases import battery, best_plan, exact
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.lattice import refined
@@ -34,6 +34,18 @@ def test_a_week(changes, value, error):
     result = refined(case.contract.layout, problem.schedule, factors_of(problem))
     assert result.error < 0.01
     assert result.value == pytest.approx(value, abs=error + result.error)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"cycles": {"day": 0.99}}, {"cycles": {"day": 1.013}}, {"cycles": {"term": 1.73}},
+     {"energy": 4.04}, {"charge": {"power": 1.013, "efficiency": 0.9}}],
+)  # fmt: skip
+def test_limits_between_nodes_are_reached(changes):
+    """Two days at forward prices: a linear program, less what is lost between nodes."""
+    case = battery(end=datetime.datetime(2026, 5, 6), **changes)
+    plan, value = best_plan(case), exact(case, forward=True)
+    assert 0.9985 * plan <= value <= plan * (1 + 1e-12)
 
 
 @pytest.mark.prove

@@ -7,6 +7,7 @@ a unit of each level and of each mode for the policy, the control variate, and t
 upper bound.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,12 +109,9 @@ def _row_counts(layout: ContractLayout, grid: ContractGrid) -> tuple[int, ...]:
     most = SINGLE if len(layout.levels) == 1 else SEVERAL
     counts = []
     for i in range(len(layout.levels)):
-        finest = [
-            np.ptp(x.after[i]) / np.diff(x.after[i]).min()
-            for x in grid.steps
-            if len(x.after[i]) > 1
-        ]
-        counts.append(int(min(round(max(finest, default=1.0)) + 1, most)))
+        widths = [(*_lattice(x.after[i]), x.after[i][-1]) for x in grid.steps]
+        finest = [(high - low) / width for low, width, high in widths if width > 0]
+        counts.append(int(min(math.ceil(max(finest, default=1.0) - 1e-6) + 1, most)))
     return tuple(counts)
 
 
@@ -121,12 +119,23 @@ def _rows(step: StepGrid, counts) -> tuple[np.ndarray, np.ndarray]:
     """`low` and `spacing` of the rows of each level: on its nodes where these are few enough."""
     low, spacing = np.zeros(len(counts)), np.zeros(len(counts))
     for i, (nodes, count) in enumerate(zip(step.after, counts)):
-        low[i] = nodes[0]
-        if len(nodes) > 1:
-            gaps, width = np.diff(nodes), np.ptp(nodes)
-            even = np.ptp(gaps) < 1e-6 * gaps[0] and len(nodes) <= count
-            spacing[i] = gaps[0] if even else width / (count - 1)
+        low[i], spacing[i] = _lattice(nodes)
+        if low[i] + (count - 1) * spacing[i] < nodes[-1] - 1e-6 * spacing[i]:
+            low[i], spacing[i] = nodes[0], np.ptp(nodes) / (count - 1)
     return low, spacing
+
+
+def _lattice(nodes: np.ndarray) -> tuple[float, float]:
+    """The first point at or before the nodes, and the spacing, of the evenly spaced points that
+    they are; the first and the last node may lie nearer. Of other nodes the finest spacing."""
+    if len(nodes) < 2:
+        return float(nodes[0]), 0.0
+    gaps = np.diff(nodes)
+    inner = gaps[1:-1] if len(gaps) > 2 else gaps[-1:]
+    width, even = float(inner.max()), np.ptp(inner) < 1e-6 * inner[0]
+    if even and np.all(gaps < (1 + 1e-6) * width):
+        return float(np.floor(nodes[0] / width + 1e-6) * width), width
+    return float(nodes[0]), float(gaps.min())
 
 
 def _slope(

@@ -14,14 +14,8 @@ DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
     """The largest volume of which all of a level are multiples; one for levels of the same flow."""
-    groups = [{i} for i in range(len(layout.levels))]
-    for flow in layout.flows:
-        touched = {i for i, effect in enumerate(flow.effects) if effect}
-        if touched:
-            joined = set().union(touched, *(g for g in groups if g & touched))
-            groups = [g for g in groups if not g & touched] + [joined]
     result: list[float | None] = [None] * len(layout.levels)
-    for group in groups:
+    for group in joined_levels(layout):
         volumes: set[float] = set()
         for i in group:
             volumes.add(float(start[i]))
@@ -36,6 +30,17 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
         for i in group:
             result[i] = found
     return result
+
+
+def joined_levels(layout: ContractLayout) -> list[set[int]]:
+    """The levels in groups that no flow joins."""
+    groups = [{i} for i in range(len(layout.levels))]
+    for flow in layout.flows:
+        touched = {i for i, effect in enumerate(flow.effects) if effect}
+        if touched:
+            joined = set().union(touched, *(g for g in groups if g & touched))
+            groups = [g for g in groups if not g & touched] + [joined]
+    return groups
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:
