@@ -21,7 +21,7 @@ from ..core.contract import ContractLayout
 from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, UnitValueTable, Values
 from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
-SINGLE, SEVERAL = 401, 49  # most rows of the value of a level: of the only one, of one of several
+MOST_ROWS = 401  # of the value of a level
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -106,12 +106,11 @@ def _after(fitted: FittedContract, t: int) -> np.ndarray:
 
 
 def _row_counts(layout: ContractLayout, grid: ContractGrid) -> tuple[int, ...]:
-    most = SINGLE if len(layout.levels) == 1 else SEVERAL
     counts = []
     for i in range(len(layout.levels)):
         widths = [(*_lattice(x.after[i]), x.after[i][-1]) for x in grid.steps]
         finest = [(high - low) / width for low, width, high in widths if width > 0]
-        counts.append(int(min(math.ceil(max(finest, default=1.0) - 1e-6) + 1, most)))
+        counts.append(int(min(math.ceil(max(finest, default=1.0) - 1e-6) + 1, MOST_ROWS)))
     return tuple(counts)
 
 

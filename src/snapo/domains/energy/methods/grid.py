@@ -21,7 +21,8 @@ from .measure import joined_levels, measures_of
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
-COARSE = {0: 1, 1: 401, 2: 49, 3: 17}  # of a level where these are too many, by their number
+COARSE = {0: 1, 1: 401, 2: 2601, 3: 4913}  # where these are too many, by the number of levels
+LONG = 2_000_000  # nodes of all steps of a coarse grid
 NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
@@ -133,10 +134,11 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     measures = measures_of(layout, terms, start)
     visited = [_visited(layout, terms, found, start, i) for i in range(count)]
     widest = [float(np.max(high - low)) for low, high in visited]
-    widths = _widths(layout, widest, np.zeros(count) if apart is None else apart)
+    coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
+    widths = _widths(layout, widest, measures, np.zeros(count) if apart is None else apart, coarse)
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
-    exact = all(x <= MOST for x in sizes) and together <= TOGETHER
+    exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
     if apart is not None:
         exact = exact and all(m > (1 - NEAR) * w for m, w in zip(measures, widths) if m)
     columns = []
@@ -156,15 +158,23 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     return before, after, exact
 
 
-def _widths(layout: ContractLayout, widest: list[float], apart: np.ndarray) -> list[float]:
-    """Between evenly spaced nodes: those of levels with the same flow are multiples of each other,
-    so that a flow from a node gets on nodes of all of them."""
-    count = COARSE[min(len(widest), 3)] - 1
-    widths = [max(width / count, least) or 1.0 for width, least in zip(widest, apart)]
+def _widths(layout: ContractLayout, widest, measures, apart, most: float) -> list[float]:
+    """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
+    one. It is the same for levels that flows join, so that these lead from node to node of all of
+    them: else volumes between nodes blur the value."""
+    widths = [1.0] * len(widest)
     for group in joined_levels(layout):
-        least = min(widths[i] for i in group)
-        for i in group:
-            widths[i] = least * max(round(widths[i] / least), 1)
+        members = sorted(group)
+        unit, sides = measures[members[0]] or 0.0, [widest[i] for i in members]
+        count = most ** (len(members) / len(widest)) + NEAR
+        width = max(max(sides) / count, *(apart[i] for i in members)) or 1.0
+        while True:
+            width = unit * max(math.ceil(width / unit - NEAR), 1) if unit else width
+            if math.prod(side / width + 1 for side in sides) <= count:
+                break
+            width *= 1.01
+        for i in members:
+            widths[i] = width
     return widths
 
 
