@@ -158,15 +158,15 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     return before, after, exact
 
 
-def _widths(layout: ContractLayout, widest, measures, apart, most: float) -> list[float]:
-    """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
+def _widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
+    """Between evenly spaced nodes, not more than `nodes`: a multiple of the common measure, if there is
     one. It is the same for levels that flows join, so that these lead from node to node of all of
     them: else volumes between nodes blur the value."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
         members = sorted(group)
         unit, sides = measures[members[0]] or 0.0, [widest[i] for i in members]
-        count = most ** (len(members) / len(widest)) + NEAR
+        count = nodes ** (len(members) / len(widest)) + NEAR
         width = max(max(sides) / count, *(apart[i] for i in members)) or 1.0
         while True:
             width = unit * max(math.ceil(width / unit - NEAR), 1) if unit else width
@@ -320,8 +320,8 @@ def _moved(flow: int, volume: float, change, pinned, before, after, signs, near:
     blocks = product(*(_runs(np.flatnonzero(x), position) for x, position in zip(on, positions)))
     result: list[Passage] = []
     for block in blocks:
-        rows, ends = zip(*block)
-        result.append(Passage(flow, volume, rows, ends))
+        rows, there = zip(*block)
+        result.append(Passage(flow, volume, rows, there))
     chosen = np.stack(np.meshgrid(*map(np.flatnonzero, inside), indexing="ij"), -1)
     chosen = chosen.reshape(-1, len(on))
     hits = np.stack([x[i] for x, i in zip(on, chosen.T)])
@@ -332,8 +332,9 @@ def _moved(flow: int, volume: float, change, pinned, before, after, signs, near:
         chosen = chosen[between]
         levels = np.stack([goal[i] for goal, i in zip(goals, chosen.T)], axis=1)
         around, weights = corners(after, levels, signs)
+        used = weights.any(axis=1)
         rows = np.ravel_multi_index(tuple(chosen.T), [len(x) for x in before])
-        result.append(Passage(flow, volume, rows, around, weights[:, :, None]))
+        result.append(Passage(flow, volume, rows, around[used], weights[used, :, None]))
     return result
 
 
