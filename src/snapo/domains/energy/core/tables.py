@@ -42,9 +42,9 @@ class UnitValues(NamedTuple):
         the exponential; the constant."""
         size, count = self.slopes.shape[-1], self.reading.whiten.shape[-2]
         plain = len(powers(count))
-        if size <= plain + 1:
-            return functions(self.reading, factors, size, REACH)
         at = hinges(count)
+        if size - len(at) not in (plain, plain + 1):
+            return functions(self.reading, factors, size, REACH)
         rest = functions(self.reading, factors, size - len(at), REACH)
         fast = jnp.clip((self.reading.whiten @ factors)[0], -REACH, REACH)
         level = jnp.exp(jnp.sum(self.reading.common * factors) - self.reading.shift)
@@ -111,8 +111,10 @@ def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     the last step is over.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
-    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
-    return _value(row.now, before, observed) - _value(row.ahead, after, observed)
+    size = row.now.coefficients.shape[-1]
+    observed = functions(row.reading, factors, size)
+    ahead = row.reading.ahead(factors, size, observed)
+    return _value(row.now, before, observed) - _value(row.ahead, after, ahead)
 
 
 def at_end(first: Array) -> Array:

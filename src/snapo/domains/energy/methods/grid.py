@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
-from .measure import joined_levels, measures_of
+from .measure import measures_of, node_widths
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
@@ -135,7 +135,9 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     visited = [_visited(layout, terms, found, start, i) for i in range(count)]
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
-    widths = _widths(layout, widest, measures, np.zeros(count) if apart is None else apart, coarse)
+    widths = node_widths(
+        layout, widest, measures, np.zeros(count) if apart is None else apart, coarse
+    )
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
     exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
@@ -156,26 +158,6 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     before = [tuple(c[0][t] for c in columns) for t in range(horizon + 1)]
     after = [tuple(c[1][t] for c in columns) for t in range(horizon)]
     return before, after, exact
-
-
-def _widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
-    """Between evenly spaced nodes, not more than `nodes`: a multiple of the common measure, if there is
-    one. It is the same for levels that flows join, so that these lead from node to node of all of
-    them: else volumes between nodes blur the value."""
-    widths = [1.0] * len(widest)
-    for group in joined_levels(layout):
-        members = sorted(group)
-        unit, sides = measures[members[0]] or 0.0, [widest[i] for i in members]
-        count = nodes ** (len(members) / len(widest)) + NEAR
-        width = max(max(sides) / count, *(apart[i] for i in members)) or 1.0
-        while True:
-            width = unit * max(math.ceil(width / unit - NEAR), 1) if unit else width
-            if math.prod(side / width + 1 for side in sides) <= count:
-                break
-            width *= 1.01
-        for i in members:
-            widths[i] = width
-    return widths
 
 
 def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
