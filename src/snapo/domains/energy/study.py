@@ -17,6 +17,7 @@ from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from .chapters.ladder import METHODS
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.feasibility import first_fault
@@ -69,6 +70,7 @@ def study(case: EnergyCase, options: Options) -> Study:
              CERTIFICATE.part]  # fmt: skip
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
+    parts += [METHODS.part] if options.ladder else []
     return Study(
         case.kind,
         _about(case),

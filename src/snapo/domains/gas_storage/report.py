@@ -21,6 +21,7 @@ from snapo.report.quantity import (
 )
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import checks
+from snapo.study.chapters.ladder import methods_section
 from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE, assumptions, history
@@ -146,7 +147,7 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, VALUES, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
+    headline, VALUES, methods_section, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
         risk, sliders, today, cash_flow,
     history, CERTIFICATE, assumptions, making,
 )  # fmt: skip

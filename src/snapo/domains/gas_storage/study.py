@@ -16,6 +16,7 @@ from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
 from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
+from .chapters.ladder import METHODS
 from .chapters.position import POSITION
 from .chapters.quotes import QUOTE_DELTAS
 from .chapters.risk import SHADOW_PRICES
@@ -88,6 +89,8 @@ def study(case: StorageCase, options: Options) -> Study:
         parts.append(BOUND.part)
     if options.reference:
         parts.append(REFERENCE.part)
+    if options.ladder:
+        parts.append(METHODS.part)
     parts.append(VALUES.part)
     return Study(
         KIND,
