@@ -12,11 +12,12 @@ from snapo.study.chapters.profile import profile
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
+from ..gas_storage.chapters.products import product_deltas
 from .chapters.values import VALUES
 
 SECTIONS = (
-    headline, VALUES, methods_section, value_bounds, profile(), sensitivities, DISTRIBUTION,
-    history, CERTIFICATE, making,
+    headline, VALUES, methods_section, value_bounds, profile(), sensitivities,
+    product_deltas, DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
 from .chapters.ladder import METHODS
+from .chapters.products import PRODUCT_DELTAS
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.feasibility import first_fault
@@ -68,6 +69,7 @@ def study(case: EnergyCase, options: Options) -> Study:
     relaxation = _relaxation(ready, problem)
     parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
              CERTIFICATE.part]  # fmt: skip
+    parts += [] if case.products is None else [PRODUCT_DELTAS.part]
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []

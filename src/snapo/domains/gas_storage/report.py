@@ -27,6 +27,7 @@ from snapo.study.domain import Report
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
 from .chapters.position import POSITION, Cycles, Position, inventory
+from .chapters.products import product_deltas
 from .chapters.quotes import quotes
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
@@ -148,7 +149,7 @@ def today(run: StorageRun) -> Section:
 
 SECTIONS = (
     headline, VALUES, methods_section, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
-        risk, sliders, today, cash_flow,
+    product_deltas, risk, sliders, today, cash_flow,
     history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
 

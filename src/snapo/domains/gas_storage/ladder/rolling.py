@@ -30,7 +30,8 @@ from .flat import (
 
 NODES = 81  # of the level before each period
 PLAN_NODES = 801  # the same of one plan
-SEARCHED, HALVED = 129, 40  # levels among which those are sought that can be met, and halvings
+SEARCHED = 129  # levels among which those are sought from which a contract can be met
+FINER, TIMES = 33, 6  # levels between the last of them and the next one, again and again
 MAX_UNITS = 130  # of the measure of the volumes between the lowest and the highest node
 NEAR = 1e-9
 
@@ -189,9 +190,10 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
         good = levels[position]
         if 0 <= beyond < len(levels):
             bad = levels[beyond]
-            for _ in range(HALVED):
-                middle = 0.5 * (good + bad)
-                good, bad = (middle, bad) if possible(np.array([middle]))[0] else (good, middle)
+            for _ in range(TIMES):
+                between = np.linspace(good, bad, FINER)
+                last = int(np.argmin(np.append(possible(between[1:]), False)))
+                good, bad = between[last], between[min(last + 1, FINER - 1)]
         found.append(float(good))
     return found[0], found[1]
 

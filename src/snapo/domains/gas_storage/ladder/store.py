@@ -11,7 +11,7 @@ from ..references.marginal import common_volume
 from ..references.piecewise import visited
 from .flat import Side
 
-HALVINGS = 40  # of a flat volume, where rates depend on the inventory
+HALVINGS = 32  # of a flat volume, where rates depend on the inventory
 
 
 class Stock(NamedTuple):
