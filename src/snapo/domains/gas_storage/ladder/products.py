@@ -32,19 +32,19 @@ COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 
 
 class DayAheadTable(CaseTable):
-    """{ bid_offer = 0.05 }"""
+    """`products.day_ahead`: the day itself, at its spot price."""
 
     bid_offer: NotNegative = Field(0.0, description=f"a number of at least 0: the {SPREAD}")
 
 
 class BalanceTable(DayAheadTable):
-    """{ bid_offer = 0.1, lot = 10.0 }"""
+    """`products.balance_of_month`: the days of the month after the trading day."""
 
     lot: NotNegative = Field(0.0, description="a volume a day that trades are multiples of, or 0")
 
 
 class FamilyTable(BalanceTable):
-    """{ bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 1 }"""
+    """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
     ahead: Count | None = Field(None, description="how many periods ahead trade, 1 or more")
     last_trading: Annotated[int, Range(0, 400)] = Field(

@@ -167,7 +167,7 @@ class Chains:
         parts, measure = self.count - 1, self.contract.measure or math.inf
         units = round((high - low) / measure)
         common = units and abs(units * measure - (high - low)) < 1e-6 * measure
-        if common and units <= max(MAX_UNITS, parts):
+        if common and units <= max(MAX_UNITS, 2 * parts):
             parts = units * max(parts // units, 1)
         return np.linspace(low, high, parts + 1)
 
