@@ -44,7 +44,7 @@ ORDERED = (
     (UPPER, FORESIGHT),
 )  # fmt: skip
 ERRORS = 3.0  # by which a wrong order is one
-ROUNDING = 1e-5  # of the value: of methods without sampling
+ROUNDING = 1e-5  # of the largest value: of methods without sampling
 
 
 @dataclass(frozen=True)
@@ -195,10 +195,10 @@ def _row(method: Method, values: Values, seconds: float, groups: np.ndarray) -> 
 
 
 def _wrong_order(values: Values, groups: np.ndarray):
+    size = max((abs(_estimated(value, groups).value) for value in values.values()), default=0.0)
     for low, high in ORDERED:
         if low in values and high in values:
             excess = _difference(values[low], values[high], groups)
-            size = abs(_estimated(values[high], groups).value)
             if excess.value > ERRORS * (excess.error or 0.0) + ROUNDING * size:
                 more = statistics.with_error(excess.value, excess.error or 0.0)
                 yield f"{low} is above {high.lower()} by {more}, and should not be"

@@ -10,6 +10,7 @@ from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.prices.process import GaussianFactors
 
 FORWARD = np.array([20, 19, 21, 22.3, 24.1, 25.2, 23.4, 26.5, 26.5])  # and a price of the end
+BLOCK = 2000  # paths at once
 MONTHS, REVERSION, VOLATILITY = 8, 3.0, 0.55
 
 
@@ -51,9 +52,12 @@ def months(spread: float):
 
 def rolled(spread: float, paths: int, seed: int) -> np.ndarray:
     """[paths / 2] the money of rolling intrinsic, the mean of antithetic pairs."""
-    chains, curves = Chains(FlatStore(schedule(), "linear")), path_curves(paths, seed)
-    money = rolling(chains, months(spread), curves, paths).money
-    return paired(money)
+    chains, parts = Chains(FlatStore(schedule(), "linear"), 4), []  # whole units are enough
+    for number in range(max(paths // BLOCK, 1)):
+        curves = path_curves(min(paths, BLOCK), 1000 * seed + number)
+        count = curves.states.shape[2]
+        parts.append(paired(rolling(chains, months(spread), curves, count).money))
+    return np.concatenate(parts)
 
 
 def path_curves(paths: int, seed: int) -> PathCurves:
