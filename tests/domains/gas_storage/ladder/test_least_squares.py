@@ -14,6 +14,7 @@ from tests.domains.gas_storage.storage_cases import bare, read
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.contract.schedule import of_prices
+from snapo.domains.gas_storage.ladder import methods
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
 from snapo.domains.gas_storage.ladder.methods import DeskMethods
@@ -35,15 +36,17 @@ def test_the_best_policy_of_the_month_forwards(cost, value):
 
 @pytest.mark.prove
 @pytest.mark.parametrize(
-    ("name", "low", "exact"), [("G6", 656.15 * 0.995, 656.15), ("G1", 77_800.0, 78_370.0)]
+    ("name", "trained", "low", "exact"),
+    [("G6", 4096, 656.15 * 0.995, 656.15), ("G1", 2000, 77_800.0, 78_370.0)],
 )
-def test_stores_out_of_sample(name, low, exact):
+def test_stores_out_of_sample(monkeypatch, name, trained, low, exact):
     """With the penalties of the bound, whose mean is zero, as control variate."""
+    monkeypatch.setattr(methods, "TRAINED", trained)
     case = read(name)
     simulator, _, plain = bare(case)
     prices = simulator.process.factors(of_prices(plain))
     curve = np.append(plain.steps.forward, plain.constants.end_forward)
-    curves = PathCurves(prices, curve, drawn_states(prices, 1024, 2))
+    curves = PathCurves(prices, curve, drawn_states(prices, 512, 2))
     desk = DeskMethods(
         FlatStore(plain, case.contract.ratchets.interpolation),
         usual_products(case.days, case.valuation_date),

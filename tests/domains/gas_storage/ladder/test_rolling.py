@@ -60,7 +60,7 @@ def test_rolling_intrinsic_on_a_few_paths(spread, value, error):
 )
 def test_rolling_intrinsic(spread, value, error):
     """D6, its errors below 0.005."""
-    ours, sampling = mean(rolled(spread, 200_000, 1))
+    ours, sampling = mean(rolled(spread, 100_000, 1))
     assert abs(ours - value) < 3 * np.hypot(sampling, error)
     assert sampling < 0.005
 
@@ -170,23 +170,23 @@ def test_the_plan_in_months(name, value):
 def test_slow_storage_rolled():
     """G6: above the intrinsic value, below the exact one."""
     store, curve, prices, products, *_ = store_of("G6")
-    curves = PathCurves(prices, curve, drawn_states(prices, 128, 1))
-    value, sampling = mean(paired(rolling(Chains(store), products.blocks, curves, 128).money))
+    curves = PathCurves(prices, curve, drawn_states(prices, 64, 1))
+    value, sampling = mean(paired(rolling(Chains(store), products.blocks, curves, 64).money))
     assert 306.20 + 3 * sampling < value < 656.15 - 3 * sampling
 
 
 @pytest.mark.prove
 def test_a_thousand_paths_with_ratchets_are_rolled_in_two_minutes():
-    """G1: in processor time, of 64 paths; between the plan of today and the exact value."""
+    """G1: in processor time, of 32 paths; between the plan of today and the exact value."""
     store, curve, prices, products, *_ = store_of("G1")
-    curves, chains = PathCurves(prices, curve, drawn_states(prices, 64, 2)), Chains(store)
+    curves, chains = PathCurves(prices, curve, drawn_states(prices, 32, 2)), Chains(store)
     began = time.process_time()
     for t in range(store.horizon):
         chains.of(products.blocks(t))
     made = time.process_time()
-    value, sampling = mean(paired(rolling(chains, products.blocks, curves, 64).money))
+    value, sampling = mean(paired(rolling(chains, products.blocks, curves, 32).money))
     ended = time.process_time()
-    assert made - began + (ended - made) * 1000 / 64 < 240  # two cores
+    assert made - began + (ended - made) * 1000 / 32 < 240  # two cores
     assert 40_761 + 3 * sampling < value < 78_370 + 3 * sampling
 
 

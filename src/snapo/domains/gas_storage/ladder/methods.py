@@ -73,9 +73,14 @@ class DeskMethods:
 
     @property
     def _exact_factors(self) -> GaussianFactors:
-        if self.factors is None or not self.factors.exact:
+        """The factors, where they make the spot prices of the paths."""
+        factors, steps = self.factors, self.contract.horizon
+        if factors is None or not factors.exact or self.states.shape[1] != factors.decay.shape[1]:
             raise ValueError(NO_CURVE)
-        return self.factors
+        curves = PathCurves(factors, self.forward, self.states)
+        if not np.allclose(curves.spots[:steps], self.spots[:steps], rtol=1e-5, atol=0.0):
+            raise ValueError(NO_CURVE)
+        return factors
 
     @cached_property
     def _end_price(self) -> np.ndarray:
