@@ -174,6 +174,13 @@ def cases(folder: Path) -> dict[str, str]:
     }
     tuned = min(leads[key] for key in ("constant_mix", "glide_path", "liability_driven"))
     return {
+        **{
+            name: f"{estimate['value']:,.2f} ± {estimate['standard_error']:.2f}"
+            for kind in ("swing", "battery")
+            for name, estimate in (
+                (kind, result(kind)), (f"{kind}_upper", result(kind)["bound"]["upper"]),
+            )
+        },
         "inventory": f"{-stock['value']:.3f} ± {stock['standard_error']:.3f}",
         "base_stock": f"{-stock['references']['base stock']:.2f}",
         "pharma": "{value:.3f} ± {standard_error:.3f}".format(**result("pharma")),

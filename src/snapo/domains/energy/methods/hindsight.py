@@ -113,8 +113,7 @@ class EnergyRelaxation:
             return None
         basis = self.fitted.basis
         moved = basis.increments(self._factors(states))
-        counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
-        return moved * np.repeat(scale, counts)[:, None]
+        return moved * scale[basis.parts][:, None]
 
     def _factors(self, states) -> np.ndarray:
         """[T + 1, F, N] the price factors."""

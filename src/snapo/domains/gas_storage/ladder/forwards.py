@@ -2,7 +2,8 @@
 
     F(t, T) = F(T) exp(s(T) D f(t) - s(T)' D C(t) D' s(T) / 2)
 
-with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price.
+with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price. Of
+shifted prices F + shift moves so, and F(T) + s(T) D f(t) is that of normal ones.
 """
 
 from dataclasses import dataclass
@@ -30,17 +31,19 @@ class PathCurves:
         decay[0] = 1.0
         loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)
         variance = np.einsum("di,ij,dj->d", loading, self._covariance[t], loading)
-        log = product(loading, self.states[t])
-        log -= variance[:, None] / 2
-        return self.forward[t:, None] * np.exp(log, out=log)
+        return self._prices(t, product(loading, self.states[t]), variance)
 
     @property
     def spots(self) -> np.ndarray:
         """[T + 1, N] the price of each step on the step."""
         loading = self.factors.loading
         variance = np.einsum("di,dij,dj->d", loading, self._covariance, loading)
-        log = np.einsum("di,din->dn", loading, self.states) - variance[:, None] / 2
-        return self.forward[:, None] * np.exp(log)
+        return self._prices(0, np.einsum("di,din->dn", loading, self.states), variance)
+
+    def _prices(self, t: int, moved: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """[T + 1 - t, N] from step t on, each moved by factors of this variance."""
+        noise = self.factors.noise(moved, variance[:, None])
+        return self.factors.spot(self.forward[t:, None], noise)
 
     @cached_property
     def _covariance(self) -> np.ndarray:

@@ -75,10 +75,10 @@ class DeskMethods:
     def _exact_factors(self) -> GaussianFactors:
         """The factors, where they make the spot prices of the paths."""
         factors, steps = self.factors, self.contract.horizon
-        if factors is None or not factors.exact or self.states.shape[1] != factors.decay.shape[1]:
+        if factors is None or not factors.exact or factors.spikes is not None:
             raise ValueError(NO_CURVE)
         curves = PathCurves(factors, self.forward, self.states)
-        if not np.allclose(curves.spots[:steps], self.spots[:steps], rtol=1e-5, atol=0.0):
+        if not np.allclose(curves.spots[:steps], self.spots[:steps], rtol=1e-5, atol=1e-5):
             raise ValueError(NO_CURVE)
         return factors
 
