@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from snapo.study.chapters import ladder
-from snapo.study.chapters.ladder import CommonPaths, Estimated, Method, MethodLadder, side_by_side
+from snapo.study.chapters.ladder import (
+    CommonPaths,
+    Estimated,
+    MethodLadder,
+    ValuationMethod,
+    side_by_side,
+)
 
 PATHS = 400
 EARNED = 10.0 + np.random.default_rng(0).standard_normal(PATHS)
@@ -16,13 +22,13 @@ EARNED = 10.0 + np.random.default_rng(0).standard_normal(PATHS)
 def compared(tmp_path: Path, printed: list[str] | None = None, **values) -> MethodLadder:
     """The ladder of values by the names of constants of the module."""
 
-    def method(key: str, value) -> Method:
+    def method(key: str, value) -> ValuationMethod:
         def compute():
             if isinstance(value, str):
                 raise ValueError(value)
             return value
 
-        return Method(getattr(ladder, key), "", compute)
+        return ValuationMethod(getattr(ladder, key), "", compute)
 
     written: dict[str, list] = {}
     run = SimpleNamespace(

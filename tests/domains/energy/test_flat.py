@@ -15,9 +15,9 @@ from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import (
-    Block,
     Chains,
     Infeasible,
+    TradeBlock,
     intrinsic_in,
     rolling,
 )
@@ -45,7 +45,7 @@ def test_days_as_products_are_no_restriction(changes):
     """The plan by day is the lattice at forward prices."""
     case = swing(**changes)
     contract, curve, _, _ = flat(case)
-    days = tuple(Block(t, t + 1) for t in range(contract.horizon))
+    days = tuple(TradeBlock(t, t + 1) for t in range(contract.horizon))
     assert intrinsic_in(contract, days, curve) == pytest.approx(exact(case, True), rel=1e-6)
 
 

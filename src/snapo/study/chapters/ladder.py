@@ -92,7 +92,7 @@ class Estimated(NamedTuple):
     error: float | None = None
 
 
-class Method(NamedTuple):
+class ValuationMethod(NamedTuple):
     """A method: its name, its meaning, and what computes it: [N] by path, or one value.
 
     It raises `ValueError` with the reason where it has no value.
@@ -135,7 +135,9 @@ def common_paths(run: StudyRun, paths: int = PATHS) -> CommonPaths:
     return CommonPaths(rollouts, np.concatenate(earned), source.groups(np.concatenate(blocks)))
 
 
-def side_by_side(run: StudyRun, paths: CommonPaths, methods: Sequence[Method]) -> MethodLadder:
+def side_by_side(
+    run: StudyRun, paths: CommonPaths, methods: Sequence[ValuationMethod]
+) -> MethodLadder:
     """All methods, one after another; writes ladder.csv."""
     values, seconds, missing = {}, {}, []
     for method in methods:
@@ -163,7 +165,7 @@ def side_by_side(run: StudyRun, paths: CommonPaths, methods: Sequence[Method]) -
     return MethodLadder(rows, tuple(missing), warnings, len(paths.earned))
 
 
-Values = dict[str, np.ndarray | Estimated]
+ByMethod = dict[str, np.ndarray | Estimated]
 
 
 def _estimated(value: np.ndarray | Estimated, groups: np.ndarray) -> Estimated:
@@ -181,7 +183,9 @@ def _difference(one: Any, other: Any, groups: np.ndarray) -> Estimated:
     return Estimated(a - b, float(np.hypot(error_a or 0.0, error_b or 0.0)))
 
 
-def _row(method: Method, values: Values, seconds: float, groups: np.ndarray) -> MethodRow:
+def _row(
+    method: ValuationMethod, values: ByMethod, seconds: float, groups: np.ndarray
+) -> MethodRow:
     value, error = _estimated(values[method.name], groups)
     share = difference = of_difference = None
     top = values.get(LATTICE, values.get(POLICY))
@@ -194,7 +198,7 @@ def _row(method: Method, values: Values, seconds: float, groups: np.ndarray) -> 
     return MethodRow(method.name, value, error, *about)
 
 
-def _wrong_order(values: Values, groups: np.ndarray):
+def _wrong_order(values: ByMethod, groups: np.ndarray):
     size = max((abs(_estimated(value, groups).value) for value in values.values()), default=0.0)
     for low, high in ORDERED:
         if low in values and high in values:

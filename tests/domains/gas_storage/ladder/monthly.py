@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
-from snapo.domains.gas_storage.ladder.rolling import Block, Chains, rolling
+from snapo.domains.gas_storage.ladder.rolling import Chains, TradeBlock, rolling
 from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.prices.process import GaussianFactors
 
@@ -47,7 +47,7 @@ def factors() -> GaussianFactors:
 
 def months(spread: float):
     """Every month that is left, each a product."""
-    return lambda t: tuple(Block(i, i + 1, spread) for i in range(t, MONTHS))
+    return lambda t: tuple(TradeBlock(i, i + 1, spread) for i in range(t, MONTHS))
 
 
 def rolled(spread: float, paths: int, seed: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES, read
 
 from snapo.case.error import CaseError
-from snapo.domains.gas_storage.ladder.products import Product, TradedProducts, usual_products
+from snapo.domains.gas_storage.ladder.products import TradedProduct, TradedProducts, usual_products
 from snapo.study import commands
 from snapo.study.domain import CaseRequest
 
@@ -102,7 +102,9 @@ def test_mistakes_are_named(table, where, allowed):
 
 
 def test_a_product_opens_and_ends():
-    product = Product("x", D(2026, 5, 1), D(2026, 5, 31), 0.0, 0.0, D(2026, 4, 29), D(2026, 3, 1))
+    product = TradedProduct(
+        "x", D(2026, 5, 1), D(2026, 5, 31), 0.0, 0.0, D(2026, 4, 29), D(2026, 3, 1)
+    )
     assert not product.trades(D(2026, 2, 28)) and product.trades(D(2026, 3, 1))
     assert product.trades(D(2026, 4, 29)) and not product.trades(D(2026, 4, 30))
 

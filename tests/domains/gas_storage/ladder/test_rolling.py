@@ -22,9 +22,9 @@ from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.products import TradedProducts, usual_products
 from snapo.domains.gas_storage.ladder.rolling import (
-    Block,
     Chains,
     Infeasible,
+    TradeBlock,
     intrinsic_in,
     rolling,
 )
@@ -155,7 +155,7 @@ def store_of(name: str):
 def test_the_plan_in_days_is_the_intrinsic_value(name):
     """Days as products are no restriction; nodes of the level cost little with ratchets."""
     store, curve, _, _, plain, kind = store_of(name)
-    days = tuple(Block(t, t + 1) for t in range(store.horizon))
+    days = tuple(TradeBlock(t, t + 1) for t in range(store.horizon))
     assert intrinsic_in(store, days, curve) == pytest.approx(intrinsic(plain, kind).value, rel=2e-4)
 
 
@@ -196,7 +196,7 @@ def test_a_contract_that_flat_volumes_cannot_meet_has_a_reason():
     plain.steps.next_high[1], plain.steps.next_low[3] = 0.0, 2.0
     chains = Chains(FlatStore(plain, "linear"))
     with pytest.raises(Infeasible, match="no flat volumes"):
-        chains.of((Block(0, 4), Block(4, 8)))
+        chains.of((TradeBlock(0, 4), TradeBlock(4, 8)))
 
 
 def test_before_the_first_delivery_the_plan_of_today_is_traded():
@@ -212,3 +212,16 @@ def test_before_the_first_delivery_the_plan_of_today_is_traded():
     curves = PathCurves(prices, curve, drawn_states(prices, 4, 1))
     money = rolling(Chains(store, 26), products.blocks, curves, 4, before=True).money
     assert np.min(money) >= intrinsic_in(store, products.blocks(-1), curve) - 1e-6
+
+
+def test_curves_of_normal_prices():
+    """D2: each path's first price is its spot price, the mean of the others today's curve."""
+    case = read("D2")
+    simulator, _, plain = bare(case)
+    prices = simulator.process.factors(of_prices(plain))
+    assert prices.additive
+    curve = np.append(plain.steps.forward, plain.constants.end_forward)
+    curves = PathCurves(prices, curve, drawn_states(prices, 20_000, 1))
+    np.testing.assert_allclose(curves(100)[0], curves.spots[100], rtol=1e-12)
+    np.testing.assert_allclose(curves(100).mean(axis=1), curve[100:], atol=1e-9)  # antithetic
+    assert curves.spots.min() < 0 and 9.0 < curves.spots[200].std() < 9.1

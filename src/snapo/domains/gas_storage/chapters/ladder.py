@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from snapo.study.chapters import ladder
-from snapo.study.chapters.ladder import CommonPaths, Estimated, Method, MethodLadder
+from snapo.study.chapters.ladder import CommonPaths, Estimated, MethodLadder, ValuationMethod
 from snapo.study.study import StudyRun
 
 from ..bounds.relaxation import StoreRelaxation
@@ -94,22 +94,24 @@ class ContractMethods(abc.ABC):
     def measured(self) -> MethodLadder:
         """All of them; the bound first, whose penalty the others share."""
         methods = [
-            Method(ladder.UPPER, "foresight less a penalty", lambda: self.best(1.0)),
-            Method(ladder.FORESIGHT, "each path known from the start", lambda: self.best(0.0)),
-            Method(ladder.POLICY, "the policy of this run", self.policy),
-            Method(ladder.BY_DAY, "all flows fixed today", self.by_day),
-            Method(
+            ValuationMethod(ladder.UPPER, "foresight less a penalty", lambda: self.best(1.0)),
+            ValuationMethod(
+                ladder.FORESIGHT, "each path known from the start", lambda: self.best(0.0)
+            ),
+            ValuationMethod(ladder.POLICY, "the policy of this run", self.policy),
+            ValuationMethod(ladder.BY_DAY, "all flows fixed today", self.by_day),
+            ValuationMethod(
                 ladder.IN_PRODUCTS,
                 "the same, flat over what trades, less the spread",
                 lambda: Estimated(self.desk.intrinsic()),
             ),
-            Method(
+            ValuationMethod(
                 ladder.ROLLING,
                 "planned again each day, less the spread",
                 lambda: self.desk.rolling(),
             ),
-            Method(ladder.LEAST_SQUARES, "regression on other paths", self.least_squares),
-            Method(ladder.LATTICE, "dynamic programming", self.lattice),
+            ValuationMethod(ladder.LEAST_SQUARES, "regression on other paths", self.least_squares),
+            ValuationMethod(ladder.LATTICE, "dynamic programming", self.lattice),
         ]
         return ladder.side_by_side(self.run, self.paths, methods)
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..bounds.basis import PolynomialBasis
 from ..bounds.regression import product
 from .flat import best, earned, interpolated, limits_on, peaks, slopes
-from .rolling import Block, Chains, FlatContract, Link, exactly
+from .rolling import Chains, FlatContract, Link, TradeBlock, exactly
 
 BLOCK = 128  # paths at once: their arrays stay in the cache
 RIDGE = 1e-9  # of the regression, against the sum of squares of the functions
@@ -37,7 +37,7 @@ def fitted_rule(
 ) -> LeastSquaresRule:
     """The rule of simulated factors [T + 1, F, N] and spot prices [T + 1, N]."""
     steps = range(contract.horizon)
-    links = Chains(contract).of(tuple(Block(t, t + 1) for t in steps))
+    links = Chains(contract).of(tuple(TradeBlock(t, t + 1) for t in steps))
     nothing = np.zeros(spots.shape[1])
     value = contract.final(links[-1].nodes[:, None], spots[-1])
     value = np.broadcast_to(value, (len(links[-1].nodes), len(nothing)))

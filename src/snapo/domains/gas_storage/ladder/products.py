@@ -25,7 +25,7 @@ from snapo.case.table import CaseTable, Count, NotNegative, Range, TableContext,
 
 from ..curves.products import ONE, months
 from ..read.tables import FileName
-from .rolling import Block
+from .rolling import TradeBlock
 
 SPREAD = "difference of the prices at which a unit is sold and bought, half of it paid for a trade"
 COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
@@ -80,7 +80,7 @@ Inner = TypeVar("Inner", bound=CaseTable)
 PERIODS = {"months": (1, 1), "quarters": (3, 1), "seasons": (6, 4)}  # length, first month
 
 
-class Product(NamedTuple):
+class TradedProduct(NamedTuple):
     """A product with its first and last day of delivery, and its last trading day.
 
     - `opens`: the first trading day, None for any.
@@ -102,7 +102,7 @@ class ProductDays(NamedTuple):
     """The days from `first` to `after`, not included, that a product trades; "" is none."""
 
     product: str
-    block: Block
+    block: TradeBlock
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class TradedProducts:
 
     days: tuple[datetime.date, ...]
     valuation: datetime.date
-    products: tuple[Product, ...]
+    products: tuple[TradedProduct, ...]
     day_ahead: float = 0.0
     balance: tuple[float, float] | None = (0.0, 0.0)
 
@@ -129,37 +129,37 @@ class TradedProducts:
         today = self.days[t] if t >= 0 else self.valuation
         rows = []
         if t >= 0:
-            rows.append(ProductDays("day ahead", Block(t, t + 1, self.day_ahead / 2)))
+            rows.append(ProductDays("day ahead", TradeBlock(t, t + 1, self.day_ahead / 2)))
         later = range(t + 1, len(self.days))
         trading = sorted(self._trading(today), key=lambda x: x.last - x.first)
 
-        def of(i: int) -> Product:
+        def of(i: int) -> TradedProduct:
             day = self.days[i]
             return next((x for x in trading if x.first <= day <= x.last), self._untraded(day))
 
         for product, steps in groupby(later, of):
             numbers = list(steps)
-            block = Block(
+            block = TradeBlock(
                 numbers[0], numbers[-1] + 1, product.bid_offer / 2, product.lot, bool(product.name)
             )
             rows.append(ProductDays(product.name, block))
         return tuple(rows)
 
-    def blocks(self, t: int) -> tuple[Block, ...]:
+    def blocks(self, t: int) -> tuple[TradeBlock, ...]:
         """The same without names."""
         return tuple(row.block for row in self.named(t))
 
-    def _trading(self, today: datetime.date) -> list[Product]:
+    def _trading(self, today: datetime.date) -> list[TradedProduct]:
         trading = [product for product in self.products if product.trades(today)]
         if self.balance is not None:
             _, last = months(today.year, today.month, 1)
             if today < last:
                 name = f"balance of {today:%Y-%m}"
-                trading.append(Product(name, today + ONE, last, *self.balance))
+                trading.append(TradedProduct(name, today + ONE, last, *self.balance))
         return trading
 
-    def _untraded(self, day: datetime.date) -> Product:
-        return Product("", *months(day.year, day.month, 1), self.day_ahead)
+    def _untraded(self, day: datetime.date) -> TradedProduct:
+        return TradedProduct("", *months(day.year, day.month, 1), self.day_ahead)
 
 
 def products_of(
@@ -208,7 +208,7 @@ def usual_products(days: Sequence[datetime.date], valuation: datetime.date) -> T
     return TradedProducts(tuple(days), valuation, tuple(_family("months", family, days)))
 
 
-def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> list[Product]:
+def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> list[TradedProduct]:
     """The periods of a family that contain days of delivery."""
     length, begins = PERIODS[name]
     products, last = [], datetime.date.min
@@ -224,7 +224,7 @@ def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> lis
             opens = datetime.date(earlier // 12, earlier % 12 + 1, 1)
         ends = first - table.last_trading * ONE
         products.append(
-            Product(_label(name, first), first, last, table.bid_offer, table.lot, ends, opens)
+            TradedProduct(_label(name, first), first, last, table.bid_offer, table.lot, ends, opens)
         )
     return products
 
@@ -238,7 +238,7 @@ def _label(name: str, first: datetime.date) -> str:
     return f"{'summer' if first.month == 4 else 'winter'} {first.year}"
 
 
-def _product(row: Row) -> Product:
+def _product(row: Row) -> TradedProduct:
     first, last = row.day("first"), row.day("last")
     if last < first:
         raise row.error("last", f"the last day of delivery is not before the first, {first}")
@@ -249,7 +249,7 @@ def _product(row: Row) -> Product:
     if not name:
         raise row.error("name", "a product has a name")
     bid_offer, lot = row.number("bid_offer", 0.0), row.number("lot", 0.0)
-    return Product(name, first, last, bid_offer, lot, ends)
+    return TradedProduct(name, first, last, bid_offer, lot, ends)
 
 
 def _check_nested(section: TableContext, products: TradedProducts) -> None:

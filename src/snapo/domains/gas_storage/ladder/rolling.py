@@ -36,7 +36,7 @@ MAX_UNITS = 130  # of the measure of the volumes between the lowest and the high
 NEAR = 1e-9
 
 
-class Block(NamedTuple):
+class TradeBlock(NamedTuple):
     """Days from `first` to `after`, not included, that trade as one, or that do not trade yet.
 
     - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for
@@ -103,7 +103,7 @@ class FlatContract(Protocol):
 class Link(NamedTuple):
     """A period of a plan: `nodes` after it; `lost`: what settling takes there."""
 
-    block: Block
+    block: TradeBlock
     period: FlatPeriod
     nodes: np.ndarray
     lost: np.ndarray | None
@@ -119,9 +119,9 @@ class Chains:
 
     contract: FlatContract
     count: int = NODES
-    _made: dict[tuple[Block, ...], tuple[Link, ...]] = field(default_factory=dict)
+    _made: dict[tuple[TradeBlock, ...], tuple[Link, ...]] = field(default_factory=dict)
 
-    def of(self, blocks: tuple[Block, ...]) -> tuple[Link, ...]:
+    def of(self, blocks: tuple[TradeBlock, ...]) -> tuple[Link, ...]:
         """The periods of blocks that follow one another up to the end of the contract."""
         position = next((i for i in range(len(blocks)) if blocks[i:] in self._made), len(blocks))
         links = self._made.get(blocks[position:], ())
@@ -131,7 +131,7 @@ class Chains:
                 self._made[blocks[i:]] = links
         return links
 
-    def _link(self, block: Block, later: tuple[Link, ...]) -> Link:
+    def _link(self, block: TradeBlock, later: tuple[Link, ...]) -> Link:
         contract, first, after = self.contract, block.first, block.after
         low, high = contract.reached(after - 1)
         lost = contract.settled(after - 1, np.zeros(1))
@@ -198,7 +198,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
     return found[0], found[1]
 
 
-class Position(NamedTuple):
+class Holdings(NamedTuple):
     """Where paths are: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
 
     level: np.ndarray
@@ -207,13 +207,13 @@ class Position(NamedTuple):
     traded: np.ndarray
 
     @classmethod
-    def initial(cls, contract: FlatContract, paths: int) -> "Position":
+    def initial(cls, contract: FlatContract, paths: int) -> "Holdings":
         zero = np.zeros(paths)
         level, held = np.full(paths, contract.start), np.zeros((contract.horizon, paths))
         return cls(level, held, zero, zero)
 
 
-class Plan(NamedTuple):
+class RollingPlan(NamedTuple):
     """The prices of each period, what it should end at, and the value today [N]."""
 
     prices: list[tuple[Slopes, Peaks]]
@@ -221,8 +221,8 @@ class Plan(NamedTuple):
 
 
 def planned(
-    contract: FlatContract, links: Sequence[Link], curve: np.ndarray, position: Position
-) -> Plan:
+    contract: FlatContract, links: Sequence[Link], curve: np.ndarray, position: Holdings
+) -> RollingPlan:
     """The best plan at the forward prices [steps from the first one, and the end, N]."""
     start = links[0].block.first
     value = contract.final(links[-1].nodes[:, None], curve[-1])
@@ -235,7 +235,7 @@ def planned(
         prices.append((slope, peak))
         limits = limits_on(period) if number else exactly(contract, links[0], position.level)
         value, _ = best(period, limits, slope, peak, contract.every)
-    return Plan(prices[::-1], value[0])
+    return RollingPlan(prices[::-1], value[0])
 
 
 def exactly(contract: FlatContract, link: Link, levels: np.ndarray) -> Limits:
@@ -252,9 +252,9 @@ def traded(
     contract: FlatContract,
     links: Sequence[Link],
     curve: np.ndarray,
-    position: Position,
+    position: Holdings,
     delivers: bool,
-) -> Position:
+) -> Holdings:
     """The positions after the trades of a day; `delivers`: and after the flow of its first step."""
     level, held, money, volume = position
     start, level_after = links[0].block.first, level
@@ -286,7 +286,7 @@ def traded(
             money -= lost if delivered else 0.0
             level = np.zeros_like(level)
         level_after = level if delivered else level_after
-    return Position(level_after, held, money, volume)
+    return Holdings(level_after, held, money, volume)
 
 
 class Rolled(NamedTuple):
@@ -298,7 +298,7 @@ class Rolled(NamedTuple):
 
 def rolling(
     chains: Chains,
-    blocks: Callable[[int], tuple[Block, ...]],
+    blocks: Callable[[int], tuple[TradeBlock, ...]],
     curves: Callable[[int], np.ndarray],
     paths: int,
     before: bool = False,
@@ -311,7 +311,7 @@ def rolling(
       -1 are those of that date.
     """
     contract = chains.contract
-    position = Position.initial(contract, paths)
+    position = Holdings.initial(contract, paths)
     if before:
         links = chains.of(blocks(-1))
         position = traded(contract, links, curves(-1), position, delivers=False)
@@ -322,7 +322,9 @@ def rolling(
     return Rolled(position.money + final, position.traded)
 
 
-def intrinsic_in(contract: FlatContract, blocks: tuple[Block, ...], curve: np.ndarray) -> float:
+def intrinsic_in(
+    contract: FlatContract, blocks: tuple[TradeBlock, ...], curve: np.ndarray
+) -> float:
     """The value of the best plan in products at the forward prices [T + 1] of today."""
     links = Chains(contract, PLAN_NODES).of(blocks)
-    return float(planned(contract, links, curve[:, None], Position.initial(contract, 1)).value[0])
+    return float(planned(contract, links, curve[:, None], Holdings.initial(contract, 1)).value[0])
