@@ -21,7 +21,7 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import CaseTable, Count, NotNegative, Range, TableContext, parse
+from snapo.case.table import CaseTable, Range, TableContext, parse
 
 from ..curves.products import ONE, months
 from ..read.tables import FileName
@@ -34,22 +34,20 @@ COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 class DayAheadTable(CaseTable):
     """`products.day_ahead`: the day itself, at its spot price."""
 
-    bid_offer: NotNegative = Field(0.0, description=f"a number of at least 0: the {SPREAD}")
+    bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = 0.0
 
 
 class BalanceTable(DayAheadTable):
     """`products.balance_of_month`: the days of the month after the trading day."""
 
-    lot: NotNegative = Field(0.0, description="a volume a day that trades are multiples of, or 0")
+    lot: Annotated[float, Range(0.0, note=": trades a day are multiples of it, 0 for any")] = 0.0
 
 
 class FamilyTable(BalanceTable):
     """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
-    ahead: Count | None = Field(None, description="how many periods ahead trade, 1 or more")
-    last_trading: Annotated[int, Range(0, 400)] = Field(
-        1, description="days from the last trading day to the first one of delivery, 0 to 400"
-    )
+    ahead: Annotated[int, Range(1, note=": the periods ahead that trade")] | None = None
+    last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = 1
 
 
 FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 1 }"
