@@ -178,7 +178,8 @@ def cases(folder: Path) -> dict[str, str]:
             name: f"{estimate['value']:,.2f} ± {estimate['standard_error']:.2f}"
             for kind in ("swing", "battery")
             for name, estimate in (
-                (kind, result(kind)), (f"{kind}_upper", result(kind)["bound"]["upper"]),
+                (kind, result(kind)),
+                (f"{kind}_upper", result(kind)["bound"]["upper"]),
             )
         },
         "inventory": f"{-stock['value']:.3f} ± {stock['standard_error']:.3f}",
