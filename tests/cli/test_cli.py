@@ -143,7 +143,7 @@ def asked(monkeypatch):
 
 def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
     options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
-    options += ["--policy", "before", "--seeds", "0,3"]
+    options += ["--policy", "before", "--seeds", "0,3", "--ladder"]
     assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
@@ -151,6 +151,7 @@ def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
         "out": tmp_path,
         "engine": "xla",
         "reference": True,
+        "ladder": True,
         "resume": True,
         "policy": Path("before"),
         "seeds": (0, 3),
@@ -163,7 +164,7 @@ def test_solve_has_defaults(asked):
     assert main(["solve", "mine"]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
-    bare = {"out": None, "engine": "auto", "reference": False, "resume": False}
+    bare = {"out": None, "engine": "auto", "reference": False, "ladder": False, "resume": False}
     assert given == {**bare, "policy": None, "seeds": None, "workers": None}
 
 

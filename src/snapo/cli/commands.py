@@ -134,6 +134,7 @@ def _solve(options: argparse.Namespace) -> Answer:
             out=options.out,
             engine=options.engine,
             reference=options.reference,
+            ladder=options.ladder,
             resume=options.resume,
             policy=options.policy,
             seeds=options.seeds,

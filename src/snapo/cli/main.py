@@ -120,6 +120,11 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--reference", action="store_true", help="compute the exact references as well"
     )
+    solve.add_argument(
+        "--ladder",
+        action="store_true",
+        help="value the contract by all methods, on common paths",
+    )
     solve.add_argument("--resume", action="store_true", help="continue an interrupted run")
     solve.add_argument(
         "--policy",

@@ -110,13 +110,15 @@ def solve(
     policy: Path | None = None,
     seeds: int | Sequence[int] | None = None,
     workers: "Workers | None" = None,
+    ladder: bool = False,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
     to the case; `run` points to the latest of them.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
-    `workers`: compute groups of the paths of a large problem, with the same bits.
+    `workers`: compute groups of the paths of a large problem, with the same bits. `ladder`: value
+    the contract by all methods too.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
@@ -125,7 +127,7 @@ def solve(
     from .prepare import Wanted, carried_out, is_same, made_ready
     from .runs.reserve import reserved
 
-    requested = Wanted(engine, reference, resume, policy, workers=workers)
+    requested = Wanted(engine, reference, resume, policy, workers=workers, ladder=ladder)
     began = time.perf_counter()
     if seeds is not None:
         from .seeds import solve_seeds

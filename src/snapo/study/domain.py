@@ -32,11 +32,13 @@ class Options(NamedTuple):
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
     - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
+    - `ladder`: value the contract by all methods, on common paths.
     """
 
     engine: str = "auto"
     reference: bool = False
     about: Mapping[str, Any] | None = None
+    ladder: bool = False
 
 
 class Case(Protocol):

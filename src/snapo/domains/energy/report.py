@@ -7,15 +7,17 @@ from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline
+from snapo.study.chapters.ladder import methods_section
 from snapo.study.chapters.profile import profile
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
+from ..gas_storage.chapters.products import product_deltas
 from .chapters.values import VALUES
 
 SECTIONS = (
-    headline, VALUES, value_bounds, profile(), sensitivities, DISTRIBUTION, history, CERTIFICATE,
-    making,
+    headline, VALUES, methods_section, value_bounds, profile(), sensitivities,
+    product_deltas, DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
 
 

@@ -17,6 +17,8 @@ from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from .chapters.ladder import METHODS
+from .chapters.products import PRODUCT_DELTAS
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.feasibility import first_fault
@@ -67,8 +69,10 @@ def study(case: EnergyCase, options: Options) -> Study:
     relaxation = _relaxation(ready, problem)
     parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
              CERTIFICATE.part]  # fmt: skip
+    parts += [] if case.products is None else [PRODUCT_DELTAS.part]
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
+    parts += [METHODS.part] if options.ladder else []
     return Study(
         case.kind,
         _about(case),

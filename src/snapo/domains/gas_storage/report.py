@@ -21,11 +21,13 @@ from snapo.report.quantity import (
 )
 from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import checks
+from snapo.study.chapters.ladder import methods_section
 from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
 from .chapters.position import POSITION, Cycles, Position, inventory
+from .chapters.products import product_deltas
 from .chapters.quotes import quotes
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
@@ -146,8 +148,8 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, VALUES, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
-        risk, sliders, today, cash_flow,
+    headline, VALUES, methods_section, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
+    product_deltas, risk, sliders, today, cash_flow,
     history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
 

@@ -16,7 +16,9 @@ from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
 from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
+from .chapters.ladder import METHODS
 from .chapters.position import POSITION
+from .chapters.products import PRODUCT_DELTAS
 from .chapters.quotes import QUOTE_DELTAS
 from .chapters.risk import SHADOW_PRICES
 from .chapters.run import InputEntry
@@ -81,13 +83,16 @@ def study(case: StorageCase, options: Options) -> Study:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
     of_quotes = () if case.quotes is None else (QUOTE_DELTAS,)
-    chapters = (POSITION, DELTAS, *of_quotes, SHADOW_PRICES, CERTIFICATE)
+    of_products = () if case.products is None else (PRODUCT_DELTAS,)
+    chapters = (POSITION, DELTAS, *of_quotes, *of_products, SHADOW_PRICES, CERTIFICATE)
     parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
     if callable(relaxation):
         parts.append(BOUND.part)
     if options.reference:
         parts.append(REFERENCE.part)
+    if options.ladder:
+        parts.append(METHODS.part)
     parts.append(VALUES.part)
     return Study(
         KIND,

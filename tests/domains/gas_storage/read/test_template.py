@@ -10,6 +10,7 @@ import numpy as np
 from snapo.case.load import load
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.ladder.products import ProductsTable
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
 from snapo.study import commands
@@ -19,6 +20,7 @@ G1 = Path(__file__).parents[1] / "cases" / "G1"
 EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
 EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
 EXAMPLES |= {"patience", "window", "clip", "keep", "validation_every", "quotes", "curve"}
+EXAMPLES |= set(ProductsTable.model_fields)
 
 
 def test_commented_keys_of_the_new_case_are_right():
@@ -29,6 +31,7 @@ def test_commented_keys_of_the_new_case_are_right():
         "market": MarketTable.model_fields,
         "model": {key: field for fields in models for key, field in fields.items()},
         "objective": ObjectiveTable.model_fields,
+        "products": ProductsTable.model_fields,
         "training": TrainingTable.model_fields,
         "evaluation": EvaluationTable.model_fields,
     }

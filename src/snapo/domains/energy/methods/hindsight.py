@@ -55,10 +55,14 @@ class EnergyRelaxation:
 
     def charged(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
         record, end = rollout.record["state"], rollout.state
-        innovations = self._innovations(self._path(record.price, end.price), scale)
         levels = self._path(record.levels, end.levels)
         mode = np.argmax(self._path(record.mode, end.mode), axis=2)
-        total = np.zeros(levels.shape[1])
+        return self.charged_along(rollout, levels, mode, scale)
+
+    def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
+        """[N] penalties of other levels [T + 1, N, levels] and modes [T + 1, N] on these prices."""
+        prices = self._path(rollout.record["state"].price, rollout.state.price)
+        innovations, total = self._innovations(prices, scale), np.zeros(levels.shape[1])
         if innovations is None or self.fitted is None:
             return total
         for nodes, table, moved, level, now in zip(
@@ -68,6 +72,11 @@ class EnergyRelaxation:
             for row, weight in zip(rows, weights):
                 total += weight * np.einsum("pk,kp->p", table[now, row], moved)
         return total
+
+    def on_paths(self, rollout) -> tuple[np.ndarray, np.ndarray]:
+        """[T, N] spot prices of a rollout, and [T + 1, F, N] its price factors."""
+        states = self._path(rollout.record["state"].price, rollout.state.price)
+        return self._spots(states), self._factors(states)
 
     def _solve(self, spots: np.ndarray, innovations: np.ndarray | None) -> np.ndarray:
         terms, horizon = self.schedule.steps.terms, len(self.grid.steps)
@@ -95,14 +104,19 @@ class EnergyRelaxation:
         rows = jax.tree.map(lambda leaf: leaf[:count], (self.prices.steps, states))
         with jax.enable_x64(True):
             level = jax.vmap(self.process.level, in_axes=(None, None, 0))
-            return np.asarray(jax.vmap(level, in_axes=(None, 0, 0))(self.prices.constants, *rows))
+            spots = jax.vmap(level, in_axes=(None, 0, 0))(self.prices.constants, *rows)
+        return np.asarray(spots)
 
     def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
         """[T + 1, K, N] functions of the prices less their expectation a step before."""
         if self.fitted is None:
             return None
-        with jax.enable_x64(True):
-            factors = np.asarray(jax.vmap(jax.vmap(self.process.gaussian))(states))
         basis = self.fitted.basis
-        moved = basis.increments(np.ascontiguousarray(np.moveaxis(factors, 1, 2)))
+        moved = basis.increments(self._factors(states))
         return moved * scale[basis.parts][:, None]
+
+    def _factors(self, states) -> np.ndarray:
+        """[T + 1, F, N] the price factors."""
+        with jax.enable_x64(True):
+            result = jax.vmap(jax.vmap(self.process.gaussian))(states)
+        return np.ascontiguousarray(np.moveaxis(np.asarray(result), 1, 2))

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import numbers_in
 from snapo.case.report import ReportTable
@@ -25,6 +26,8 @@ from snapo.case.table import TITLE, CaseTable, Formats, TableContext, Title, par
 from snapo.problem.inputs import Input
 
 from ...gas_storage.contract.records import GasMarket
+from ...gas_storage.ladder.products import FORMATS as PRODUCTS
+from ...gas_storage.ladder.products import TradedProducts, products_of
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from ...gas_storage.prices.registry import check_curve, kinds, read_prices
 from ...gas_storage.read.case import read_market
@@ -52,6 +55,7 @@ class EnergyTable(CaseTable):
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")
+    products: dict | None = Field(None, description="the table [products], of a daily contract")
     report: dict = Field({}, description="the table [report]")
 
 
@@ -96,6 +100,7 @@ class EnergyCase:
     - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
+    - `products`: what trades; None where the case does not name it.
     """
 
     kind: str
@@ -115,6 +120,7 @@ class EnergyCase:
     training: TrainingTable
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
+    products: TradedProducts | None = None
 
     def numbers(self) -> Iterator[CaseInput]:
         """Every number of contract, market and prices."""
@@ -161,6 +167,10 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
     model = read_prices(section, top.model, delivery)
     check_curve(_curve_file(market_table), model, delivery)
+    if kind.hourly and top.products is not None:
+        message = "products trade by the day; an hourly contract has none"
+        raise CaseError(name, "products", None, message)
+    products = products_of(file, top.products, notes, days, valuation)
     objective, training = read_objective(top.objective, name), read_training(top.training, name)
     check_window(training, [objective.kind], name)
     day = np.array([(date - valuation).days for date in days], np.int64)
@@ -182,6 +192,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         training,
         read_evaluation(top.evaluation, name),
         tuple(notes),
+        products,
     )
 
 
@@ -206,6 +217,7 @@ def formats(kind: str) -> Formats:
         **inner,
         "market": this.market,
         "model": [process.table for process in kinds().values()],
+        **({} if this.hourly else PRODUCTS),
         "objective": ObjectiveTable,
         "training": TrainingTable,
         "evaluation": EvaluationTable,

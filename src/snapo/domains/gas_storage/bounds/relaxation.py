@@ -145,6 +145,11 @@ class StoreRelaxation:
         states, inventory = self._path(rollout, "price"), self._path(rollout, "inventory")
         return self.inner.charged(inventory, self._factors(states), self._scales(scale))
 
+    def on_paths(self, rollout) -> tuple[np.ndarray, np.ndarray]:
+        """[T + 1, N] spot prices of a rollout, and [T + 1, F, N] its price factors."""
+        states = self._path(rollout, "price")
+        return self._spots(states), self._factors(states)
+
     def _path(self, rollout, name: str):
         """A part of the state on the T days and on the end date, leaves [T + 1, N, …]."""
         days, end = getattr(rollout.record["state"], name), getattr(rollout.state, name)

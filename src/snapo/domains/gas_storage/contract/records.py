@@ -25,6 +25,7 @@ from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.problem.inputs import Input
 
 from ..curves.quotes import QuotedCurve
+from ..ladder.products import TradedProducts
 from ..prices.process import PriceProcess, use
 
 
@@ -228,6 +229,7 @@ class StorageCase:
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
+    - `products`: what trades; None where the case does not name it.
     """
 
     file: Path
@@ -249,6 +251,7 @@ class StorageCase:
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
     quotes: QuotedCurve | None = None
+    products: TradedProducts | None = None
 
     kind = "gas-storage"
 

@@ -30,6 +30,8 @@ from snapo.case.table import TableContext, parse
 from ..contract.feasibility import check_feasible
 from ..contract.records import GasMarket, StorageCase, numbers_of
 from ..curves.quotes import QuotedCurve, QuotedCurveTable, read_quotes
+from ..ladder.products import FORMATS as PRODUCTS
+from ..ladder.products import products_of
 from ..prices.process import Delivery
 from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, payment_days, pays_by_price, read_contract
@@ -226,6 +228,7 @@ FORMATS = {
     "contract": ContractTable,
     "market": MarketTable,
     "model": [process.table for process in kinds().values()],
+    **PRODUCTS,
     "report": ReportTable,
     "objective": ObjectiveTable,
     "training": TrainingTable,
@@ -275,6 +278,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         contract=contract,
         market=market,
         quotes=quoted,
+        products=products_of(file, top.products, notes, days, valuation),
         model=model,
         objective=read_objective(top.objective, str(file)),
         training=read_training(top.training, str(file)),

@@ -164,6 +164,7 @@ class StorageTable(CaseTable):
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
     model: dict = Field(description="the table [model]")
+    products: dict | None = Field(None, description="the table [products]")
     report: dict = Field({}, description="the table [report]")
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")

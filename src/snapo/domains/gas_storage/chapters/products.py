@@ -1,0 +1,128 @@
+"""Deltas by traded product: where a case names in [products] what trades."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
+from snapo.report.page import Block, Section, Table, Text
+from snapo.report.quantity import decimals, number
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..ladder.products import TradedProducts
+from ..setup import case_of
+
+TEXT = (
+    "By how much the value changes where the price of one product changes by 1 on all its days. "
+    "Each day belongs to the shortest product that trades on the valuation date, so that these "
+    "deltas sum to those by day. Undiscounted, they are the volumes of futures that hedge the "
+    "position: a positive one is sold, and the volume a day is the same on each of them."
+)
+
+
+@dataclass(frozen=True)
+class ProductDelta:
+    """The derivative with respect to the price of a product, with its 95 % interval.
+
+    - `days`: of delivery within the contract, from `first` to `last`.
+    - `undiscounted`: the volume of futures; `daily`: the same on a day.
+    """
+
+    product: str
+    first: str
+    last: str
+    days: int
+    discounted: Number = np.nan
+    low: Number = np.nan
+    high: Number = np.nan
+    sampling: Number = np.nan
+    policy: Number = np.nan
+    undiscounted: Number = np.nan
+    undiscounted_low: Number = np.nan
+    undiscounted_high: Number = np.nan
+    daily: Number = np.nan
+
+
+@dataclass(frozen=True)
+class ProductDeltas:
+    """The deltas by product, in the order of delivery."""
+
+    deltas_by_product: tuple[ProductDelta, ...] = ()
+
+
+def deltas_by_product(
+    run: StudyRun, products: TradedProducts | None, curve: str, discount: np.ndarray
+) -> ProductDeltas:
+    """The reported derivatives by day, summed; writes products.csv.
+
+    `curve`: the name of the input of the forward prices, `discount` [T] of their payments.
+    """
+    table = run.solution.sensitivities
+    if table is None or products is None:
+        return ProductDeltas()
+    delta, rows = table.of(curve), []
+    rate = np.ones(delta.value.size)
+    rate[: len(discount)] = discount
+    for name, (first, after, *_) in products.named(-1 if products.before else 0):
+        days = np.zeros(delta.value.size)
+        days[first:after] = 1.0
+        futures = delta.along(days / rate)
+        interval = futures.value, futures.low, futures.high, futures.value / (after - first)
+        dates = [products.days[i].isoformat() for i in (first, after - 1)]
+        about = name or "no product yet", dates[0], dates[1], after - first
+        rows.append(ProductDelta(*about, *delta.along(days), *interval))
+    names = [field.name for field in fields(ProductDelta)]
+    run.write_csv("products.csv", names, ([getattr(row, x) for x in names] for row in rows))
+    return ProductDeltas(tuple(rows))
+
+
+def measure(run: StudyRun) -> ProductDeltas:
+    """The deltas of a store."""
+    case = case_of(run.setup)
+    discount = run.setup.problem.schedule.steps.gas_discount
+    return deltas_by_product(run, case.products, case.market.forward_curve.name, discount)
+
+
+def show(run: RunFiles, deltas: ProductDeltas) -> Sequence[Block]:
+    """A table with a row for each product."""
+    rows = deltas.deltas_by_product
+    if not rows:
+        return [why_missing(run, PRODUCT_DELTAS.name)]
+    digits = decimals([x.undiscounted for x in rows], 4)
+    daily = decimals([x.daily for x in rows], 4)
+    cells = [
+        (
+            x.product,
+            f"{x.first} to {x.last}",
+            *(number(v, digits) for v in (x.undiscounted, x.undiscounted_low, x.undiscounted_high)),
+            number(x.daily, daily),
+            number(x.discounted, digits),
+            *(number(v, max(digits, 1)) for v in (x.sampling, x.policy)),
+        )
+        for x in rows
+    ]
+    unit = str(run.get("volume_unit", "units"))
+    head = [("Product", ""), ("Delivery", ""), ("Delta", unit), ("95 % low", unit), ("high", unit),
+            ("A day", unit), ("Discounted", unit), ("± sampling", unit),
+            ("± policy", unit)]  # fmt: skip
+    return [Text(TEXT), Table(head, cells, texts=2)]
+
+
+def chapter(of: Callable[[StudyRun], ProductDeltas]) -> Chapter[ProductDeltas]:
+    """The chapter, of a domain that measures it with this function."""
+    title = "Deltas by traded product"
+    return Chapter("deltas by product", title, ProductDeltas, of, show, "Products",
+                   needs=("training",))  # fmt: skip
+
+
+PRODUCT_DELTAS = chapter(measure)
+
+
+def product_deltas(run: RunFiles) -> Section:
+    """Its section; nothing where the case names no products."""
+    if PRODUCT_DELTAS.name in run.parts:
+        return PRODUCT_DELTAS(run)
+    return Section("deltas-by-product", "", "", [])

@@ -1,0 +1,68 @@
+"""The forward curve on paths of Gaussian price factors.
+
+    F(t, T) = F(T) exp(s(T) D f(t) - s(T)' D C(t) D' s(T) / 2)
+
+with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price. Of
+shifted prices F + shift moves so, and F(T) + s(T) D f(t) is that of normal ones.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..bounds.regression import product
+from ..prices.process import GaussianFactors
+
+
+@dataclass(frozen=True, eq=False)
+class PathCurves:
+    """Forward prices on paths: today's `forward` [T + 1], `states` [T + 1, F, N] of the factors."""
+
+    factors: GaussianFactors
+    forward: np.ndarray
+    states: np.ndarray
+
+    def __call__(self, t: int) -> np.ndarray:
+        """[T + 1 - t, N] on step t, of it and of all later ones; of today, [T + 1, N], for -1."""
+        if t < 0:
+            return np.repeat(self.forward[:, None], self.states.shape[2], axis=1)
+        decay = self.factors.decay[t:].copy()
+        decay[0] = 1.0
+        loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)
+        variance = np.einsum("di,ij,dj->d", loading, self._covariance[t], loading)
+        return self._prices(t, product(loading, self.states[t]), variance)
+
+    @property
+    def spots(self) -> np.ndarray:
+        """[T + 1, N] the price of each step on the step."""
+        loading = self.factors.loading
+        variance = np.einsum("di,dij,dj->d", loading, self._covariance, loading)
+        return self._prices(0, np.einsum("di,din->dn", loading, self.states), variance)
+
+    def _prices(self, t: int, moved: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """[T + 1 - t, N] from step t on, each moved by factors of this variance."""
+        noise = self.factors.noise(moved, variance[:, None])
+        return self.factors.spot(self.forward[t:, None], noise)
+
+    @cached_property
+    def _covariance(self) -> np.ndarray:
+        """[T + 1, F, F]"""
+        rows, now = [], np.zeros((self.factors.decay.shape[1],) * 2)
+        for decay, shock in zip(self.factors.decay, self.factors.shock):
+            now = np.outer(decay, decay) * now + shock @ shock.T
+            rows.append(now)
+        return np.array(rows)
+
+
+def drawn_states(factors: GaussianFactors, paths: int, seed: int) -> np.ndarray:
+    """[T + 1, F, N] of the factors, in antithetic pairs."""
+    random = np.random.default_rng(seed)
+    size = factors.decay.shape[1]
+    now, rows = np.zeros((size, paths)), []
+    for decay, shock in zip(factors.decay, factors.shock):
+        half = random.standard_normal((size, (paths + 1) // 2))
+        noise = np.concatenate([half, -half], axis=1)[:, :paths]
+        now = decay[:, None] * now + shock @ noise
+        rows.append(now)
+    return np.array(rows)

@@ -1,0 +1,98 @@
+"""Least-squares Monte Carlo: on simulated paths the value of the next day is regressed on prices.
+
+Backwards in time, on nodes of the level. The regression decides, and the value that is carried is
+that of the decisions on the path itself, so that errors of the regression do not add up. The rule
+is then followed on other paths (out of sample), where it is a lower bound. Sources: F. Longstaff,
+E. Schwartz, Review of Financial Studies 14 (2001); A. Boogert, C. de Jong, "Gas storage valuation
+using a Monte Carlo method", Journal of Derivatives 15 (2008).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..bounds.basis import PolynomialBasis
+from ..bounds.regression import product
+from .flat import best, earned, interpolated, limits_on, peaks, slopes
+from .rolling import Chains, FlatContract, Link, TradeBlock, exactly
+
+BLOCK = 128  # paths at once: their arrays stay in the cache
+RIDGE = 1e-9  # of the regression, against the sum of squares of the functions
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquaresRule:
+    """The value after each step as fitted: `coefficients` T arrays [nodes, K] of `basis`."""
+
+    contract: FlatContract
+    links: Sequence[Link]
+    basis: PolynomialBasis
+    coefficients: list[np.ndarray]
+
+
+def fitted_rule(
+    contract: FlatContract, basis: PolynomialBasis, states: np.ndarray, spots: np.ndarray
+) -> LeastSquaresRule:
+    """The rule of simulated factors [T + 1, F, N] and spot prices [T + 1, N]."""
+    steps = range(contract.horizon)
+    links = Chains(contract).of(tuple(TradeBlock(t, t + 1) for t in steps))
+    nothing = np.zeros(spots.shape[1])
+    value = contract.final(links[-1].nodes[:, None], spots[-1])
+    value = np.broadcast_to(value, (len(links[-1].nodes), len(nothing)))
+    coefficients = []
+    for t in reversed(steps):
+        _, period, nodes, lost = links[t]
+        value = value if lost is None else value[:1] - lost[:, None]
+        functions = basis.functions(states[t : t + 1], t)[0]
+        fit = _regressed(functions, value)
+        before = np.empty((len(period.nodes), len(nothing)))
+        for first in range(0, len(nothing), BLOCK):
+            some = slice(first, first + BLOCK)
+            slope = slopes(period, spots[t : t + 1, some], nothing[some])
+            peak = peaks(period, slope, product(fit, functions[:, some]), nodes)
+            _, q = best(period, limits_on(period), slope, peak, contract.every)
+            reached = interpolated(value[:, some], nodes, period.keep[:, None] + period.span * q)
+            before[:, some] = reached + earned(period, slope, q) - period.cost[:, None]
+        value = before
+        coefficients.append(fit)
+    return LeastSquaresRule(contract, links, basis, coefficients[::-1])
+
+
+def _regressed(functions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """[nodes, K] coefficients of values [nodes, N] on functions [K, N]."""
+    count = functions.shape[1]
+    rows = [slice(first, first + BLOCK) for first in range(0, count, BLOCK)]
+    moments = sum(product(functions[:, row], functions[:, row].T) for row in rows)
+    target = sum(product(values[:, row], functions[:, row].T) for row in rows)
+    scale = np.sqrt(np.maximum(np.diagonal(moments), 1e-300))
+    moments = moments / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+    return np.linalg.solve(moments, (target / scale).T).T / scale
+
+
+class Followed(NamedTuple):
+    """[N] the discounted money of each path, and its levels [T + 1, N]."""
+
+    money: np.ndarray
+    levels: np.ndarray
+
+
+def followed(rule: LeastSquaresRule, states: np.ndarray, spots: np.ndarray) -> Followed:
+    """The rule on paths that it was not fitted to, with its exact limits."""
+    contract, money = rule.contract, np.zeros(spots.shape[1])
+    level, nothing = np.full_like(money, contract.start), np.zeros_like(money)
+    levels = [level]
+    for t, (link, fit) in enumerate(zip(rule.links, rule.coefficients)):
+        period = link.period
+        later = product(fit, rule.basis.functions(states[t : t + 1], t)[0])
+        slope = slopes(period, spots[t : t + 1], nothing)
+        limits, peak = exactly(contract, link, level), peaks(period, slope, later, link.nodes)
+        q = best(period, limits, slope, peak, contract.every)[1][0]
+        money = money + earned(period, slope, q) - limits.cost[0]
+        level = limits.keep[0] + period.span * q
+        lost = contract.settled(t, level)
+        if lost is not None:
+            money, level = money - lost, np.zeros_like(level)
+        levels.append(level)
+    return Followed(money + contract.final(level, spots[-1]), np.array(levels))

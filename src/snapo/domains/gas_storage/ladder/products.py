@@ -1,0 +1,268 @@
+"""`[products]`: what trades, until when, and what a trade costs.
+
+    [products]
+    day_ahead = { bid_offer = 0.05 }
+    balance_of_month = { bid_offer = 0.10 }
+    months = { bid_offer = 0.10, lot = 10.0, ahead = 6 }
+    seasons = { bid_offer = 0.20 }
+
+On a trading day each later day of delivery belongs to the shortest product that contains it and
+still trades. The day itself is traded at its spot price, which is the day-ahead price.
+"""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar
+
+from pydantic import Field
+
+from snapo.case.csv import FileReference, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.table import CaseTable, Range, TableContext, parse
+
+from ..curves.products import ONE, months
+from ..read.tables import FileName
+from .rolling import TradeBlock
+
+SPREAD = "difference of the prices at which a unit is sold and bought, half of it paid for a trade"
+COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
+
+
+class DayAheadTable(CaseTable):
+    """`products.day_ahead`: the day itself, at its spot price."""
+
+    bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = 0.0
+
+
+class BalanceTable(DayAheadTable):
+    """`products.balance_of_month`: the days of the month after the trading day."""
+
+    lot: Annotated[float, Range(0.0, note=": trades a day are multiples of it, 0 for any")] = 0.0
+
+
+class FamilyTable(BalanceTable):
+    """`products.months`: months, and in the same way `quarters` and `seasons`."""
+
+    ahead: Annotated[int, Range(1, note=": the periods ahead that trade")] | None = None
+    last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = 1
+
+
+FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 1 }"
+
+
+class ProductsTable(CaseTable):
+    """`[products]`: what trades; a family that is left out does not."""
+
+    day_ahead: dict = Field({}, description="a table like { bid_offer = 0.05 }")
+    balance_of_month: dict | None = Field(None, description="a table like { lot = 10.0 }")
+    months: dict | None = Field(None, description=FAMILY)
+    quarters: dict | None = Field(None, description=FAMILY)
+    seasons: dict | None = Field(None, description=FAMILY)
+    others: FileName | None = Field(
+        None, description=f"a CSV file with columns {','.join(COLUMNS)}"
+    )
+
+
+FORMATS = {
+    "products": ProductsTable,
+    "products.day_ahead": DayAheadTable,
+    "products.balance_of_month": BalanceTable,
+    "products.months": FamilyTable,
+    "products.quarters": FamilyTable,
+    "products.seasons": FamilyTable,
+}
+Inner = TypeVar("Inner", bound=CaseTable)
+PERIODS = {"months": (1, 1), "quarters": (3, 1), "seasons": (6, 4)}  # length, first month
+
+
+class TradedProduct(NamedTuple):
+    """A product with its first and last day of delivery, and its last trading day.
+
+    - `opens`: the first trading day, None for any.
+    """
+
+    name: str
+    first: datetime.date
+    last: datetime.date
+    bid_offer: float = 0.0
+    lot: float = 0.0
+    last_trading: datetime.date = datetime.date.max
+    opens: datetime.date | None = None
+
+    def trades(self, day: datetime.date) -> bool:
+        return day <= self.last_trading and (self.opens is None or self.opens <= day)
+
+
+class ProductDays(NamedTuple):
+    """The days from `first` to `after`, not included, that a product trades; "" is none."""
+
+    product: str
+    block: TradeBlock
+
+
+@dataclass(frozen=True)
+class TradedProducts:
+    """The products of a contract on its days.
+
+    - `days`: of delivery; `valuation`: the first trading day; `products`: all that may trade.
+    - `day_ahead`: bid-offer of the day itself; `balance`: of the rest of its month, or None.
+    """
+
+    days: tuple[datetime.date, ...]
+    valuation: datetime.date
+    products: tuple[TradedProduct, ...]
+    day_ahead: float = 0.0
+    balance: tuple[float, float] | None = (0.0, 0.0)
+
+    @property
+    def before(self) -> bool:
+        """Whether the valuation date is before the first day of delivery."""
+        return bool(self.days) and self.valuation < self.days[0]
+
+    def named(self, t: int) -> tuple[ProductDays, ...]:
+        """What trades on step t, or on the valuation date for -1, in the order of delivery."""
+        today = self.days[t] if t >= 0 else self.valuation
+        rows = []
+        if t >= 0:
+            rows.append(ProductDays("day ahead", TradeBlock(t, t + 1, self.day_ahead / 2)))
+        later = range(t + 1, len(self.days))
+        trading = sorted(self._trading(today), key=lambda x: x.last - x.first)
+
+        def of(i: int) -> TradedProduct:
+            day = self.days[i]
+            return next((x for x in trading if x.first <= day <= x.last), self._untraded(day))
+
+        for product, steps in groupby(later, of):
+            numbers = list(steps)
+            block = TradeBlock(
+                numbers[0], numbers[-1] + 1, product.bid_offer / 2, product.lot, bool(product.name)
+            )
+            rows.append(ProductDays(product.name, block))
+        return tuple(rows)
+
+    def blocks(self, t: int) -> tuple[TradeBlock, ...]:
+        """The same without names."""
+        return tuple(row.block for row in self.named(t))
+
+    def _trading(self, today: datetime.date) -> list[TradedProduct]:
+        trading = [product for product in self.products if product.trades(today)]
+        if self.balance is not None:
+            _, last = months(today.year, today.month, 1)
+            if today < last:
+                name = f"balance of {today:%Y-%m}"
+                trading.append(TradedProduct(name, today + ONE, last, *self.balance))
+        return trading
+
+    def _untraded(self, day: datetime.date) -> TradedProduct:
+        return TradedProduct("", *months(day.year, day.month, 1), self.day_ahead)
+
+
+def products_of(
+    file: Path,
+    data: Any,
+    notes: list[str],
+    days: Sequence[datetime.date],
+    valuation: datetime.date,
+) -> TradedProducts | None:
+    """The products of the table [products], None of a case without one.
+
+    **Raises:** `CaseError` where one trades as a whole while its parts trade, or after them.
+    """
+    if data is None:
+        return None
+    section = TableContext(file, "products", notes)
+    table = parse(ProductsTable, data, str(file), "products", notes)
+
+    def inner(kind: type[Inner], key: str) -> Inner | None:
+        entry = getattr(table, key)
+        return None if entry is None else parse(kind, entry, str(file), f"products.{key}", notes)
+
+    products = []
+    for name in PERIODS:
+        if (family := inner(FamilyTable, name)) is not None:
+            products += _family(name, family, days)
+    if table.others is not None:
+        rows = read_rows(FileReference(section, "others", table.others), COLUMNS)
+        products += [_product(row) for row in rows]
+    balance, day_ahead = inner(BalanceTable, "balance_of_month"), inner(DayAheadTable, "day_ahead")
+    assert day_ahead is not None
+    result = TradedProducts(
+        tuple(days),
+        valuation,
+        tuple(products),
+        day_ahead.bid_offer,
+        None if balance is None else (balance.bid_offer, balance.lot),
+    )
+    _check_nested(section, result)
+    return result
+
+
+def usual_products(days: Sequence[datetime.date], valuation: datetime.date) -> TradedProducts:
+    """Day-ahead, balance of month and months, without a spread: where a case has no others."""
+    family = FamilyTable()  # pyright: ignore[reportCallIssue]
+    return TradedProducts(tuple(days), valuation, tuple(_family("months", family, days)))
+
+
+def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> list[TradedProduct]:
+    """The periods of a family that contain days of delivery."""
+    length, begins = PERIODS[name]
+    products, last = [], datetime.date.min
+    for day in days:
+        if day <= last:
+            continue
+        month = day.year * 12 + day.month - 1
+        month -= (month - (begins - 1)) % length
+        first, last = months(month // 12, month % 12 + 1, length)
+        opens = None
+        if table.ahead is not None:
+            earlier = month - length * table.ahead
+            opens = datetime.date(earlier // 12, earlier % 12 + 1, 1)
+        ends = first - table.last_trading * ONE
+        products.append(
+            TradedProduct(_label(name, first), first, last, table.bid_offer, table.lot, ends, opens)
+        )
+    return products
+
+
+def _label(name: str, first: datetime.date) -> str:
+    """The name of a period as quotes have it."""
+    if name == "months":
+        return f"{first:%Y-%m}"
+    if name == "quarters":
+        return f"{first.year}-Q{(first.month + 2) // 3}"
+    return f"{'summer' if first.month == 4 else 'winter'} {first.year}"
+
+
+def _product(row: Row) -> TradedProduct:
+    first, last = row.day("first"), row.day("last")
+    if last < first:
+        raise row.error("last", f"the last day of delivery is not before the first, {first}")
+    ends = row.day("last_trading_day")
+    if ends > last:
+        raise row.error("last_trading_day", f"it is not after the last day of delivery, {last}")
+    name = row.cells["name"].strip()
+    if not name:
+        raise row.error("name", "a product has a name")
+    bid_offer, lot = row.number("bid_offer", 0.0), row.number("lot", 0.0)
+    return TradedProduct(name, first, last, bid_offer, lot, ends)
+
+
+def _check_nested(section: TableContext, products: TradedProducts) -> None:
+    earlier: set[int] = set()
+    for t in range(-1 if products.before else 0, len(products.days)):
+        rows, met = products.named(t), set()
+        for name, block in rows:
+            inside = earlier & set(range(block.first + 1, block.after))
+            if name and (name in met or inside):
+                day = products.days[t] if t >= 0 else products.valuation
+                message = (
+                    f"on {day} it would trade as a whole although a part of it trades then or "
+                    "traded before; products follow one another, or shorter ones take the "
+                    "place of a longer one from its first day on"
+                )
+                raise CaseError(str(section.file), f"{section.name}: {name}", None, message)
+            met.add(name)
+        earlier = {row.block.first for row in rows}
