@@ -9,7 +9,15 @@ from snapo.report import charts
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
+from snapo.report.quantity import (
+    PLUS_MINUS,
+    decimals,
+    measured,
+    number,
+    readable,
+    seconds,
+    with_unit,
+)
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
@@ -74,7 +82,7 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
         return Section("value", "Value of the book", "Value", blocks)
     digits = decimals([base["value"]], 6)
     value, error = measured(base["value"], base["standard_error"], digits)
-    note = f"{valued}. The standard error counts the paths that contracts of one market share."
+    note = f"{valued}; {PLUS_MINUS}, with the paths that contracts of one market share."
     blocks = [Headline("value of the book", value, error, note)]
     blocks += [Text(f"{text[0].upper()}{text[1:]}.", caveat=True) for text in result["notes"]]
     if result["risk"]:
@@ -89,8 +97,8 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
 
 
 RISK = (
-    "Losses over the stresses as scenarios of equal weight; the errors are those of Monte Carlo, "
-    "without that of having only these scenarios."
+    "Losses over the stresses as scenarios of equal weight; their intervals are those of "
+    "simulation, without that of having only these scenarios."
 )
 
 
@@ -222,7 +230,7 @@ def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Sec
     ]
     folded = "" if len(rows) <= MAX_ROWS else "all points"
     keys = ", ".join(f"{axis['label']} is {axis['key']}" for axis in axes)
-    blocks.append(table(rows, columns, f"All points; {keys}; ± one standard error", folded=folded))
+    blocks.append(table(rows, columns, f"All points; {keys}", folded=folded))
     return Section("points", "Value over the axes", "Axes", blocks)
 
 

@@ -215,18 +215,22 @@ def by_seed(result: Mapping[str, Any]) -> list[str]:
         verdict = ", ".join(filter(None, (row["status"], row["convergence"])))
         value = _known(row["value"])
         lines.append(f"{row['seed']:>8}{value:>18}{below:>30}{row['seconds']:>10,.1f}   {verdict}")
-    mean, worst, best = (_known(result[name]) for name in ("mean", "worst", "highest"))
-    spread, error = (_known(result[name]) for name in ("deviation", "standard_error"))
-    endpoints = (
-        f"mean {mean}, worst {worst}, best {best}; standard deviation between seeds {spread}"
-    )
-    return [*lines, f"{endpoints}, Monte Carlo error {error} ({result['paths']:,} common paths)"]
+    worst, best = (_known(result[name]) for name in ("worst", "highest"))
+    mean = _known(result["mean"], result["standard_error"])
+    spread = f"standard deviation between seeds {_known(result['deviation'])}"
+    endpoints = f"mean {mean}, worst {worst}, best {best}; {spread}"
+    note = f"± is half of a 95 % interval on {result['paths']:,} common paths, of simulation alone"
+    return [*lines, f"{endpoints}; {note}"]
 
 
 def _known(value: float | None, error: float | None = None) -> str:
-    if value is None:
-        return "none"
-    return _figure(value) if error is None else f"{_figure(value)} ± {error:,.2g}"
+    return "none" if value is None else f"{_figure(value)}{_half(error)}"
+
+
+def _half(error: float | None) -> str:
+    from snapo.solver.statistics import plus_minus
+
+    return "" if error is None else f" {plus_minus(error)}"
 
 
 def _certify(options: argparse.Namespace) -> Answer:
@@ -324,10 +328,12 @@ def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader: the value, the further figures, and the folder of the run."""
     seeds = by_seed(result["seeds"]) if result.get("seeds") else []
     lines = [*seeds, f"{result.get('kind', '')}: {result.get('status', '')}"]
-    for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
+    for key in ("value", "smooth_value", "smoothing_gap"):
         if result.get(key) is not None:
-            meaning = f"   {result['meaning']}" if key == "value" and result.get("meaning") else ""
-            lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}{meaning}")
+            half = _half(result.get("standard_error")) if key == "value" else ""
+            note = f"   {result['meaning']}" if key == "value" and result.get("meaning") else ""
+            note = f"{half} (95 %){note}" if half else note
+            lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}{note}")
     for name, value in (result.get("references") or {}).items():
         if value is not None:
             small = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
@@ -335,6 +341,7 @@ def summary(result: Mapping[str, Any]) -> str:
             error = (result.get("reference_errors") or {}).get(name)
             note += "" if error is None else f"   finer grids move it by {error:,.2g}"
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}{note}")
+    lines += result.get("description") or []
     start = result.get("start") or {}
     for key, name in (("before", "given policy"), ("value", "gained over it")):
         if start.get(key) is not None and "before" in start:

@@ -13,10 +13,18 @@ from snapo.study.domain import Report
 
 from .chapters.values import VALUES
 
+OVER_TIME = profile()
 SECTIONS = (
-    headline, VALUES, value_bounds, profile(), sensitivities, DISTRIBUTION, history, CERTIFICATE,
+    headline, VALUES, value_bounds, OVER_TIME, sensitivities, DISTRIBUTION, history, CERTIFICATE,
     making,
 )  # fmt: skip
+MENU = {
+    "Value": VALUES,
+    "Over time": OVER_TIME,
+    "Sensitivities": sensitivities,
+    "Totals": DISTRIBUTION,
+    "Checks": history,
+}
 
 
 def _about(run: RunFiles) -> list[tuple[str, str]]:
@@ -25,4 +33,4 @@ def _about(run: RunFiles) -> list[tuple[str, str]]:
     return [*pairs, ("Decisions", number(run.get("horizon"), 0)), ("Prices", str(run.get("model")))]
 
 
-REPORT = Report("Energy contract", RunFiles, _about, SECTIONS)
+REPORT = Report("Energy contract", RunFiles, _about, SECTIONS, MENU)

@@ -153,4 +153,4 @@ class Learned:
 
 
 def _pair(value: float, error: float) -> str:
-    return f"{value:.4g} ± {error:.2g}"
+    return f"{value:.4g} {statistics.plus_minus(error)}"

@@ -133,9 +133,12 @@ class Selection(NamedTuple):
         """One sentence for the report; empty where nothing was compared."""
         if not np.isfinite(self.gain):
             return ""
-        amount = f"{self.gain:,.3g} ± {self.error:,.2g}"
+        amount = f"{self.gain:,.3g} {statistics.plus_minus(self.error)}"
         if self.kind == START:
-            return f"The starting rule was kept: training is {amount} of it, on fresh paths."
+            return (
+                f"The starting rule was kept: training changed the value by {amount}, on fresh "
+                "paths."
+            )
         return f"Training gained {amount} over the rule that it began with, on fresh paths."
 
 
