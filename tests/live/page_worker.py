@@ -44,7 +44,7 @@ def stages(values, chosen, policy=0):
                     "change_error": 0.25, "predicted": 0.0, "by_input": {}}  # fmt: skip
     rows = [["fill rate, %", value / 10, 0.1]]
     yield "sections", [{"title": "Service", "description": "", "rows": rows,
-                        "columns": [["", ""], ["mean", ""], ["± standard error", ""]]}]  # fmt: skip
+                        "columns": [["", ""], ["mean", ""], ["±", ""]]}]  # fmt: skip
     yield "deltas", list(deltas(numbers))
     facts = [["stock", value / 100, "t"]]
     yield "today", {"description": f"order {value:.0f} t", "facts": facts, "columns": [],

@@ -316,5 +316,5 @@ def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):
     page.locator("#beside summary").click()
     rows = [row.inner_text().split("\t") for row in page.locator("#beside-table tr").all()]
     assert rows[0] == ["", "Dear", "All", "Some"]
-    assert rows[1][1].startswith("456 ±") and rows[2][1].startswith("+1 ±")
+    assert rows[1][1] == "456 ± 0.98" and rows[2][1] == "+1 ± 0.49"  # of 0.5 and 0.25
     assert ["Price", "as the run", "all +1.5 EUR/t", "3 of 3: +1.5 to +4 EUR/t"] in rows

@@ -60,7 +60,7 @@ class Seeds:
         spread = f", standard deviation {values.std(ddof=1):.3g}" if len(values) > 1 else ""
         lines = [
             f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
-            f"mean {values.mean():.6g}{spread}"
+            f"mean {values.mean():.6g}{spread}; ± is half of a 95 % interval"
         ]
         for seed, solution in self.solutions.items():
             behind = self.behind(seed)

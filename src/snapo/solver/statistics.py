@@ -28,9 +28,9 @@ def half_width(error: float, degrees: float = np.inf) -> float:
     return critical(degrees) * error
 
 
-def plus_minus(error: float, digits: int = 2) -> str:
+def plus_minus(error: float, digits: int = 2, degrees: float = np.inf) -> str:
     """ "± 41": half of the 95 % interval, from a standard error."""
-    return f"± {half_width(error):,.{digits}g}"
+    return f"± {half_width(error, degrees):,.{digits}g}"
 
 
 def with_error(value: float, error: float) -> str:

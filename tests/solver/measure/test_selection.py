@@ -59,7 +59,9 @@ def test_a_better_policy_replaces_the_start_and_a_worse_one_does_not(problem):
     kept = select(problem, best, {NEWEST: worse}, 16384, ENGINE)
     assert kept.kind == START and kept.policy is best
     assert abs(kept.gain + gain) < 4 * kept.error
-    assert kept.description.startswith("The starting rule was kept: training is -")
+    assert kept.description.startswith(
+        "The starting rule was kept: training changed the value by -"
+    )
 
 
 def test_a_history_that_begins_at_its_best_says_what_training_ended_at(problem):
