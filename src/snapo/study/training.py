@@ -8,7 +8,6 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
-from snapo.report.quantity import decimals
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
@@ -170,8 +169,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
     if state.history:
         last = state.history[-1]
         half = half_width(last.exact_error)
-        digits = max(0, decimals([half], 2)) if half > 0 else 0
-        best = f"{last.best:,.{digits}f}" if half > 0 else f"{last.best:,.7g}"
+        best = with_error(last.best, half).partition(" ±")[0]
         run.progress(
             f"step {last.step:>5} of {training.steps}: validation "
             f"{with_error(last.exact, half):>20}, best {best:>12}, {last.seconds:6.1f} s"
