@@ -106,8 +106,10 @@ def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
         return [("Policy gradient", "no more than noise", meaning)]
     meaning = (
         f"norm {number(norm)}, noise {number(noise)}: small changes of the policy would still "
-        "change the value; the upper bound limits by how much"
+        "change the value"
     )
+    if run.get("bound") is not None:
+        meaning = f"{meaning}; the upper bound limits by how much"
     return [("Policy gradient", f"{number(norm / noise, 1)} times its noise", meaning)]
 
 

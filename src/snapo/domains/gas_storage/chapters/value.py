@@ -29,7 +29,7 @@ from .run import StorageRun
 
 PATHS = 16384
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)
-TITLE = "Value ladder"
+TITLE = "Value by method"
 
 
 @dataclass(frozen=True)
