@@ -323,11 +323,13 @@ def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):
 def test_the_page_starts_from_the_value_of_the_run_and_says_which_paths_are_its_own(
     browser, tmp_path, held
 ):
-    with serving(tmp_path, held, value=455.25, standard_error=0.1) as found:
-        with opened(browser, found) as page:
-            assert page.inner_text("#figure") == "455.25" and page.inner_text("#error") == "± 0.2"
-            changes = page.inner_text("#changes")
-            assert "on the 64 paths of this page" in changes.lower() and "455 ± 0.98" in changes
-            assert "± is half of a 95 % interval, of simulation alone." in page.inner_text("#value")
-            enter(page, "cost", "6")
-            assert settled(page) == "456"
+    with (
+        serving(tmp_path, held, value=455.25, standard_error=0.1) as server,
+        opened(browser, server) as page,
+    ):
+        assert page.inner_text("#figure") == "455.25" and page.inner_text("#error") == "± 0.2"
+        changes = page.inner_text("#changes")
+        assert "on the 64 paths of this page" in changes.lower() and "455 ± 0.98" in changes
+        assert "± is half of a 95 % interval, of simulation alone." in page.inner_text("#value")
+        enter(page, "cost", "6")
+        assert settled(page) == "456"
