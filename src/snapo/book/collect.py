@@ -17,6 +17,7 @@ from .folder import POINTS, POLICIES, TABLES, BookFolder
 from .order import BookOrder, BookPoint, Cost, OrderAnswer, OutputFigures, name_of
 from .parquet import TableRows, TableWriter
 from .plan import BookPlan
+from .shared_policy import AnswerReader, SharedPolicy
 from .sums import BookTotal, DeltaTotal, ExposureTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
@@ -48,27 +49,35 @@ class BookPosition:
         return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
 
 
+def _read(
+    folder: BookFolder, lost: Mapping[str, str], name: str
+) -> tuple[OrderAnswer, Cost | None] | None:
+    if name in lost:
+        return OrderAnswer((BookPoint.without_value("lost", lost[name]),)), None
+    return folder.read(name)
+
+
+def reader(folder: BookFolder, lost: Mapping[str, str]) -> AnswerReader:
+    """Reads the answer to the order of a name; `lost`: {order: the reason}."""
+
+    def read(name: str) -> OrderAnswer | None:
+        entry = _read(folder, lost, name)
+        return None if entry is None else entry[0]
+
+    return read
+
+
 def position(
     plan: BookPlan, contract: BookContract, folder: BookFolder, lost: Mapping[str, str]
 ) -> BookPosition:
     """The points of a contract from the folder's answers; `lost`: {order: the reason}."""
     names = [BASE, *(stress.name for stress in plan.book.stresses)]
-
-    def read(name: str) -> tuple[OrderAnswer, Cost | None] | None:
-        if name in lost:
-            return OrderAnswer((BookPoint.without_value("lost", lost[name]),)), None
-        return folder.read(name)
-
-    def answer_of(name: str) -> OrderAnswer | None:
-        result = read(name)
-        return None if result is None else result[0]
-
     labels = {stress.name: stress.labels for stress in plan.book.stresses}
     result = BookPosition(contract, {}, labels)
     waiting = iter(names)
 
     def take(order: BookOrder) -> OrderAnswer | None:
-        entry = read(name_of(order.pack()))
+        entry = _read(folder, lost, name_of(order.pack()))
         for i, name in enumerate(itertools.islice(waiting, len(order.stresses) + order.base)):
             if entry is None:
                 result.points[name] = (
@@ -82,7 +91,7 @@ def position(
                 result.points[name] = point, cost if i == 0 else None, answer.shape
         return None if entry is None else entry[0]
 
-    base = plan.base(contract, answer_of)
+    base = plan.base(contract, reader(folder, lost))
     answer = None if base is None else take(base)
     if answer is not None:
         result.policy, result.world = answer.policy, answer.world
@@ -139,6 +148,7 @@ class Results:
     peak_mb: float = 0.0
     shapes: set[str] = field(default_factory=set)
     policies: int = 0
+    shared: list[SharedPolicy] = field(default_factory=list)
 
     def add(self, member: BookPosition) -> None:
         """Adds a contract."""
@@ -230,6 +240,7 @@ class Results:
             "failures": self.failures[:1000],
             "shapes": len(self.shapes),
             "policies": self.policies,
+            "shared_policies": [_shared_row(x) for x in self.shared],
             "cpu_seconds": self.cpu_seconds,
             "peak_mb": self.peak_mb,
         }
@@ -243,6 +254,12 @@ class Results:
             common = self.total.is_common(key[0])
             rows.append(names | {"held": value, "held_error": error if common else None})
         return rows
+
+
+def _shared_row(shared: SharedPolicy) -> dict[str, Any]:
+    losses = [loss._asdict() | {"share": loss.share} for loss in shared.losses]
+    entry = {"leader": shared.leader, "contracts": shared.contracts}
+    return entry | {"is_shared": shared.policy is not None, "losses": losses}
 
 
 def _sum_row(stress: str, total: Sum | None, explained: float | None = None) -> dict[str, Any]:
@@ -330,6 +347,7 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> TableRows:
 def collect(plan: BookPlan, folder: BookFolder, lost: Mapping[str, str]) -> Results:
     """Writes the tables and policies of all contracts, and returns the sums."""
     results = Results(plan.book)
+    results.shared = list(plan.shared_policies(reader(folder, lost)))
     together = TOGETHER if len(plan.book.contracts) > FEW else 1
     (folder.path / POLICIES).mkdir(exist_ok=True)
     with TableWriter(folder.path, together) as writer:

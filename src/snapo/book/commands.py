@@ -40,6 +40,7 @@ from .run import Shard, run_book
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.
 OF_A_SHAPE, OF_A_CONTRACT, OF_A_JUDGED, OF_A_STRESS = 13.0, 17.0, 8.4, 1.2
+OF_A_TRAINING = 9.0
 
 MAX_LINES = 60  # points of the axes that are printed
 
@@ -197,12 +198,13 @@ def check(path: Path) -> list[str]:
     plan = BookPlan(book)
     stresses, distinct = len(book.stresses), sum(map(len, plan.similar.values()))
     judged, shapes = len(plan.judged), len(plan.similar)
-    trainings = 1 if book.tasks.policy == "contract" else 1 + stresses
+    trainings = 1 + stresses if book.tasks.policy == "stress" else 1
     seconds = (
         shapes * OF_A_SHAPE
         + distinct * OF_A_CONTRACT * trainings
         + judged * OF_A_JUDGED
         + (distinct * stresses * OF_A_STRESS if trainings == 1 else 0.0)
+        - len(plan.adopting) * OF_A_TRAINING
     )
     repeated = len(book.contracts) - distinct
     same = f", {repeated:,} of them with the case of another one" if repeated else ""

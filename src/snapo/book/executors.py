@@ -11,16 +11,13 @@ import multiprocessing
 import os
 import sys
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import suppress
 from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
 from snapo.case.error import CaseError
 from snapo.engine.workers import Work, WorkerPool
-from snapo.lanes.machine.disk import cache_home
 
-MAX_CACHE = 256 << 20  # bytes of XLA's programs on disk
 IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself
 
 
@@ -54,17 +51,9 @@ def _process(core: int) -> Executor:
 
 
 def _pinned(core: int) -> None:
-    """A worker keeps to one core, for its kernels and for XLA, and keeps XLA's programs on disk."""
+    """A worker keeps to one core, for its kernels and for XLA."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
-    folder = cache_home() / "snapo" / "xla"
-    with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Code that is loaded from there is run: it must be the user's own.
-        if folder.stat().st_uid == os.getuid() and not folder.stat().st_mode & 0o022:
-            os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
-            os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-            os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(MAX_CACHE))
 
 
 def _named(where: str) -> list[WorkerPool]:

@@ -79,8 +79,10 @@ class BookStressTable(CaseTable):
 class TasksTable(CaseTable):
     """`[tasks]`"""
 
-    policy: Literal["contract", "stress"] = Field(
-        "contract", description="trained once for each contract, or again under each stress"
+    policy: Literal["contract", "stress", "shape"] = Field(
+        "contract",
+        description="trained once for each contract, again under each stress, or once for similar "
+        "contracts",
     )
     deltas: Literal["base", "all", "none"] = Field("base", description="at which points")
     judge: float = Field(

@@ -19,7 +19,10 @@ import numpy as np
 
 from snapo.case.report import TEXTS
 from snapo.case.toml import to_toml
+from snapo.solver import statistics
+from snapo.solver.derivatives.interval import HELD
 from snapo.solver.provenance import versions
+from snapo.solver.sensitivity import Sensitivities
 
 from .file import BookContract, StressMove, TasksTable
 
@@ -38,6 +41,8 @@ class BookOrder:
     - `judged`: whether the derivatives are tested by bumps.
     - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
       a policy is trained for each stress, for its only stress.
+    - `adopted`: the file of the policy of a similar contract, whose trained numbers the base takes
+      in place of a training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
       of the processors that give the same bits.
     """
@@ -52,6 +57,7 @@ class BookOrder:
     policy: bytes | None = None
     processor: str = ""
     fingerprint: str = ""
+    adopted: bytes | None = None
 
     @classmethod
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
@@ -73,6 +79,7 @@ class BookOrder:
             "base": self.base,
             "judged": self.judged,
             "policy": None if self.policy is None else _text(self.policy),
+            "adopted": None if self.adopted is None else _text(self.adopted),
             "processor": self.processor,
             "fingerprint": self.fingerprint,
             "versions": versions(),
@@ -84,7 +91,10 @@ class BookOrder:
         """The order of these bytes."""
         table = json.loads(data)
         stresses = tuple(tuple(map(_move, moves)) for moves in table["stresses"])
-        policy = table["policy"]
+        policy, adopted = (
+            None if table[key] is None else base64.b64decode(table[key])
+            for key in ("policy", "adopted")
+        )
         return cls(
             table["case"],
             {name: base64.b64decode(text) for name, text in table["files"].items()},
@@ -93,9 +103,10 @@ class BookOrder:
             table["seed"],
             table["base"],
             table["judged"],
-            None if policy is None else base64.b64decode(policy),
+            policy,
             table["processor"],
             table["fingerprint"],
+            adopted,
         )
 
 
@@ -164,6 +175,27 @@ class OutputFigures(NamedTuple):
     nominal: float | None = None
     within: float | None = None
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        unit: str,
+        values: np.ndarray,
+        groups: np.ndarray | None,
+        nominal: float | None = None,
+        within: float | None = None,
+    ) -> "OutputFigures":
+        """Over the paths [N] that are finite."""
+        finite = np.isfinite(values)
+        values, groups = values[finite], None if groups is None else groups[finite]
+        if len(values) < 2:
+            none = np.nan, np.nan, np.nan, np.nan, np.nan
+            return cls(name, unit, *none, nominal, within)
+        mean = statistics.mean(values, groups)
+        p05, p95 = np.quantile(values, [0.05, 0.95])
+        spread = float(values.std(ddof=1)), float(p05), float(p95)
+        return cls(name, unit, mean.value, mean.standard_error, *spread, nominal, within)
+
 
 class Delta(NamedTuple):
     """The held derivatives with respect to the `n` numbers of one input.
@@ -177,6 +209,23 @@ class Delta(NamedTuple):
     unit: str
     blocks: np.ndarray
     trusted: bool | None = None
+
+    @classmethod
+    def of_table(cls, table: Sensitivities | None) -> "tuple[Delta, ...]":
+        """The held derivatives of a table, none of none."""
+        if table is None:
+            return ()
+        verdicts = table.verdicts or {}
+        return tuple(
+            cls(
+                name,
+                tuple(map(str, table.inputs[name].names())),
+                table.inputs[name].unit,
+                estimate.blocks.reshape(len(estimate.blocks), -1),
+                verdicts[name].source == HELD if name in verdicts else None,
+            )
+            for name, estimate in table.held.items()
+        )
 
 
 class Exposure(NamedTuple):

@@ -6,7 +6,7 @@ contracts come one after the other, so that a worker has their code.
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,11 +14,9 @@ from typing import Any
 from .axes import WITH_UNIT
 from .file import Book, BookContract
 from .order import STRESSES, BookOrder, OrderAnswer, name_of
+from .shared_policy import AnswerReader, SharedPolicy, shared_policy, test_order, tested
 
 MIN_JUDGED = 3  # of similar contracts
-
-# The answer to the order of this name; None where there is none.
-AnswerReader = Callable[[str], OrderAnswer | None]
 
 
 def similarity_key(contract: BookContract) -> str:
@@ -89,6 +87,26 @@ class BookPlan:
             names |= {contract.name for contract in contracts[:count]}
         return names
 
+    @cached_property
+    def tested(self) -> dict[str, BookContract]:
+        """{name of a contract that is valued with the policy of similar ones too: the first of
+        them}."""
+        if self.book.tasks.policy != "shape":
+            return {}
+        return {x.name: group[0] for group in self.similar.values() for x in tested(group)}
+
+    @cached_property
+    def first(self) -> set[str]:
+        """The names of the contracts for whose answers similar ones wait."""
+        return self.judged | self.tested.keys() | {x.name for x in self.tested.values()}
+
+    @cached_property
+    def adopting(self) -> set[str]:
+        """The names of the contracts that take the policy of a similar one, unless a test of it
+        fails or a derivative is refuted."""
+        shared = [x for group in self.similar.values() if tested(group) for x in group]
+        return {x.name for x in shared} - self.first if self.tested else set()
+
     @property
     def size(self) -> int:
         """How many orders the whole book has, equal cases once."""
@@ -96,30 +114,69 @@ class BookPlan:
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
             by_contract = 1 + stresses
-        return by_contract * sum(map(len, self.similar.values()))
+        return by_contract * sum(map(len, self.similar.values())) + len(self.tested)
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All whose orders some contracts need, equal cases once: first the judged ones of similar
-        contracts, then the others."""
+        """All whose orders some contracts need, equal cases once: first those for whose answers
+        similar contracts wait, then the others."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
         groups = [
             x for kind, similar in sorted(self.similar.items()) if kind in kinds for x in similar
         ]
-        return [x for x in groups if x.name in self.judged] + [
-            x for x in groups if x.name in first_of_case and x.name not in self.judged
+        return [x for x in groups if x.name in self.first] + [
+            x for x in groups if x.name in first_of_case and x.name not in self.first
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The first order of a contract; None as long as it waits for similar judged ones.
+        """The first order of a contract; None as long as it waits for similar ones.
 
-        Where a bump refuted a derivative of one, those of all similar contracts are judged.
+        Where a bump refuted a derivative of one, those of all similar contracts are judged: each
+        trains its own policy then, as a judged one does.
         """
         first = self.first_of_case[contract.name]
-        if first.name in self.judged or not self.judged:
-            return self._base(first, first.name in self.judged)
-        refuted = self._refuted(self.similarity_keys[first.name], read)
-        return None if refuted is None else self._base(first, refuted)
+        kind = self.similarity_keys[first.name]
+        if first.name in self.first:
+            return self._first_base(first)
+        refuted = self._refuted(kind, read) if self.judged else False
+        if refuted is None:
+            return None
+        order = self._base(first, refuted)
+        if refuted or first.name not in self.adopting:
+            return order
+        shared = self.shared_policy(kind, read)
+        return None if shared is None else replace(order, adopted=shared.policy)
+
+    def _is_shared(self, kind: str) -> bool:
+        return any(x.name in self.tested for x in self.similar[kind])
+
+    def shared_policy(self, kind: str, read: AnswerReader) -> SharedPolicy | None:
+        """The policy of similar contracts; None as long as an answer that it needs is missing."""
+        if kind not in self._shared:
+            result = shared_policy(self.similar[kind], self._first_base, read)
+            if result is None:
+                return None
+            self._shared[kind] = result
+        return self._shared[kind]
+
+    def shared_policies(self, read: AnswerReader) -> Iterator[SharedPolicy]:
+        """Those whose answers are complete, of all similar contracts that share one."""
+        for kind in filter(self._is_shared, self.similar):
+            if (result := self.shared_policy(kind, read)) is not None:
+                yield result
+
+    def test(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
+        """The order of a contract with the policy of the first of similar ones, of which it waits
+        for the answer."""
+        leader = read(name_of(self._first_base(self.tested[contract.name]).pack()))
+        return None if leader is None else test_order(self._first_base(contract), leader)
+
+    def _first_base(self, contract: BookContract) -> BookOrder:
+        return self._base(contract, contract.name in self.judged)
+
+    @cached_property
+    def _shared(self) -> dict[str, SharedPolicy]:
+        return {}
 
     def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
         if kind not in self._verdicts:

@@ -12,6 +12,7 @@ from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Sect
 from snapo.report.quantity import (
     PLUS_MINUS,
     decimals,
+    finite,
     measured,
     number,
     readable,
@@ -53,6 +54,8 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         sections.append(_exposure(result["exposure"]))
     if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
+    if result["shared_policies"]:
+        sections.append(_shared(result["shared_policies"]))
     if result["failures"]:
         sections.append(_failures(result))
     sections.append(_cost(result))
@@ -71,6 +74,8 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
 def _policy(tasks: Mapping[str, Any]) -> str:
     if tasks["policy"] == "stress":
         return "trained again under every stress"
+    if tasks["policy"] == "shape":
+        return "trained once for similar contracts where that costs at most 0.5 %"
     return "trained once for each contract, and held under stress"
 
 
@@ -351,6 +356,42 @@ def _deltas(result: Mapping[str, Any]) -> Section:
         )
     ]
     return Section("deltas", "Derivatives", "Derivatives", blocks)
+
+
+class LossRow(NamedTuple):
+    """A contract that was valued with its own policy and with that of a similar one."""
+
+    leader: str
+    case: str
+    value: float
+    loss: WithError
+    share: str
+
+
+def _shared(policies: Sequence[Mapping[str, Any]]) -> Section:
+    rows, texts = list[LossRow](), list[str]()
+    for shared in policies:
+        verb = "take" if shared["is_shared"] else "do not take"
+        texts.append(
+            f"The contracts similar to {shared['leader']} ({shared['contracts']:,} with it) {verb} "
+            "its trained policy."
+        )
+        for x in shared["losses"]:
+            share = number(100 * x["share"], 3, True) + " %" if finite(x["share"]) else ""
+            loss = WithError(x["loss"], x["loss_error"])
+            rows.append(LossRow(shared["leader"], x["case"], x["value"], loss, share))
+    columns = [
+        Column("Policy of", "leader"),
+        Column("Tested on", "case"),
+        Column("Value with its own policy", "value"),
+        Column("Loss with the other one", "loss", sign=True),
+        Column("Loss in percent", "share"),
+    ]
+    caption = "One policy for similar contracts: the loss on common paths; at most 0.5 % is allowed"
+    blocks: list[Block] = [*map(Text, texts)]
+    if rows:
+        blocks.append(table(rows, columns, caption, by_row=True))
+    return Section("policies", "Policies of similar contracts", "Policies", blocks)
 
 
 def _failures(result: Mapping[str, Any]) -> Section:

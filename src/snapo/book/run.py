@@ -14,10 +14,10 @@ from snapo.solver.provenance import versions
 from snapo.solver.tables import write_text
 from snapo.study.study import ProgressCallback
 
-from .collect import collect
+from .collect import collect, reader
 from .file import Book, BookContract
 from .folder import REPORT, RESULT, BookFolder
-from .order import BookOrder, BookPoint, OrderAnswer, name_of, opened
+from .order import BookOrder, OrderAnswer, name_of, opened
 from .plan import BookPlan
 from .work import answer
 
@@ -40,10 +40,12 @@ class Driver:
     def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
         self.plan, self.folder = plan, folder
         self.waiting = deque(plan.needed(contracts))
+        self.tests = deque(x for x in self.waiting if x.name in plan.tested)
         self.further_orders: deque[BookOrder] = deque()
         self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
         self.lost: dict[str, str] = {}
         self.computed = self.reused = 0
+        self._read = reader(folder, self.lost)
 
     def next_order(self) -> bytes | None:
         """The next order without an answer; None where all others wait for one in work."""
@@ -69,13 +71,12 @@ class Driver:
             if order is not None:
                 del self.waiting[i]
                 return order, contract
+        for contract in self.tests:
+            order = self.plan.test(contract, self._read)
+            if order is not None:
+                self.tests.remove(contract)
+                return order, None
         return None, None
-
-    def _read(self, name: str) -> OrderAnswer | None:
-        if name in self.lost:
-            return OrderAnswer((BookPoint.without_value("lost", self.lost[name]),))
-        entry = self.folder.read(name)
-        return None if entry is None else entry[0]
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
         """Keeps an answer. **Raises:** `OSError` where the disk is full."""
@@ -184,7 +185,7 @@ def _compute(
 def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
     """Whether every order of the book has an answer."""
     driver = Driver(plan, plan.book.contracts, folder)
-    return driver.next_order() is None and not driver.waiting
+    return driver.next_order() is None and not driver.waiting and not driver.tests
 
 
 def _record(book: Book) -> dict[str, Any]:

@@ -33,9 +33,9 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, load_policy
 from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
-from snapo.solver.derivatives.interval import HELD
 from snapo.solver.evaluate import path_totals, value_of_groups
-from snapo.solver.sensitivity import Sensitivities, sensitivities
+from snapo.solver.sensitivity import sensitivities
+from snapo.study import initial_policy
 from snapo.study.assign import assigned
 from snapo.study.chapters.profile import leaves
 from snapo.study.domain import Domain, Options, find
@@ -58,6 +58,7 @@ from .order import (
 from .plan import kinds_of
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
+AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
@@ -178,18 +179,37 @@ class _Decided:
         labels = _shape(self.setup), repr(problem.sources.evaluation.world(problem.simulator))
         if order.policy is not None:
             policy = _policy(order.policy)
-            base = [self._valued(self.setup, policy, {})] if order.base else []
+            with_deltas = order.tasks.deltas == "all"
+            base = [self._valued(self.setup, policy, {}, with_deltas)] if order.base else []
             return OrderAnswer((*base, *self._stressed(policy)), None, *labels)
         if not order.base:
             return OrderAnswer(tuple(self._stressed(None)), None, *labels)
-        solution = self.setup.solve(bar=False)
-        assert solution.policy is not None
-        deltas = () if order.tasks.deltas == "none" else _deltas(solution.sensitivities)
-        base = self._point(self.setup, solution.totals, {}, deltas)
+        policy = self._adopted()
+        if policy is not None:
+            base = self._valued(self.setup, policy, {}, order.tasks.deltas != "none")
+        else:
+            solution = self.setup.solve(bar=False)
+            assert solution.policy is not None
+            policy = solution.policy
+            deltas = () if order.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
+            base = self._point(self.setup, solution.totals, {}, deltas)
         if order.tasks.exposure and base.status == "ok":
-            base = base._replace(exposure=tuple(self._exposure(solution.policy)))
-        points = (base, *self._stressed(solution.policy))
-        return OrderAnswer(points, _file(solution.policy), *labels)
+            base = base._replace(exposure=tuple(self._exposure(policy)))
+        points = (base, *self._stressed(policy))
+        return OrderAnswer(points, _file(policy), *labels)
+
+    def _adopted(self) -> Policy | None:
+        """The policy with the trained numbers of a similar contract; None where there is none, or
+        it does not fit."""
+        if self.order.adopted is None:
+            return None
+        file = self.contract.file.with_name("adopted.npz")
+        file.write_bytes(self.order.adopted)
+        supplied = initial_policy.read(file, self.contract.study.kind, file.parent, resume=False)
+        try:
+            return supplied.adopted_by(self.setup.policy)
+        except CaseError:
+            return None
 
     def _stressed(self, policy: Policy | None) -> Iterator[BookPoint]:
         """The points of the stresses; None: each trains a policy."""
@@ -202,18 +222,22 @@ class _Decided:
         setup = setup_at(self.setup, case)
         changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
-            return self._valued(setup, policy, changes)
+            return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
         solution = setup.solve(bar=False)
-        deltas = _deltas(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
+        deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 
-    def _valued(self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray]) -> BookPoint:
+    def _valued(
+        self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray], with_deltas: bool
+    ) -> BookPoint:
         engine, tasks = setup.engines.evaluate, self.order.tasks
         totals = path_totals(setup.problem, policy, tasks.paths, engine=engine)
         deltas: tuple[Delta, ...] = ()
-        if tasks.deltas == "all":
+        if with_deltas:
             paths = setup.evaluation.sensitivity_paths
-            deltas = _deltas(sensitivities(setup.problem, policy, paths=paths, engine=engine))
+            deltas = Delta.of_table(
+                sensitivities(setup.problem, policy, paths=paths, engine=engine)
+            )
         return self._point(setup, totals, changes, deltas)
 
     def _exposure(self, policy: Policy) -> Iterator[Exposure]:
@@ -222,14 +246,18 @@ class _Decided:
         bound = self.setup.engines.evaluate.bind(problem, controls=False)
         source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
         paths = source.available(min(self.order.tasks.paths, EXPOSURE_PATHS))
-        for block in source.blocks(paths, EXPOSURE_BLOCKS):
-            draws = source.draws(block, problem.simulator)
+        horizon, blocks = problem.simulator.horizon, list(source.blocks(paths, EXPOSURE_BLOCKS))
+        together = max(1, AT_ONCE // (len(blocks[0]) * horizon))
+        for i in range(0, len(blocks), together):
+            some = blocks[i : i + together]
+            draws = source.draws(np.concatenate(some), problem.simulator)
             outputs = bound.values(policy, draws, EXACT, record=("outputs",)).record["outputs"]
+            ends = np.cumsum([len(block) for block in some])[:-1]
             for name, values in leaves(outputs).items():
                 numbers = np.asarray(values, np.float64)
-                if numbers.ndim == 2:  # one number of a path and step
-                    means.setdefault(name, []).append(numbers.mean(1))
-        horizon = problem.simulator.horizon
+                if numbers.ndim == 2:  # one number of a step and path
+                    rows = (part.mean(1) for part in np.split(numbers, ends, axis=1))
+                    means.setdefault(name, []).extend(rows)
         days = about.get("days") or [str(i + 1) for i in range(horizon)]
         for name, rows in means.items():
             if np.isfinite(rows).all() and np.any(rows):
@@ -254,7 +282,7 @@ class _Decided:
         groups = problem.sources.evaluation.groups(np.arange(len(next(iter(totals.values())))))
         units = self.contract.study.about.get("units", {})
         outputs = tuple(
-            _figures(name, units.get(name, ""), values, groups)
+            OutputFigures.of(name, units.get(name, ""), values, groups)
             for name, values in totals.items()
             if name not in controls
         )
@@ -283,7 +311,8 @@ class _Calculated:
         _, table = next(self.calculation.stages(case))
         shares = batched(table["kept"])
         outputs = tuple(
-            _figures(x.name, x.unit, x.values, None, x.nominal, x.within) for x in table["outputs"]
+            OutputFigures.of(x.name, x.unit, x.values, None, x.nominal, x.within)
+            for x in table["outputs"]
         )
         return BookPoint(
             "ok", "", table["value"], table["standard_error"], shares, {}, outputs=outputs
@@ -299,26 +328,6 @@ def _changes(
             change = (entry.value - base[name].value).ravel()
             if change.any():
                 yield name, change
-
-
-def _figures(
-    name: str,
-    unit: str,
-    values: np.ndarray,
-    groups: np.ndarray | None,
-    nominal: float | None = None,
-    within: float | None = None,
-) -> OutputFigures:
-    """An output over the paths [N] that are finite."""
-    finite = np.isfinite(values)
-    values, groups = values[finite], None if groups is None else groups[finite]
-    if len(values) < 2:
-        none = np.nan, np.nan, np.nan, np.nan, np.nan
-        return OutputFigures(name, unit, *none, nominal, within)
-    mean = statistics.mean(values, groups)
-    p05, p95 = np.quantile(values, [0.05, 0.95])
-    spread = float(values.std(ddof=1)), float(p05), float(p95)
-    return OutputFigures(name, unit, mean.value, mean.standard_error, *spread, nominal, within)
 
 
 def _shape(setup: Setup) -> str:
@@ -363,23 +372,6 @@ def batched(shares: np.ndarray) -> np.ndarray:
     """[B] means of equal batches of shares [groups] in order: of the most batches up to 512."""
     count = next(n for n in range(min(BATCHES, len(shares)), 0, -1) if len(shares) % n == 0)
     return shares.reshape(count, -1).mean(1)
-
-
-def _deltas(table: Sensitivities | None) -> tuple[Delta, ...]:
-    """The held derivatives of a table, none of none."""
-    if table is None:
-        return ()
-    verdicts = table.verdicts or {}
-    return tuple(
-        Delta(
-            name,
-            tuple(map(str, table.inputs[name].names())),
-            table.inputs[name].unit,
-            estimate.blocks.reshape(len(estimate.blocks), -1),
-            verdicts[name].source == HELD if name in verdicts else None,
-        )
-        for name, estimate in table.held.items()
-    )
 
 
 def _file(policy: Policy) -> bytes:

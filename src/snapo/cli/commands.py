@@ -1,6 +1,7 @@
 """Each command: calls `snapo.study.commands`, prints the answer, and gives the exit code."""
 
 import argparse
+import gc
 import json
 import math
 import signal
@@ -38,7 +39,9 @@ def run(options: argparse.Namespace) -> int:
         "runs": _runs,
         "bench": _bench,
         "schema": _schema,
+        "cache": _cache,
     }
+    gc.set_threshold(20_000, 20, 20)  # tracing makes many objects, which are all needed
     try:
         # stdout is only for the answer
         with redirect_stdout(sys.stderr), stoppable():
@@ -322,6 +325,16 @@ def _schema(options: argparse.Namespace) -> Answer:
 
     schema = schema_of_kind(options.kind)
     return schema, json.dumps(schema, indent=2, ensure_ascii=False), OK
+
+
+def _cache(options: argparse.Namespace) -> Answer:
+    from snapo.engine import code_cache
+
+    if options.empty:
+        code_cache.empty()
+    folders = code_cache.contents()
+    table = [{"folder": str(x.path), "files": x.files, "bytes": x.size} for x in folders]
+    return {"status": "ok", "folders": table}, "\n".join(map(str, folders)), OK
 
 
 def summary(result: Mapping[str, Any]) -> str:

@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_runs,
         _add_bench,
         _add_schema,
+        _add_cache,
     ):
         add(commands)
     for choice in commands.choices.values():
@@ -317,6 +318,13 @@ def _add_schema(commands) -> None:
         epilog="snapo schema gas-storage > gas-storage.schema.json",
     )
     schema.add_argument("kind", metavar="KIND", help="such as gas-storage")
+
+
+def _add_cache(commands) -> None:
+    cache = commands.add_parser(
+        "cache", help="show the compiled code that is kept for later runs, or remove it"
+    )
+    cache.add_argument("--empty", action="store_true", help="remove all of it")
 
 
 def _add_completion(commands) -> None:

@@ -3,6 +3,7 @@
 import platform
 import threading
 import time
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
@@ -25,13 +26,19 @@ LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "ll
 
 def versions() -> dict[str, str]:
     """What decides the numbers besides the inputs: this package, its libraries and the machine."""
-    table = {"python": platform.python_version(), "machine": platform.machine()}
-    for name in LIBRARIES:
-        try:
-            table[name] = version(name)
-        except PackageNotFoundError:
-            table[name] = "not installed"
-    return table
+    return {
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        **{name: _version(name) for name in LIBRARIES},
+    }
+
+
+@cache
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 COMPILERS = ("/jax/core/compile", "/snapo/compile")  # events of compiling

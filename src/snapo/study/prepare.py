@@ -69,13 +69,16 @@ def _plain(data: Any) -> Any:
 
 
 def use_every_core() -> None:
-    """XLA runs one device per core, where JAX has not computed yet.
+    """XLA runs one device per core, where JAX has not computed yet, and keeps its programs on disk.
 
     On a machine with a GPU everything but an engine's rollouts runs on the processor all the same:
     its many small programs take longer to compile for a GPU than to run.
     """
     import jax
 
+    from snapo.engine.code_cache import keep_programs
+
+    keep_programs()
     jax.config.update("jax_default_device", "cpu")
     with suppress(RuntimeError):  # it has computed already: then it keeps the devices it has
         jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)

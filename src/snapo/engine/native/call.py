@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes import ACCIDENTS, Unsupported, jax_private
 from snapo.lanes.machine import pipeline
-from snapo.lanes.machine.disk import cache_home, cached
+from snapo.lanes.machine.disk import cached
 from snapo.lanes.machine.linked import KernelMemory, Linked
 from snapo.lanes.machine.pipeline import host
 from snapo.problem.code.version import of_rollout, read_context
@@ -22,6 +22,7 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..arrays import with_memory
 from ..base import Engine, Window, checked
+from ..code_cache import KERNELS, code_folder
 from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, KernelCode, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced
@@ -79,7 +80,7 @@ def forget_kernels() -> None:
 
 def linked(code: KernelCode) -> Linked:
     """The kernel's machine code, from the disk where it was made before."""
-    return Linked(cached(code.text, cache_home() / "snapo" / "kernels"), code.entries)
+    return Linked(cached(code.text, code_folder(KERNELS)), code.entries)
 
 
 class NativeCall:

@@ -140,11 +140,18 @@ def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
     """
     leaves, structure = jax.tree.flatten(trees)
     held, met = _held.get(), (structure, tuple(map(_kind, leaves)))
-    if held is None or not _is_hashable(met):
+    if not _is_hashable(met):
         return _read(trees, leaves, trace)
-    if met not in held:
-        held[met] = _read(trees, leaves, trace)
-    return held[met]
+    if _without_user_code.has(met):
+        return None
+    if held is not None and met in held:
+        return held[met]
+    version = _read(trees, leaves, trace)
+    if held is not None:
+        held[met] = version
+    if version is None:  # all of it is in packages, which do not change
+        _without_user_code.of(met, lambda: None)
+    return version
 
 
 def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> Version:
@@ -178,9 +185,13 @@ class _Kept:
                 self._found.popitem(last=False)
             return self._found[key]
 
+    def has(self, key: Hashable) -> bool:
+        with self._lock:
+            return key in self._found
+
 
 _next = count(1)
-_versions, _programs = _Kept(), _Kept()
+_versions, _programs, _without_user_code = _Kept(), _Kept(), _Kept()
 
 
 def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
@@ -201,7 +212,7 @@ def _is_array(leaf: Any) -> bool:
 
 def _kind(leaf: Any) -> Hashable:
     """Shape and dtype of an array, which is an argument; any other leaf itself."""
-    return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
+    return (leaf.shape, leaf.dtype) if _is_array(leaf) else (type(leaf), leaf)
 
 
 def _is_hashable(x: Any) -> bool:

@@ -1,0 +1,96 @@
+"""One trained policy for similar contracts, `policy = "shape"`, and the loss that it means.
+
+The first of similar contracts trains its policy, and so do the next three, which are valued on the
+same paths with the trained numbers of the first one too. Where the first one's numbers lose at most
+0.5 % of the value of any of the three, all others take them, next to a guide, scales and limits of
+their own; else each trains its own.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.solver import statistics
+
+from .file import BookContract
+from .order import BookOrder, BookPoint, OrderAnswer, name_of
+
+TESTED = 3  # contracts that train a policy of their own, to compare with the first one's
+MAX_LOSS = 0.005  # of the value of a tested contract
+
+# The answer to the order of this name; None where there is none.
+AnswerReader = Callable[[str], OrderAnswer | None]
+
+
+class PolicyLoss(NamedTuple):
+    """The loss of a tested contract with the policy of the first one.
+
+    - `value`: with its own policy; `loss`, `loss_error`: own less shared, on common paths.
+    """
+
+    case: str
+    value: float
+    loss: float
+    loss_error: float
+
+    @property
+    def share(self) -> float:
+        """The loss as a share of the value; not a number without one."""
+        return self.loss / abs(self.value) if self.value else math.nan
+
+
+class SharedPolicy(NamedTuple):
+    """The policy of the first of similar contracts, and its loss in the tested ones.
+
+    - `policy`: its file; None where each contract trains its own.
+    """
+
+    leader: str
+    contracts: int
+    losses: tuple[PolicyLoss, ...]
+    policy: bytes | None
+
+
+def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
+    """The contracts that are tested, the second to the fourth; none where no others would gain."""
+    return similar[1 : 1 + TESTED] if len(similar) > 1 + TESTED else ()
+
+
+def test_order(base: BookOrder, leader: OrderAnswer) -> BookOrder:
+    """The order of a tested contract, with the policy of the first one."""
+    tasks = base.tasks.model_copy(update={"deltas": "none", "exposure": False})
+    return replace(base, stresses=(), judged=False, tasks=tasks, adopted=leader.policy)
+
+
+def shared_policy(
+    similar: Sequence[BookContract],
+    base: Callable[[BookContract], BookOrder],
+    read: AnswerReader,
+) -> SharedPolicy | None:
+    """The policy of similar contracts; None as long as an answer that it needs is missing."""
+    first, *_ = similar
+    leader = read(name_of(base(first).pack()))
+    if leader is None:
+        return None
+    losses = list[PolicyLoss]()
+    for contract in tested(similar) if leader.policy is not None else ():
+        order = base(contract)
+        both = [read(name_of(x.pack())) for x in (order, test_order(order, leader))]
+        if None in both:
+            return None
+        own, shared = (answer.points[0] for answer in both if answer is not None)
+        losses.append(_loss(contract.name, own, shared))
+    is_good = all(loss.share <= MAX_LOSS for loss in losses)
+    policy = leader.policy if losses and is_good else None
+    return SharedPolicy(first.name, len(similar), tuple(losses), policy)
+
+
+def _loss(name: str, own: BookPoint, shared: BookPoint) -> PolicyLoss:
+    """Not a number where one of the two has no value: then nothing is shared."""
+    if own.status != "ok" or shared.status != "ok":
+        return PolicyLoss(name, own.value, np.nan, np.nan)
+    loss = statistics.of_shares(own.shares - shared.shares)
+    return PolicyLoss(name, own.value, loss.value, loss.standard_error)

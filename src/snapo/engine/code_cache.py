@@ -1,0 +1,84 @@
+"""The user's folder of compiled code: kernels of the native engine and programs of XLA.
+
+$XDG_CACHE_HOME/snapo/kernels    machine code of kernels, at most 512 MB
+$XDG_CACHE_HOME/snapo/xla        XLA's programs, at most 512 MB
+
+`XDG_CACHE_HOME` is `~/.cache` where it is not set. What has not been used (kernels) or made
+(programs) for 60 days is removed. Code from here is run: it must be the user's own.
+"""
+
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+from snapo.lanes.machine.disk import cache_home, evict
+
+KERNELS, PROGRAMS = "kernels", "xla"
+
+
+class CodeFolder(NamedTuple):
+    """A folder of compiled code, with the number of its files and their size in bytes."""
+
+    path: Path
+    files: int
+    size: int
+
+    def __str__(self) -> str:
+        return f"{self.path}   {self.files:,} files, {self.size / 1e6:,.1f} MB"
+
+
+def code_folder(name: str) -> Path:
+    """The folder of `KERNELS` or of `PROGRAMS`, which need not exist."""
+    return cache_home() / "snapo" / name
+
+
+def keep_programs() -> None:
+    """XLA's programs of this process are kept on disk and read from there, unless the user has
+    named another folder (`JAX_COMPILATION_CACHE_DIR`), or has switched the cache off."""
+    config = jax.config
+    if config.jax_compilation_cache_dir is not None or not config.jax_enable_compilation_cache:
+        return
+    folder = code_folder(PROGRAMS)
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_private(folder):
+            return
+        evict(folder)
+        # Small programs too: to read one takes a tenth of the time of compiling it.
+        config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        config.update("jax_compilation_cache_dir", str(folder))
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder is the user's, and nobody else may write into it."""
+    if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
+        return True
+    state = folder.stat()
+    return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def contents() -> list[CodeFolder]:
+    """Both folders as they are."""
+    result = []
+    for name in (KERNELS, PROGRAMS):
+        sizes = [file.stat().st_size for file in _files(code_folder(name))]
+        result.append(CodeFolder(code_folder(name), len(sizes), sum(sizes)))
+    return result
+
+
+def empty() -> None:
+    """Removes all code. A process that runs has its own in memory."""
+    for name in (KERNELS, PROGRAMS):
+        for file in _files(code_folder(name)):
+            with suppress(OSError):
+                file.unlink()
+
+
+def _files(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        return [file for file in folder.iterdir() if file.is_file() and not file.is_symlink()]
+    return []
