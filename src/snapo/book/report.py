@@ -5,20 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.report import charts
+from snapo.report import charts, quantity
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import (
-    PLUS_MINUS,
-    decimals,
-    finite,
-    measured,
-    number,
-    readable,
-    seconds,
-    with_unit,
-)
+from snapo.report.quantity import decimals, finite, measured, number, readable, seconds, with_unit
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
@@ -87,7 +78,7 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
         return Section("value", "Value of the book", "Value", blocks)
     digits = decimals([base["value"]], 6)
     value, error = measured(base["value"], base["standard_error"], digits)
-    note = f"{valued}; {PLUS_MINUS}, with the paths that contracts of one market share."
+    note = f"{valued}; {quantity.PLUS_MINUS}, with the paths that contracts of one market share."
     blocks = [Headline("value of the book", value, error, note)]
     blocks += [Text(f"{text[0].upper()}{text[1:]}.", caveat=True) for text in result["notes"]]
     if result["risk"]:
@@ -350,11 +341,8 @@ def _deltas(result: Mapping[str, Any]) -> Section:
         columns = columns[1:]
     few = rows[:400]
     caption = "Derivatives of the book's value with decisions held, summed over contracts"
-    blocks: list[Block] = [
-        table(
-            few, columns, caption, by_row=True, folded="" if len(few) <= MAX_ROWS else "all inputs"
-        )
-    ]
+    folded = "" if len(few) <= MAX_ROWS else "all inputs"
+    blocks: list[Block] = [table(few, columns, caption, by_row=True, folded=folded)]
     return Section("deltas", "Derivatives", "Derivatives", blocks)
 
 
