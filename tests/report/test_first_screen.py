@@ -1,5 +1,6 @@
 """What the first screen and the menu of a report say, of every domain."""
 
+import numpy as np
 import pytest
 
 from snapo.domains import control, energy, gas_storage, inventory, own, pension, pharma
@@ -10,6 +11,7 @@ from snapo.report.quantity import until
 from snapo.solver.verdict.further import room
 from snapo.study.chapters.bound import optimum
 from snapo.study.chapters.certificate import BumpRow, Certificate, LimitRow, bump_table, limit_table
+from snapo.study.chapters.distribution import DISTRIBUTION, PLAIN, OutputTotal, OutputTotals
 from snapo.study.chapters.headline import common_paths, headline
 from snapo.study.domain import Report
 
@@ -151,3 +153,19 @@ def test_a_group_without_blocks_has_no_link_and_the_next_visible_section_is_link
     assert both.links(made) == [("first", "End")]
     plain = Report("A", RunFiles, lambda run: [], (empty, first, second))
     assert plain.links(made) == [("first", "First"), ("second", "Second")]
+
+
+def test_a_plain_mean_that_differs_from_the_value_says_so():
+    def texts(mean: float, objective: str) -> list[str]:
+        total = OutputTotal(
+            "cash", "EUR", 64, mean, 1.0, 0.1, 0.0, 0.1, {}, {}, np.arange(3.0), np.ones(2)
+        )
+        files = run({"objective": objective, "objective_output": "cash"}, value=100.0)
+        return [
+            x.text for x in DISTRIBUTION.show(files, OutputTotals((total,))) if isinstance(x, Text)
+        ]
+
+    assert texts(99.5, "mean of the discounted cash flow") == [PLAIN]
+    assert texts(100.0, "mean of the discounted cash flow") == []
+    assert texts(99.5, "cvar of the discounted cash flow") == []
+    assert texts(5200.0, "mean of the result of a week") == []  # a sum over the weeks
