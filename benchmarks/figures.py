@@ -180,6 +180,14 @@ def cases(folder: Path) -> dict[str, str]:
     }
     tuned = min(leads[key] for key in ("constant_mix", "glide_path", "liability_driven"))
     return {
+        **{
+            name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
+            for kind in ("swing", "battery")
+            for name, x in (
+                (kind, result(kind)),
+                (f"{kind}_upper", result(kind)["bound"]["upper"]),
+            )
+        },
         "inventory": f"{-stock['value']:.3f} ± {half_width(stock['standard_error']):.3f}",
         "base_stock": f"{-stock['references']['base stock']:.2f}",
         "pharma": "{:.3f} ± {:.3f}".format(*estimate("pharma")),

@@ -44,14 +44,23 @@ def stages(values, chosen, policy=0):
                     "change_error": 0.25, "predicted": 0.0, "by_input": {}}  # fmt: skip
     rows = [["fill rate, %", value / 10, 0.1]]
     yield "sections", [{"title": "Service", "description": "", "rows": rows,
+                        "facts": [["yield", value / 10, "%"], ["temperature", 40.5, "degC"]],
                         "columns": [["", ""], ["mean", ""], ["±", ""]]}]  # fmt: skip
     yield "deltas", list(deltas(numbers))
     facts = [["stock", value / 100, "t"]]
     yield "today", {"description": f"order {value:.0f} t", "facts": facts, "columns": [],
                     "rows": []}  # fmt: skip
     line = [value, value + 1]
-    yield "fans", [{"name": "stock", "kind": "state",
-                    **dict.fromkeys(("mean", "p05", "p25", "p75", "p95"), line)}]  # fmt: skip
+    series = (
+        ("stock", "state"),
+        ("weights.0", "state"),
+        ("action", "action"),
+        ("stock", "outputs"),
+    )
+    lines = [[x + i for x in line] for i in range(len(series))]
+    yield "fans", [{"name": name, "kind": kind,
+                    **dict.fromkeys(("mean", "p05", "p25", "p75", "p95"), line)}
+                   for (name, kind), line in zip(series, lines)]  # fmt: skip
 
 
 HEALTH = {"gradient": 1.0, "noise": 0.1, "at_training": 1.0}
@@ -113,7 +122,8 @@ def main():
     threading.Thread(target=read, daemon=True).start()
     base = {**dict(stages({}, {})), "health": HEALTH}
     say(stage="ready", inputs=INPUTS, choices=CHOICES, base=base, counts={"value": 64},
-        bounded=True, unit="EUR", units={"stock": "t"})  # fmt: skip
+        bounded=True, unit="EUR", units={"stock": "t"},
+        names={"weights.0": "Equities, share of the assets"})  # fmt: skip
     while (order := orders.get()) is not None:
         while HELD.exists():
             time.sleep(0.02)

@@ -10,7 +10,9 @@ from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
 from snapo.live.files import read_files
+from snapo.live.headline import HeadlineTables
 from snapo.live.moves import Recalculation, WhatIf, choices
+from snapo.live.open import about_run
 from snapo.live.positions import InputPositions
 from snapo.live.valuation import Valuation
 from snapo.live.worker import open_run
@@ -178,7 +180,8 @@ def test_a_fund_shows_todays_trades_and_its_outcome_in_ratios(solved):
     side = "buy" if largest["trade"] > 0 else "sell"
     assert result.description.startswith(side) and largest["name"] in result.description
     stages = valuation.stages({})
-    value, (table,) = next(stages)[1]["value"], next(stages)[1]
+    raw, (table,) = next(stages)[1], next(stages)[1]
+    value, shown = raw["value"], HeadlineTables(valuation)
     rows = {row[0]: row[1] for row in table["rows"]}
     certain = json.loads((solved("pension") / "run" / "parts" / "objective.json").read_text())[
         "objective"
@@ -187,6 +190,10 @@ def test_a_fund_shows_todays_trades_and_its_outcome_in_ratios(solved):
     assert rows["Certainty equivalent of the value, %"] == pytest.approx(
         100 * certain["equivalent"], rel=1e-9
     )
+    headline = shown.table("value", raw)  # the page begins with the ratio, not with the utility
+    assert headline["value"] == pytest.approx(100 * certain["equivalent"], rel=1e-9)
+    assert shown.units()["unit"] == "%" and "funding ratio" in shown.units()["meaning"]
+    assert about_run(solved("pension") / "run")["meaning"] == shown.units()["meaning"]
     assert rows["Funding ratio, mean of the worst 5 %, %"] < rows["Mean funding ratio, %"]
 
 

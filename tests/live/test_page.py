@@ -23,6 +23,7 @@ pytestmark = [
 WORKER = Path(__file__).with_name("page_worker.py")
 ABOUT = {
     "title": "Item", "kind": "inventory", "folder": "mine/run", "days": None, "step": "week",
+    "restart": 'Start it again with "snapo open mine/run".',
     "trains": True, "meaning": "", "result": {"value": 455.0, "standard_error": 0.5},
 }  # fmt: skip
 REASON = "of the inputs before"
@@ -296,6 +297,31 @@ def test_a_change_is_explained_by_input(page):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
     enter(page, "cost", "4")
     assert page.locator("#explained").is_hidden()  # it is of other inputs
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_page_speaks_the_language_of_its_domain(browser, tmp_path, held, width):
+    with serving(tmp_path, held) as server:
+        server.about |= {"follows": True, "meaning": "Certainty-equivalent funding ratio"}
+        with opened(browser, server) as page:
+            page.set_viewport_size({"width": width, "height": 900})
+            assert page.inner_text("#value-head") == "Certainty-equivalent funding ratio"
+            assert page.inner_text("#figure") == "455"
+            tiles = page.locator("#sections dl div").all_inner_texts()
+            assert [tile.split() for tile in tiles] == [
+                ["Yield", "45.5", "%"],
+                ["Temperature", "40.5", "°C"],
+            ]
+            names = page.locator("#fan-name option").all_inner_texts()
+            shares = "Equities, share of the assets"
+            assert names == ["Stock (state)", shares, "Decision", "Stock (output of one step)"]
+            drawn = set()
+            for i in range(len(names)):
+                page.select_option("#fan-name", str(i))
+                drawn.add(page.inner_html("#fan-chart"))
+            assert len(drawn) == len(names)
+            wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+            assert page.evaluate(wide) <= 0  # nothing is cut
 
 
 def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):

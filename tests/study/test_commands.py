@@ -117,8 +117,9 @@ def test_what_is_refused(fake, case, capsys):
     assert main(["solve", str(case), "--simulator", "simulator:Mine"]) == 2
     message = capsys.readouterr().err
     assert 'a case of kind "fake" has its own simulator; one of yours is of kind "own"' in message
-    assert main(["report", str(case)]) == 2
-    assert "this is not the folder of a run" in capsys.readouterr().err
+    for name in (case, case / "case.toml"):
+        assert main(["report", str(name)]) == 2
+        assert f"this case has no run yet: snapo solve {name}." in capsys.readouterr().err
     assert main(["bench", "fakes"]) == 2
     assert "KIND: got 'fakes'" in capsys.readouterr().err
 

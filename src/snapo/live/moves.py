@@ -15,7 +15,7 @@ from snapo.case.error import CaseError
 from snapo.case.table import keys_of, recorded_tables
 from snapo.problem.inputs import Input
 from snapo.solver import statistics
-from snapo.study.study import Recalculated, Study
+from snapo.study.study import Headline, Recalculated, Study
 
 from .files import Files, Key
 from .positions import ChangedCase, InputPositions
@@ -248,6 +248,10 @@ class WhatIf:
     def settings(self) -> dict[str, Any]:
         """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
+    def headline(self, value: float) -> Headline | None:
+        """A value as the domain shows it, at the inputs that were valued last; None: as it is."""
+        return None
+
     def source(self, name: str) -> str:
         """Where the run's reported derivative comes from; "" where it does not say."""
         return ""
@@ -260,10 +264,12 @@ class WhatIf:
         ]
 
     def units(self) -> dict[str, Any]:
-        """`unit` of the value, and `units` of states and outputs by name, where they are known."""
-        about, units = self.study.about, self.study.about.get("units")
-        available = dict(units) if isinstance(units, Mapping) else {}
-        return {"unit": about.get("value_unit", ""), "units": available}
+        """`unit` of the value; `units` and `names` of states, actions and outputs, where they are
+        known."""
+        about = self.study.about
+        tables = {key: about.get(key) for key in ("units", "names")}
+        tables = {key: x if isinstance(x, Mapping) else {} for key, x in tables.items()}
+        return {"unit": about.get("value_unit", ""), **tables}
 
     def changed(self, values: InputValues) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.

@@ -1,17 +1,23 @@
-"""`snapo open RUN`: the page of a run, until it is ended."""
+"""`snapo open RUN`: the page of a run, until it is ended; and the same beside a Python session."""
 
 import asyncio
 import sys
+import threading
 import webbrowser
+from collections.abc import Callable
 from contextlib import suppress
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
 from snapo.study import run_folder
 from snapo.study.commands import domain_of_run
 from snapo.study.study import ProgressCallback
 from snapo.study.training import no_policy
+
+if TYPE_CHECKING:
+    from .server import Server
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
@@ -29,6 +35,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         raise no_policy(run, record)
     about = record.get("about", {})
     step = about.get("step")
+    # A value that is shown as another number follows with the calculation.
+    headline = about.get("headline", "")
     keys = ("value", "standard_error", "status", "convergence", "verdict", "bound", "paths")
     return {
         "title": about.get("title", run.name),
@@ -36,53 +44,131 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         "days": about.get("days"),
         "step": step if isinstance(step, str) else "step",
         "trains": trains,
-        "meaning": result.get("meaning", ""),
+        "meaning": headline or result.get("meaning", ""),
+        "follows": bool(headline),
         "folder": str(run),
+        "restart": f'Start it again with "snapo open {run}": the page that it opens offers the '
+        "inputs that stand here.",
         "result": {key: result.get(key) for key in keys},
     }
+
+
+def server_of(
+    run: Path,
+    *,
+    simulator: tuple[str, str] | None = None,
+    paths: int | None = None,
+    engine: str = "auto",
+    problem: Path | None = None,
+) -> "Server":
+    """The server of a run's page, not started; `problem`: the file of a problem in Python.
+
+    **Raises:** `CaseError` where there is no such run; `ModuleNotFoundError` without aiohttp.
+    """
+    from .server import Server
+
+    about = about_run(run, simulator)
+    if problem is not None:
+        about["folder"] = "solved in Python"
+        about["restart"] = "Call open() of the solution in Python again."
+    worker = [sys.executable, "-m", "snapo.live.worker", str(run), "--engine", engine]
+    if simulator is not None:
+        worker += ["--simulator", ":".join(simulator)]
+    if paths is not None:
+        worker += ["--paths", str(paths)]
+    if problem is not None:
+        worker += ["--problem", str(problem)]
+    return Server(run, about, worker)
+
+
+async def served(
+    server: "Server", port: int, ready: Callable[[], None], ended: asyncio.Event
+) -> None:
+    """Serves the page until `ended`. **Raises:** `CaseError` where the port is taken."""
+    try:
+        await server.start(port)
+    except OSError as error:
+        subject = f"this machine cannot be listened to there ({error.strerror})"
+        raise CaseError("--port", "", port, subject) from None
+    ready()
+    try:
+        await ended.wait()
+    finally:
+        await server.close()
 
 
 def open_page(
     run: Path,
     progress: ProgressCallback,
     *,
-    simulator: tuple[str, str] | None = None,
     port: int = 0,
     browser: bool = True,
-    paths: int | None = None,
-    engine: str = "auto",
+    **options: Any,
 ) -> None:
-    """Serves the page of a run until Ctrl-C.
+    """Serves the page of a run until Ctrl-C; `options`: those of `server_of`.
 
-    **Raises:** `CaseError` where there is no such run, the port is taken, or the extra is missing.
+    **Raises:** `CaseError` as `server_of` does, and where the port is taken.
     """
-    about = about_run(run, simulator)
-    try:
-        from .server import Server
-    except ModuleNotFoundError as error:
-        message = f"the page needs {error.name}: pip install 'snapo[live]'"
-        raise CaseError("snapo open", "", None, message) from None
-    worker = [sys.executable, "-m", "snapo.live.worker", str(run), "--engine", engine]
-    if simulator is not None:
-        worker += ["--simulator", ":".join(simulator)]
-    if paths is not None:
-        worker += ["--paths", str(paths)]
+    server = server_of(run, **options)
 
-    async def serve() -> None:
-        server = Server(run, about, worker)
-        try:
-            await server.start(port)
-        except OSError as error:
-            subject = f"this machine cannot be listened to there ({error.strerror})"
-            raise CaseError("--port", "", port, subject) from None
+    def ready() -> None:
         progress(f"the page is at {server.address}")
         progress("it is for this machine only; Ctrl-C ends it")
         if browser:
             webbrowser.open(server.address)
-        try:
-            await asyncio.Event().wait()
-        finally:
-            await server.close()
+
+    async def until_ended() -> None:
+        await served(server, port, ready, asyncio.Event())
 
     with suppress(KeyboardInterrupt):  # which is how it ends
-        asyncio.run(serve())
+        asyncio.run(until_ended())
+
+
+class LivePage:
+    """The live page of a solution, beside the Python session that opened it, and no longer.
+
+    - `address`: for a browser of this machine; a notebook shows it as a link.
+    """
+
+    def __init__(self, server: "Server", closed: Callable[[], None] = lambda: None):
+        self._closed, started = closed, threading.Event()
+        self._loop, self._ended = asyncio.new_event_loop(), asyncio.Event()
+        self._failed: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                self._loop.run_until_complete(served(server, 0, started.set, self._ended))
+            except CaseError as error:
+                self._failed.append(error)
+            finally:
+                started.set()
+
+        # A thread that ends with the session; its worker ends when nobody can ask it any more.
+        self._thread = threading.Thread(target=run, name="snapo live page", daemon=True)
+        self._thread.start()
+        started.wait()
+        if self._failed:
+            closed()
+            raise self._failed[0]
+        self.address = server.address
+
+    def close(self) -> None:
+        """Ends the page and its calculation."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join()
+        self._closed()
+
+    def __repr__(self) -> str:
+        state = "open until close(), or the end of this session" if self._open else "closed"
+        return f"{self.address} ({state})"
+
+    def _repr_html_(self) -> str:
+        if not self._open:
+            return "<p>This page is closed.</p>"
+        link = f'<a href="{escape(self.address)}" target="_blank">Open the live page</a>'
+        return f"<p>{link}; it ends with this session, or with <code>close()</code>.</p>"
+
+    @property
+    def _open(self) -> bool:
+        return self._thread.is_alive()

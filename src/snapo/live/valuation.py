@@ -29,7 +29,7 @@ from snapo.solver.statistics import Estimate
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
 from snapo.study.run_folder import POLICY
-from snapo.study.study import PathTotals, Setup, Study
+from snapo.study.study import Headline, PathTotals, Setup, Study
 
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
 from .positions import InputPositions
@@ -101,6 +101,11 @@ class Valuation(WhatIf):
             except PolicyFileError as error:
                 raise CaseError(POLICY, "", None, str(error)) from None
 
+    def headline(self, value: float) -> Headline | None:
+        if self.study.headline is None or not np.isfinite(value):
+            return None
+        return self.study.headline(self._last, value)
+
     def source(self, name: str) -> str:
         table = self.solution.sensitivities
         return table.source(name) if table else ""
@@ -121,6 +126,7 @@ class Valuation(WhatIf):
         rollout = simulate(setup, policy, self.counts)
         if differs and (invalid := _too_many(setup, rollout.totals)):
             raise self._no_value(changed, selected, invalid)
+        self._last = setup
         yield "value", self._value(setup, rollout, changed, differs)
         if study.live_tables is not None:
             source = setup.problem.sources.evaluation
@@ -131,7 +137,6 @@ class Valuation(WhatIf):
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
         yield "fans", fans(rollout.tables)
-        self._last = setup
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
         """How near the policy is to its best at the numbers that were valued last."""

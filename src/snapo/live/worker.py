@@ -7,6 +7,7 @@ moves of one page only the newest is answered: a newer one ends the work on the 
 import argparse
 import json
 import os
+import pickle
 import queue
 import shutil
 import sys
@@ -20,12 +21,13 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.solver.solution import Solution
 from snapo.study.commands import domain_of_run
-from snapo.study.domain import Options
+from snapo.study.domain import Domain, Options
 from snapo.study.prepare import case_of_run, options_of_run
 from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
 
 from .files import read_files
+from .headline import HeadlineTables
 from .moves import Recalculation, WhatIf
 from .positions import InputPositions
 from .rollout import PathCounts, numbers_of_a_path
@@ -38,13 +40,14 @@ def open_run(
     simulator: tuple[str, str] | None = None,
     engine: str = "auto",
     counts: PathCounts | None = None,
+    domain: Domain | None = None,
 ) -> WhatIf:
-    """The run in a folder.
+    """The run in a folder; `domain`: that of a problem in Python, by default that of its kind.
 
     **Raises:** `CaseError` where there is no such run, or nothing to move.
     """
     record = read(run)
-    domain = domain_of_run(run, record, simulator)
+    domain = domain or domain_of_run(run, record, simulator)
     file, data = case_of_run(run, record)
 
     def rebuild(case: Any) -> Study:
@@ -120,21 +123,31 @@ class Desk:
         return self.newest.get(order["page"]) != order["n"]
 
 
-def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) -> None:
-    """Answers until there are no more lines; `module`: of the user's simulator."""
+def serve(
+    valuation: WhatIf,
+    desk: Desk,
+    post: Post,
+    module: str | None = None,
+    shown: HeadlineTables | None = None,
+) -> None:
+    """Answers until there are no more lines; `module`: of the user's simulator; `shown`: as the
+    page shows tables."""
+    shown = shown or HeadlineTables(valuation)
     while (order := desk.orders.get()) is not None:
         try:
             if isinstance(valuation, Valuation):
                 valuation.use(order.get("policy") or 0)
             if order["do"] == "move":
-                _move(valuation, desk, post, order)
+                _move(valuation, desk, post, order, shown)
             elif order["do"] == "train" and isinstance(valuation, Valuation):
-                _train(valuation, desk, post, order)
+                _train(valuation, desk, post, order, shown)
             elif order["do"] == "bound" and isinstance(valuation, Valuation):
                 result = valuation.bound_here(order["values"], order.get("chosen") or {})
+                result = shown.table("bounded", result)
                 post(page=order["page"], n=order["n"], stage="bounded", table=result)
             elif order["do"] == "explain":
                 rows = valuation.explained(order["values"], order.get("chosen") or {})
+                rows = shown.table("explained", rows)
                 post(page=order["page"], n=order["n"], stage="explained", table=rows)
             elif order["do"] == "write":
                 _write(valuation, order)
@@ -149,7 +162,9 @@ def serve(valuation: WhatIf, desk: Desk, post: Post, module: str | None = None) 
             post(page=order["page"], n=order["n"], stage="refused", message=text)
 
 
-def _move(valuation: WhatIf, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+def _move(
+    valuation: WhatIf, desk: Desk, post: Post, order: Mapping[str, Any], shown: HeadlineTables
+) -> None:
     started, stage = time.perf_counter(), ("", None)
     stages = valuation.stages(order["values"], order.get("chosen") or {})
     while not desk.stale(order):
@@ -159,7 +174,7 @@ def _move(valuation: WhatIf, desk: Desk, post: Post, order: Mapping[str, Any]) -
         if stage is None:
             post(**address, stage="done")
             break
-        post(**address, stage=stage[0], table=stage[1])
+        post(**address, stage=stage[0], table=shown.table(*stage))
     if stage is None and desk.rests(REST):
         for name, table in valuation.afterwards():
             post(page=order["page"], n=order["n"], stage=name, table=table)
@@ -186,7 +201,9 @@ class Cancelled(Exception):
     """The page no longer needs it."""
 
 
-def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+def _train(
+    valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any], shown: HeadlineTables
+) -> None:
     address = {"page": order["page"], "n": order["n"]}
 
     def report(step: int, of: int) -> None:
@@ -199,7 +216,7 @@ def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any
     except Cancelled:
         post(**address, stage="cancelled")
     else:
-        post(**address, stage="trained", table=result)
+        post(**address, stage="trained", table=shown.table("trained", result))
 
 
 def in_words(error: CaseError) -> str:
@@ -212,6 +229,13 @@ def _short(error: CaseError) -> str:
     return str(CaseError(file, error.where, error.value, error.allowed))
 
 
+def _unpickled(file: Path) -> Domain:
+    """The domain of a problem in Python, as the process that opened the page wrote it."""
+    with file.open("rb") as stream:
+        sys.path[:] = pickle.load(stream)  # the user's modules, by which the rest is read
+        return pickle.load(stream)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """`python -m snapo.live.worker RUN`: the way the server starts it."""
     parser = argparse.ArgumentParser(prog="snapo.live.worker")
@@ -219,6 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--simulator")
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--paths", type=int)
+    parser.add_argument("--problem", type=Path)  # that `pickled` wrote for this process
     options = parser.parse_args(arguments)
     # Output of a user's code must not appear between the lines of the answers.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
@@ -229,25 +254,28 @@ def main(arguments: list[str] | None = None) -> int:
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None
     counts = None if options.paths is None else PathCounts.of(options.paths)
+    domain = _unpickled(options.problem) if options.problem else None
     try:
-        valuation = open_run(options.run, code, options.engine, counts)  # pyright: ignore
+        valuation = open_run(options.run, code, options.engine, counts, domain)  # pyright: ignore
     except CaseError as error:
         post(stage="failed", message=str(error))
         return 2
-    base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
+    shown = HeadlineTables(valuation)
+    # Which leaves nothing to compile for the first move.
+    base = {name: shown.table(name, table) for name, table in valuation.stages({})}
     base |= dict(valuation.afterwards())
     counts = valuation.counted()
     available = [choice._asdict() for choice in valuation.choices]
     bounded = isinstance(valuation, Valuation) and valuation.bounded
     ready = {
-        "inputs": valuation.inputs(),
+        "inputs": shown.inputs(valuation.inputs()),
         "choices": available,
         "base": base,
         "counts": counts,
         "bounded": bounded,
     }
-    post(stage="ready", **ready, **valuation.units())
-    serve(valuation, Desk(sys.stdin), post, code[0] if code else None)
+    post(stage="ready", **ready, **shown.units())
+    serve(valuation, Desk(sys.stdin), post, code[0] if code else None, shown)
     return 0
 
 

@@ -53,7 +53,8 @@ class Use(eqx.Module):
     def in_numpy(self, values: Mapping[str, np.ndarray]) -> Float[np.ndarray, "..."]:
         """The same in NumPy."""
         if self.size <= 1:
-            return np.broadcast_to(values[self.name] if self.size else 0.0, self.shape)
+            number = np.reshape(values[self.name], ()) if self.size else 0.0
+            return np.broadcast_to(number, self.shape)
         return values[self.name] if self.index is None else values[self.name][self.index]
 
 

@@ -1,8 +1,10 @@
 """The result of `solve` as frozen data: the value, its computation, and its reliability."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from snapo.problem.problem import Problem
 from . import checkpoint
 from .derivatives.verdict import COLUMNS
 from .figures import Figures
+from .learning.bar import in_notebook
 from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
@@ -72,6 +75,7 @@ class Solution:
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
+    - `folder`: from which it was loaded.
     """
 
     value: float
@@ -107,6 +111,7 @@ class Solution:
     selected: str = ""
     gain: tuple[float, float] = (float("nan"), float("nan"))
     maximised: str = ""
+    folder: Path | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return str(self)
@@ -162,6 +167,39 @@ class Solution:
             tables["training"] = SheetTable(Record._fields, self.history, TRAINING)
         tables |= {f"total {name}": histogram(total) for name, total in self.totals.items()}
         write_tables(file, tables)
+
+    def report(self, file: Path | str, problem: Problem | None = None) -> Path:
+        """Writes the report of this solution into an HTML file, and returns its path.
+
+        A solution from `snapo solve` has the report of its run. For any other one the report
+        measures fans over time and checks the derivatives on `problem`, by default the one solved.
+
+        **Raises:** `ValueError` for a name that does not end in .html, or without a problem;
+        `ModuleNotFoundError` without the extra `cli`.
+        """
+        with _pages("report", "cli") as pages:
+            return pages.write_report(self, Path(file), problem)
+
+    def open(
+        self,
+        problem: Problem | None = None,
+        *,
+        simulator: str | None = None,
+        browser: bool | None = None,
+    ) -> Any:
+        """Opens the live page: every input can be moved, and the value is computed again.
+
+        The page is served until `close()` of what is returned, or until this session ends.
+
+        - `problem`: by default the one solved; `simulator`: "MODULE:CLASS", for a run of
+          `snapo solve` with a simulator of yours.
+        - `browser`: whether to open one; by default outside of a notebook, which shows a link.
+
+        **Raises:** `ValueError` without a problem; `ModuleNotFoundError` without the extra `live`.
+        """
+        browser = not in_notebook() if browser is None else browser
+        with _pages("open", "live") as pages:
+            return pages.open_page(self, problem, simulator, browser)
 
     def lines(self) -> list[str]:
         """A summary of the value and the training, in a few lines."""
@@ -273,7 +311,8 @@ class Solution:
             name: header[name] for name in ("window", "clip", "keep", "maximised") if name in header
         }
         plain["gain"] = (header["gain"], header["gain_error"])
-        return cls(**plain, **policies, totals=totals, sensitivities=sensitivities, history=history)
+        plain |= {"totals": totals, "sensitivities": sensitivities, "history": history}
+        return cls(**plain, **policies, folder=folder)
 
     def _beside(self) -> dict[str, Any]:
         """Plain data that is not in the summary."""
@@ -291,6 +330,16 @@ PLAIN = (
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
     "status", "convergence", "control", "versions", "roles", "smoothing_gap_error", "selected",
 )  # fmt: skip
+
+
+@contextmanager
+def _pages(verb: str, extra: str) -> Iterator[Any]:
+    """The module that makes pages, in a room above this one; a missing package names its extra."""
+    try:
+        yield import_module("snapo.domains.own.in_python")
+    except ModuleNotFoundError as error:
+        message = f"solution.{verb} needs {error.name}: pip install 'snapo[{extra}]'"
+        raise ModuleNotFoundError(message, name=error.name) from None
 
 
 def folder_of(folder: Path | str) -> Path:

@@ -31,7 +31,13 @@ from .training import TRAINING, no_policy
 
 
 def write_report(domain: Domain, folder: Path) -> Path:
-    """Writes `report.html` into a run folder and returns its path.
+    """Writes `report.html` into a run folder and returns its path."""
+    write_text(folder / REPORT, page_of(domain, folder))
+    return folder / REPORT
+
+
+def page_of(domain: Domain, folder: Path) -> str:
+    """The report of a run folder as HTML.
 
     Where a file or a key is missing, the section has a sentence on it. The same files give the
     same page, byte for byte.
@@ -59,8 +65,7 @@ def write_report(domain: Domain, folder: Path) -> Path:
         footer=_footer(run.get("versions.snapo")),
         logo=_logo(folder, texts.get("logo")),
     )
-    write_text(folder / REPORT, render(page))
-    return folder / REPORT
+    return render(page)
 
 
 def _logo(folder: Path, name: str | None) -> str:

@@ -162,7 +162,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
         kinds = ", ".join(f'"{item}"' for item in available)
         if kind is None:
             raise CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
-        close = f"; {nearest(kind, available)}" if isinstance(kind, str) else ""
+        close = f"; {nearest(kind, available, 'kind')}" if isinstance(kind, str) else ""
         raise CaseError(file, where, kind, f"allowed is one of {kinds}{close}")
     try:
         domain = available[kind].load()

@@ -181,7 +181,7 @@ def read(out: Path) -> dict[str, Any]:
         layout = int(record["layout"])
         if layout == LAYOUT:
             _check_record(record)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise _no_run(out) from None
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         message = f"this file cannot be read ({error}); solve the case again"
@@ -249,6 +249,8 @@ def _no_run(out: Path) -> CaseError:
         )
         return CaseError(str(out), "", None, message)
     message = "this is not the folder of a run: `snapo solve` writes run.json into it"
+    if out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
+        message = f"this case has no run yet: snapo solve {out}"
     return CaseError(str(out), "", None, message)
 
 

@@ -93,12 +93,14 @@ class LiveTable(NamedTuple):
 
     - `title`; `description`: one line above; `columns`: (name, unit) of the table, and its `rows`,
       of texts and numbers.
+    - `facts`: (name, number, unit) of the figures to read first, above the table.
     """
 
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[Any]]
     description: str = ""
+    facts: Sequence[tuple[str, float, str]] = ()
 
 
 class PathTotals(NamedTuple):
@@ -120,6 +122,18 @@ class PathTotals(NamedTuple):
         """One output's mean over another's, and its standard error."""
         ratio = statistics.ratio(self.totals[top], self.totals[bottom], self.groups)
         return ratio.value, ratio.standard_error
+
+
+class Headline(NamedTuple):
+    """A value as its reader knows it: an increasing function of it, "Certainty equivalent" in %.
+
+    - `number`: at the value; `slope`: d number / d value.
+    """
+
+    name: str
+    unit: str
+    number: float
+    slope: float
 
 
 class CalculatedOutput(NamedTuple):
@@ -182,7 +196,8 @@ class Study:
     """What a run does.
 
     - `kind`: of the domain.
-    - `about`: known before any work: title, currency, dates, notes …, for the report.
+    - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
+      "names" of series by name, for the live page.
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …
@@ -197,6 +212,7 @@ class Study:
     - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
     - `live_tables`: returns the sections of the domain on the live page.
+    - `headline`: gives the headline of a value of a setup's objective; None where it has none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
     """
 
@@ -214,6 +230,7 @@ class Study:
     inputs: Callable[[Any], Mapping[str, Input]] | None = None
     live_tables: Callable[[PathTotals], Sequence[LiveTable]] | None = None
     recalculated: Callable[[], Recalculated] | None = None
+    headline: Callable[[Setup, float], Headline | None] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

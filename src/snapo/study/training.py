@@ -36,11 +36,11 @@ def train(run: StudyRun) -> dict[str, Any]:
             progress=_resumed(run, setup),
         )
     except Interrupted as stop:
-        raise Interrupted(_saved(run, stop.result)) from None
-    return _saved(run, solution)
+        raise Interrupted(saved(run, stop.result)) from None
+    return saved(run, solution)
 
 
-def _saved(run: StudyRun, solution: Solution) -> dict[str, Any]:
+def saved(run: StudyRun, solution: Solution) -> dict[str, Any]:
     """Writes a solution into the run folder, and returns the tables of the part."""
     run.trained = solution
     solution.save(run.folder)

@@ -199,3 +199,50 @@ def test_years_end_on_their_day():
     case = swing(year_begins="04-01")
     ends = np.flatnonzero(case.contract.year_ends)
     assert [case.days[t].isoformat() for t in ends] == ["2027-03-31", "2027-09-30"]
+
+
+def test_a_large_shift_is_the_normal_price():
+    """Negative prices in the contract core: the lattice, the rule of the fitted value, the bound."""
+    reversion = {"model.mean_reversion": 12.0}
+    normal = {"model.kind": "one-factor-normal", "model.volatility": 30.0}
+    shifted = {"model.kind": "one-factor-shifted", "model.volatility": 3e-4, "model.shift": 1e5}
+    cases = [case_at(HOME / "template_swing", reversion | x) for x in (normal, shifted)]
+    values = [exact(case, finer=1) for case in cases]
+    assert abs(values[1] - values[0]) < 1e-3 * values[0]
+    made = make_setup(cases[0], "native")
+    found = bound(
+        made.problem,
+        made.policy.value_rule,
+        relaxation=EnergyRelaxation(made.problem),
+        paths=1024,
+        engine=made.engines.evaluate,
+    )
+    assert 0.995 * values[0] < found.lower.value < values[0] + 3 * found.lower.standard_error
+    assert values[0] - 3 * found.upper.standard_error < found.upper.value < 1.005 * values[0]
+
+
+def test_spikes_in_rule_and_bound():
+    """The methods of the core in factor and spike, around the lattice."""
+    model = {
+        "kind": "one-factor-poisson-jumps",
+        "jump_intensity": 20.0,
+        "jump_size": 0.35,
+        "jump_mean_reversion": 120.0,
+    }
+    changes = {f"model.{name}": value for name, value in model.items()} | {
+        "contract.end": datetime.date(2026, 10, 31),
+        "contract.annual": {"min": 5.0, "max": 10.0},
+    }
+    case = case_at(HOME / "template_swing", changes)
+    made, value = make_setup(case, "native"), exact(case, finer=1)
+    assert made.problem.simulator.control_variates() == ("value_surprise",)
+    found = bound(
+        made.problem,
+        made.policy.value_rule,
+        relaxation=EnergyRelaxation(made.problem),
+        paths=1024,
+        engine=made.engines.evaluate,
+    )
+    errors = [3 * x.standard_error for x in (found.lower, found.upper)]
+    assert 0.99 * value < found.lower.value < value + errors[0]
+    assert value - errors[1] < found.upper.value < 1.008 * value + errors[1]

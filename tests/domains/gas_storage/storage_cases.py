@@ -25,8 +25,8 @@ def read_case(path: Path) -> StorageCase:
     return DOMAIN.read(*load(path))
 
 
-def read(name: str, **tables: dict[str, Any]) -> StorageCase:
-    """A case of this folder, with keys of its tables changed (None: removed)."""
+def read(name: str | Path, **tables: dict[str, Any]) -> StorageCase:
+    """A case of this folder, or of another one, with keys of its tables changed (None: removed)."""
     return changed(CASES / name, **tables)
 
 

@@ -21,6 +21,9 @@ QUICK = {
 }
 
 
+KINDS = 9
+
+
 def models(draw: np.random.Generator) -> list[dict]:
     """A price model of every kind, with numbers that are drawn."""
     reversion, volatility = (float(x) for x in draw.uniform((5, 0.3), (25, 0.9)))
@@ -53,13 +56,22 @@ def models(draw: np.random.Generator) -> list[dict]:
         },
         {"kind": "regimes", **one, "tightens": 0.05, "eases": 0.2, "premium": 0.4},
         {"kind": "supplied", **FACTORS, **paths, "rescale_to_curve": bool(draw.integers(2))},
+        {
+            "kind": "one-factor-poisson-jumps",
+            **one,
+            "jump_intensity": float(draw.uniform(5, 8)),
+            "jump_size": 0.3,
+            "jump_mean_reversion": 150.0,
+        },
+        {"kind": "one-factor-normal", **one, "volatility": 10 * volatility},
+        {"kind": "one-factor-shifted", **one, "shift": float(draw.uniform(1, 50))},
     ]
 
 
 def drawn(seed: int, folder):
     """A problem whose every number is drawn, and few of its rules; the kinds of prices in turn."""
     draw = np.random.default_rng(seed)
-    kind = seed % 6
+    kind = seed % KINDS
     model = models(draw)[kind]
     gap = int(draw.choice([0, 0, 1, 5, 6]))
     start = datetime.date(2025, 1, 1) + datetime.timedelta(int(draw.choice([0, 0, 31])))
@@ -67,7 +79,9 @@ def drawn(seed: int, folder):
     dates = [start + datetime.timedelta(days) for days in range(-1, 32)]
     rows = [f"{day},{draw.uniform(20, 40):.3f}" for day in dates]
     (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
-    rates = [f"{day},{draw.uniform(0, 0.05):.4f}" for day in (dates[0], dates[1 + kind], dates[-1])]
+    rates = [
+        f"{day},{draw.uniform(0, 0.05):.4f}" for day in (dates[0], dates[1 + kind % 6], dates[-1])
+    ]
     (folder / "rates.csv").write_text("\n".join(["date,zero_rate", *rates]))
     fees = [f"{day},{draw.uniform(1, 5):.2f}" for day in (dates[3], dates[9])]
     (folder / "fees.csv").write_text("\n".join(["date,amount", *fees]))
@@ -97,7 +111,7 @@ def drawn(seed: int, folder):
     return bare_problem(read(folder, contract=contract, market=market, model=model))
 
 
-@pytest.mark.parametrize("kind", range(6))
+@pytest.mark.parametrize("kind", range(KINDS))
 def test_a_simulator_has_arrays_alone(kind, tmp_path):
     problem = drawn(kind, tmp_path)
     leaves = jax.tree.leaves(problem.simulator)
@@ -107,7 +121,7 @@ def test_a_simulator_has_arrays_alone(kind, tmp_path):
 
 
 def test_equal_forms_are_equal_programs(tmp_path):
-    problems = (drawn(seed, tmp_path) for seed in range(0, 72, 6))
+    problems = (drawn(seed, tmp_path) for seed in range(0, 12 * KINDS, KINDS))
     assert same_programs(problems, enough=72) >= 3
 
 

@@ -59,6 +59,19 @@ CELLS = (
     "import matplotlib.pyplot as plt\nsolution.plot.distribution()",
     "solution.plot.training()",
     "_, axes = plt.subplots()\nsolution.plot.training(ax=axes)",
+    """
+    import os, signal
+    sent = []
+    def stop(progress):  # what the button of a notebook sends
+        if progress.step == 4 and not sent:
+            sent.append(True)
+            os.kill(os.getpid(), signal.SIGINT)
+    long = snapo.Training(steps=400, paths=32, validation_paths=64, validation_every=2)
+    stopped = snapo.solve(
+        of, policy=policy(of), training=long, evaluation=few, engine="xla", callbacks=[stop]
+    )
+    print(stopped.status, len(stopped.history), stopped.value == stopped.value)
+    """,
 )
 
 
@@ -71,10 +84,12 @@ def test_a_notebook_has_one_picture_for_every_plot(monkeypatch):
     notebook = nbformat.v4.new_notebook(cells=cells)
     monkeypatch.setenv("SNAPO_BAR", "0")
     nbclient.NotebookClient(notebook, timeout=300).execute()
-    made, shown, *plots, drawn = [cell.outputs for cell in notebook.cells]
+    made, shown, *plots, drawn, stopped = [cell.outputs for cell in notebook.cells]
     assert not made
     assert shown[0].data["text/plain"].startswith("value ")
     for outputs in plots:
         (output,) = outputs
         assert "image/png" in output.data and "<Figure" not in output.data["text/plain"]
     assert len([output for output in drawn if "image/png" in output.get("data", {})]) == 1
+    status, steps, is_number = stopped[0]["text"].split()
+    assert status == "interrupted" and int(steps) < 10 and is_number == "True"

@@ -25,6 +25,7 @@ from .contract.simulator import StorageSimulator, simulator_of
 from .policy.guide import FittedKnots, Innovations, ValueTable
 from .policy.network import StoragePolicy
 from .prices.process import GaussianFactors
+from .references.lattice import coordinates
 from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
@@ -118,7 +119,7 @@ def fitted_value(problem: Problem) -> FittedValue | None:
 def value_table(problem: Problem, fit: FittedValue | None) -> ValueTable:
     """Marginal values: of the fitted value where several factors matter, else of the fast one."""
     result, schedule = factors(problem), problem.schedule
-    if fit is not None and 1 < len(fit.basis.selected) <= MAX_FACTORS:
+    if fit is not None and 1 < coordinates(fit.basis.of, fit.basis.selected) <= MAX_FACTORS:
         return ValueTable(FittedKnots(*fitted_marginal(schedule, fit)))  # pyright: ignore
     kind = simulator_of(problem).interpolation
     return ValueTable.of(marginal_values(schedule, result, kind))

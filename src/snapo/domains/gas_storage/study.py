@@ -141,6 +141,11 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "value_unit": case.currency if case.objective.keeps_unit else "",
         "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)
         | dict.fromkeys(("cash_flow", "costs"), case.currency),
+        "names": {
+            "action.0": "injection, share of what is possible",
+            "action.1": "withdrawal, share of what is possible",
+            "value_surprise": "innovation of the value",
+        },
         "notes": [*notes, *case.notes],
         "fixed_costs": fixed_costs_value(case),
     }

@@ -1,5 +1,6 @@
 """A run of a user's simulator: check, training, measurement and report."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -96,14 +97,22 @@ def lines(case: OwnCase) -> list[str]:
     ]
 
 
-def study(case: OwnCase, options: Options) -> Study:
-    """Training, distribution, fans, moves of the inputs, and the certificate."""
+def study(
+    case: OwnCase,
+    options: Options,
+    setup_of: Callable[[OwnCase, str], Setup] | None = None,
+) -> Study:
+    """Training, distribution, fans, moves of the inputs, and the certificate.
+
+    `setup_of`: makes the setup of a case with an engine, by default from the tables of the case.
+    """
     if options.reference:
         message = "a user-defined simulator has no references to compute"
         raise CaseError("--reference", "", None, message)
     available = (options.about or {}).get("notes")
     notes = _notes(case) if available is None else available
-    setup = make_setup(case, options.engine)
+    setup_of = setup_of or make_setup
+    setup = setup_of(case, options.engine)
     chapters = (DISTRIBUTION, PROFILE, MOVES, CERTIFICATE)
     parts = [TRAINING, *(chapter.part for chapter in chapters)]
     if isinstance(setup.problem.simulator, Relaxable):
@@ -124,7 +133,7 @@ def study(case: OwnCase, options: Options) -> Study:
 
     def at_case(before: Setup, other: OwnCase) -> Setup:
         values = {name: inputs.value for name, inputs in other.inputs.items()}
-        return at_values(before, other.simulator, values, lambda: make_setup(other, options.engine))
+        return at_values(before, other.simulator, values, lambda: setup_of(other, options.engine))
 
     return Study(
         "own",

@@ -169,4 +169,6 @@ def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
         rows.append((attribute.name, bounds, mean, spread, 100 * share, 100 * error))
     share, error = measured.mean(measured.totals["success"])
     text = f"{100 * share:.4g} % {plus_minus(100 * error)} of batches keep all limits (95 %)"
-    return [LiveTable("Attributes and their limits", COLUMNS, rows, text)]
+    units = ["" if x.unit == "1" else x.unit for x in case.attributes]
+    facts = [(f"{row[0]}, mean", float(row[2]), unit) for row, unit in zip(rows, units)]
+    return [LiveTable("Attributes and their limits", COLUMNS, rows, text, facts)]

@@ -27,7 +27,7 @@ function connect() {
     status("not connected", "lost");
     page.ready = false;
     tries += 1;
-    if (tries > 1) trouble(`The server of this page has ended. Start it again with "snapo open ${page.about?.folder ?? "RUN"}": the page that it opens offers the inputs that stand here.`);
+    if (tries > 1) trouble(`The server of this page has ended. ${page.about?.restart ?? ""}`);
     expect();
     setTimeout(connect, 1500);
   });
@@ -69,7 +69,7 @@ function about({ about, page: name }) {
   at("title").textContent = about.title;
   at("about").textContent = `${about.kind}, ${about.folder}`;
   if (about.meaning) at("value-head").textContent = about.meaning;
-  if (!page.base) {
+  if (!page.base && !about.follows) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
     at("changes").replaceChildren(fact("of the run", "as solve reported it"));
@@ -100,7 +100,9 @@ function ready(message) {
   page.unit = message.unit;
   page.bounded = message.bounded;
   page.units = message.units;
+  page.names = message.names ?? {};
   at("unit").textContent = page.unit;
+  if (message.meaning) at("value-head").textContent = message.meaning;
   trouble("");
   if (first) {
     page.inputs = message.inputs;
@@ -280,7 +282,8 @@ function value(found) {
   compiled.add(JSON.stringify(chosen()));
   stale.delete("value");
   // At the run's inputs the value is the one that the run reports, from all of its paths.
-  const first = anything() || !Number.isFinite(page.about?.result.value) ? found : page.about.result;
+  const about = page.about, same = about && !about.follows && Number.isFinite(about.result.value);
+  const first = anything() || !same ? found : about.result;
   page.last = { value: first.value, values: structuredClone(values()), key: key(), deltas: null };
   at("value").classList.remove("pending");
   at("figure").textContent = shown(first.value, 6);

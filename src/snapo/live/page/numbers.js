@@ -77,7 +77,7 @@ const raised = (digits) => [...digits].map((each) => RAISED[each]).join("");
 export function unitWords(text) {
   const power = /((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])/g;
   const written = text.replace(power, (_, unit, digits) => unit + raised(digits));
-  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b/g, "√$1$2").replaceAll("*", "·").replaceAll("^k", "ᵏ");
+  return written.replace(/\bum\b/g, "µm").replace(/\bdegC\b/g, "°C").replace(/\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b/g, "√$1$2").replaceAll("*", "·").replaceAll("^k", "ᵏ");
 }
 
 // A number as it was typed or pasted: "1 234,5", "1,234.5", "16.61". NaN where it is none.

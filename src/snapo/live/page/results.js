@@ -26,13 +26,13 @@ const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : na
 // The domain's own sections. A column of standard errors stands in the one before it.
 export function sections(found) {
   const text = (each) => (typeof each === "string" ? each : shown(each));
-  at("sections").replaceChildren(...found.map(({ title, description, columns, rows }) => {
+  at("sections").replaceChildren(...found.map(({ title, description, columns, rows, facts = [] }) => {
     const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
     const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ${error(row[i + 1])}`) : "");
     const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
     const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
     const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
-    return element("section", { className: "card" }, element("h2", {}, title), description ? element("p", { className: "quiet" }, description) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
+    return element("section", { className: "card" }, element("h2", {}, title), description ? element("p", { className: "quiet" }, description) : "", facts.length ? element("dl", {}, ...facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit)))) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
   }));
 }
 
@@ -43,9 +43,17 @@ export function choices() {
   const outputs = [...new Set(page.base.deltas.map((each) => each.of).filter(Boolean))];
   at("delta-of").replaceChildren(...outputs.map((name) => element("option", { value: name }, name)));
   at("delta-of-label").hidden = !outputs.length;
-  const names = (page.base.fans ?? []).map((each) => each.name);
-  const first = names.find((name) => page.units[name]) ?? names[0];
-  at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
+  const series = page.base.fans ?? [];
+  const first = series.find((each) => page.units[each.name]) ?? series[0];
+  at("fan-name").replaceChildren(...series.map((each, i) => element("option", { value: i, selected: each === first }, seriesName(each, series))));
+}
+
+// The name of a series for people; where a state and an output share one, their kind too.
+const KINDS = { state: "state", action: "decision", outputs: "output of one step" };
+
+function seriesName(each, series) {
+  const name = page.names[each.name] ?? capital(each.name === "action" ? "decision" : each.name.replaceAll("_", " ").replaceAll(".", " ").replace(/^action /, "decision "));
+  return series.filter((other) => other.name === each.name).length > 1 ? `${name} (${KINDS[each.kind]})` : name;
 }
 
 export function deltas(found) {
@@ -76,10 +84,10 @@ const one = (words, amount) => (amount === 1 ? words.replace(/^points$/, "point"
 
 export function fans(found) {
   at("fans").hidden = false;
-  const name = at("fan-name").value, series = found.find((each) => each.name === name);
-  const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
+  const i = Number(at("fan-name").value), series = found[i], name = series.name;
+  const base = found === page.base.fans ? null : page.base.fans[i];
   const days = page.about.days, step = page.about.step;
-  drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
+  drawn(at("fan-chart"), (width) => fan(width, series, base, (at) => (days ? days[Math.min(at, days.length - 1)] : `${step} ${at}`)));
   const unit = unitWords(page.units[name] ?? "");
   at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
 }

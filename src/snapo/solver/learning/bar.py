@@ -77,15 +77,21 @@ def _terminal(always: bool) -> Callable[[str], None] | None:
     return write
 
 
-def _notebook() -> Callable[[str], None] | None:
-    """Replaces one output of the cell; there is none where IPython runs in a terminal."""
+def in_notebook() -> bool:
+    """Whether this is the kernel of a notebook; IPython in a terminal is none."""
     if "ipykernel" not in sys.modules:
-        return None
+        return False
     from IPython.core.getipython import get_ipython  # pyright: ignore[reportMissingImports]
+
+    return hasattr(get_ipython(), "kernel")
+
+
+def _notebook() -> Callable[[str], None] | None:
+    """Replaces one output of the cell."""
+    if not in_notebook():
+        return None
     from IPython.display import display  # pyright: ignore[reportMissingImports]
 
-    if not hasattr(get_ipython(), "kernel"):
-        return None
     handles: list[Any] = []
 
     def write(text: str) -> None:

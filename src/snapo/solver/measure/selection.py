@@ -133,12 +133,11 @@ class Selection(NamedTuple):
         """One sentence for the report; empty where nothing was compared."""
         if not np.isfinite(self.gain):
             return ""
-        amount = f"{self.gain:,.3g} {statistics.plus_minus(self.error)}"
         if self.kind == START:
-            return (
-                f"The starting rule was kept: training changed the value by {amount}, on fresh "
-                "paths."
-            )
+            side = "below" if self.gain < 0 else "above"
+            amount = f"{abs(self.gain):,.3g} {statistics.plus_minus(self.error)} {side} it"
+            return f"The starting rule was kept: on fresh paths the trained policy is {amount}."
+        amount = f"{self.gain:,.3g} {statistics.plus_minus(self.error)}"
         return f"Training gained {amount} over the rule that it began with, on fresh paths."
 
 

@@ -88,7 +88,7 @@ class EnergySimulator(PricedSimulator):
         """With the scales of features of these inputs."""
         inputs = {name: jnp.asarray(value) for name, value in values.items()}
         most = self._terms(inputs).steps.most
-        size = np.mean(np.abs(self.curve.in_numpy(values)))
+        size = self.process.price_scale(self.curve.in_numpy(values), values)
         return replace(
             self,
             price_scale=np.asarray(size or 1.0),

@@ -101,8 +101,10 @@ def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     the last step is over.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
-    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
-    return _value(row.now, before, observed) - _value(row.ahead, after, observed)
+    size = row.now.coefficients.shape[-1]
+    observed = functions(row.reading, factors, size)
+    ahead = row.reading.ahead(factors, size, observed)
+    return _value(row.now, before, observed) - _value(row.ahead, after, ahead)
 
 
 def at_end(first: Array) -> Array:

@@ -12,8 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from ...gas_storage.bounds.basis import PolynomialBasis, gaussian_basis
-from ...gas_storage.bounds.regression import Regression, product, regression
+from ...gas_storage.bounds.regression import (
+    AnyBasis,
+    AnyRegression,
+    basis_of,
+    regression_of,
+)
 from ...gas_storage.policy.guide import Reading
 from ...gas_storage.prices.process import GaussianFactors
 from ..core.contract import ContractLayout
@@ -32,15 +36,15 @@ class FittedContract:
     - `value`: today's; an approximation.
     """
 
-    basis: PolynomialBasis
+    basis: AnyBasis
     grid: ContractGrid
     coefficients: list[np.ndarray]
     value: float
 
     @property
-    def available(self) -> Regression:
+    def available(self) -> AnyRegression:
         """The regression that it is the result of."""
-        return regression(self.basis)
+        return regression_of(self.basis)
 
 
 def fit(
@@ -48,26 +52,21 @@ def fit(
 ) -> FittedContract:
     """The fitted value of a schedule with NumPy leaves, which has a step."""
     terms, horizon = schedule.steps.terms, len(grid.steps)
-    basis = gaussian_basis(factors, priced=False)
-    available, size = regression(basis), basis.size
+    basis = basis_of(factors, priced=False)
+    available, size = regression_of(basis), basis.size
     coefficients = [np.zeros((len(layout.modes), grid.size(horizon), size))]
     for t in reversed(range(horizon)):
         step, later = grid.steps[t], coefficients[-1]
-        value = product(later.reshape(-1, size), available.day(t).ahead)
+        value = available.expected(t, later.reshape(-1, size))
         after = arrived(step, value.reshape(*later.shape[:2], -1))
-        spot = schedule.steps.forward[t] * available.noise(t)
+        spot = available.spot(t, schedule.steps.forward[t])
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         value = best(step, layout, cash, terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
-        found = product(available.day(t).fit, flat.T).T
+        found = available.fitted(t, flat)
         coefficients.append(found.reshape(*value.shape[:2], size))
     coefficients.reverse()
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
-
-
-def _constant(basis: PolynomialBasis) -> int:
-    """The number of the function 1 among those that are not hinges."""
-    return -1 if basis.common else int(np.flatnonzero(np.all(basis.powers == 0, axis=1))[0])
 
 
 def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
@@ -99,8 +98,8 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
 def _after(fitted: FittedContract, t: int) -> np.ndarray:
     """[modes, nodes after, n] coefficients after a step, as expected before the next one."""
     step, later = fitted.grid.steps[t], fitted.coefficients[t + 1]
-    result = (later @ fitted.available.day(t).drift)[:, step.arrive]
-    result[:, :, _constant(fitted.basis)] -= step.lost
+    result = (later @ fitted.available.drift(t))[:, step.arrive]
+    result[:, :, fitted.basis.constant] -= step.lost
     return result
 
 
@@ -187,7 +186,7 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
         low = np.array([x[0] for x in nodes])
         spacing = np.array([np.ptp(x) / (count - 1) for x in nodes]) if nodes else np.zeros(0)
         rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
-        plain = fitted.coefficients[t] @ available.day(t).plain
+        plain = fitted.coefficients[t] @ available.plain(t)
         now.append(np.stack([_interpolated(nodes, mode, rows) for mode in plain]))
         lows.append(low)
         spacings.append(spacing)
@@ -200,10 +199,8 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
     reading = Reading(*(x[:-1] for x in basis.linear()))  # pyright: ignore
     rows = [LevelRows(low[:-1], spacing[:-1]), LevelRows(low[1:], spacing[1:])]  # pyright: ignore
     table = Surprise(Values(rows[0], values[:-1]), Values(rows[1], ahead), reading)  # pyright: ignore
-    constant = np.all(basis.powers == 0, axis=1).astype(float)
-    mean = np.append(constant, 1.0) if basis.common else constant
     start = values[0].reshape(len(layout.modes), -1, values.shape[-1])[0, 0]
-    return Surprises(table, np.asarray(start @ mean))
+    return Surprises(table, np.asarray(start @ basis.plain_first))
 
 
 def levels_of(fitted: FittedContract, t: int) -> np.ndarray:

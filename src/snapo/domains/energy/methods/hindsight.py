@@ -105,5 +105,4 @@ class EnergyRelaxation:
             factors = np.asarray(jax.vmap(jax.vmap(self.process.gaussian))(states))
         basis = self.fitted.basis
         moved = basis.increments(np.ascontiguousarray(np.moveaxis(factors, 1, 2)))
-        counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
-        return moved * np.repeat(scale, counts)[:, None]
+        return moved * scale[basis.parts][:, None]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...gas_storage.prices.process import GaussianFactors
-from ...gas_storage.references.lattice import SLOW, Refined, on_finer_grids
+from ...gas_storage.references.lattice import SLOW, Refined, coordinates, on_finer_grids
 from ...gas_storage.references.marginal import FactorGrid, factor_grid
 from ..core.contract import ContractLayout
 from .grid import ContractGrid, arrived, best, grid_of
@@ -45,11 +45,11 @@ def lattice(
     columns = 1 if prices is None else prices.columns
     value = np.zeros((len(layout.modes), grid.size(horizon), columns))
     for t in reversed(range(horizon)):
-        noise = np.ones(1) if prices is None else prices.noise(t)
+        spot = schedule.steps.forward[t, None]
         if prices is not None:
+            spot = prices.spot(t, spot)
             flat = value.reshape(-1, columns)
             value = prices.after(t).expect(flat).reshape(value.shape)
-        spot = schedule.steps.forward[t] * noise
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         after = arrived(grid.steps[t], value)
         value = best(grid.steps[t], layout, cash, terms.fixed[t], after)
@@ -67,11 +67,10 @@ def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
 
 def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
     selected = selected_factors(factors)
-    if len(selected) > 2:
-        raise ValueError(
-            f"a lattice holds one or two price factors, and {len(selected)} move prices"
-        )
-    return factor_grid(factors, selected, SPACINGS[len(selected)] / finer, slow)
+    count = coordinates(factors, selected)
+    if count > 2:
+        raise ValueError(f"a lattice holds one or two price factors, and {count} move prices")
+    return factor_grid(factors, selected, SPACINGS[count] / finer, slow)
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
@@ -84,7 +83,7 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
         finer.append(lambda n: of_levels(parts=n))
     if factors is not None:
         finer.append(lambda n: of_prices(finer=n))
-        if len(selected_factors(factors)) > 1:
+        if coordinates(factors, selected_factors(factors)) > 1:
             finer.append(lambda n: of_prices(slow=(SLOW - 1) * n + 1))
     results = [on_finer_grids(first.value, partial(_value, side), ENOUGH) for side in finer]
     moved = sum(result.value - first.value for result in results)

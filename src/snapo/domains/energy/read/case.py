@@ -73,7 +73,8 @@ class ContractKind(NamedTuple):
         return HourlyMarketTable if self.hourly else MarketTable
 
 
-BY_HOUR = ("one-factor", "multi-factor")  # kinds of prices whose steps may be hours
+# Kinds of prices whose steps may be hours.
+BY_HOUR = ("one-factor", "multi-factor", "one-factor-normal", "one-factor-shifted")
 KINDS: dict[str, ContractKind] = {
     "swing": ContractKind(
         SwingTable, read_swing, "Swing contract", {"annual": AnnualTable, "rights": RightsTable}

@@ -47,6 +47,29 @@ class PolynomialBasis:
     def size(self) -> int:
         return len(self.powers) + len(self.hinges) + bool(self.common)
 
+    @property
+    def plain(self) -> int:
+        """How many are without hinges."""
+        return len(self.powers) + bool(self.common)
+
+    @property
+    def parts(self) -> np.ndarray:
+        """[K] to which part of a penalty a function belongs: polynomials, hinges, the constant."""
+        return np.repeat(range(3), [len(self.powers), len(self.hinges), bool(self.common)])
+
+    @property
+    def constant(self) -> int:
+        """The number of the function 1 among those without hinges."""
+        return (
+            len(self.powers) if self.common else int(np.flatnonzero(_degree(self.powers) == 0)[0])
+        )
+
+    @property
+    def plain_first(self) -> np.ndarray:
+        """Expectations on the valuation date of the functions without hinges on the first day."""
+        mean = (_degree(self.powers) == 0).astype(float)
+        return np.append(mean, 1.0) if self.common else mean
+
     def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
         """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
         days = slice(first, first + len(states))
@@ -229,7 +252,7 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
     same = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
-    common = alone & same & np.all(of.decay == 1, axis=0)
+    common = alone & same & np.all(of.decay == 1, axis=0) & of.proportional
     defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(of.decay.mean(axis=0), kind="stable")
     selected = tuple(int(i) for i in speed if not common[i] and not defaulted[i]) or (
@@ -237,6 +260,11 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     )
     common = tuple(int(i) for i in speed if common[i] and not defaulted[i] and i not in selected)
     return PolynomialBasis(of, selected, common, powers(len(selected)))
+
+
+def _degree(powers: np.ndarray) -> np.ndarray:
+    """[n] total degrees."""
+    return powers.sum(axis=1)
 
 
 def powers(count: int) -> np.ndarray:

@@ -11,7 +11,9 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from .basis import REACH, PolynomialBasis
+from ..prices.process import GaussianFactors
+from .basis import REACH, PolynomialBasis, gaussian_basis
+from .spike_basis import COUNT, SpikeBasis
 
 MAXIMUM = 1 << 18  # multiplications; OpenBLAS takes one thread below
 
@@ -104,14 +106,33 @@ class Regression:
                 self._days[t] = day
         return day
 
-    def noise(self, t: int) -> np.ndarray:
-        """Spot over forward price [Q] on day t."""
+    def fitted(self, t: int, values: np.ndarray) -> np.ndarray:
+        """[m, K] coefficients of values [m, Q] on day t."""
+        return product(self.day(t).fit, values.T).T
+
+    def expected(self, t: int, coefficients: np.ndarray) -> np.ndarray:
+        """[m, Q] expectations on day t of the functions [m, K] of the next date."""
+        return product(coefficients, self.day(t).ahead)
+
+    def plain(self, t: int) -> np.ndarray:
+        """[K, n] see `RegressionDay`."""
+        return self.day(t).plain
+
+    def drift(self, t: int) -> np.ndarray:
+        """[K, n] see `RegressionDay`."""
+        return self.day(t).drift
+
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """Spot prices [Q] on day t, of mean `forward`."""
+        return self.basis.of.spot(forward, self._noise(t))
+
+    def _noise(self, t: int) -> np.ndarray:
         noise = self._noises.get(t)
         if noise is None:
             of, basis = self.basis.of, self.basis
             log = of.loading[t][list(basis.selected)] @ basis.back(t) @ self.y
             log += basis.level_deviation(t) * self.level * bool(basis.common)
-            noise = np.exp(log - of.variance[t] / 2)
+            noise = of.noise(log, of.variance[t])
             if self._keeps:
                 self._noises[t] = noise
         return noise
@@ -140,12 +161,65 @@ class Regression:
         )
 
 
+class SpikeRegression:
+    """The same of a basis with spikes; nodes run over those of the factors x those of spikes."""
+
+    def __init__(self, basis: SpikeBasis):
+        self.basis, self.inner = basis, regression(basis.inner)
+
+    def fitted(self, t: int, values: np.ndarray) -> np.ndarray:
+        """[m, K] coefficients of values [m, Q] on day t."""
+        return _both(values, self.inner.day(t).fit.T, self.basis.regression[0].T)
+
+    def expected(self, t: int, coefficients: np.ndarray) -> np.ndarray:
+        """[m, Q] expectations on day t of the functions [m, K] of the next date."""
+        return _both(coefficients, self.inner.day(t).ahead, self.basis.regression[1])
+
+    def plain(self, t: int) -> np.ndarray:
+        """[K, n] see `RegressionDay`."""
+        return np.kron(self.inner.plain(t), np.eye(COUNT))
+
+    def drift(self, t: int) -> np.ndarray:
+        """[K, n] see `RegressionDay`."""
+        return np.kron(self.inner.drift(t), self.basis.regression[2])
+
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """Spot prices [Q] on day t, of mean `forward`."""
+        spikes = np.exp(self.basis.nodes[0] - self.basis.spikes.compensator[t])
+        return np.kron(self.inner.spot(t, forward), spikes)
+
+
+def _both(rows: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Rows [m, k n] times the Kronecker product of `left` [k, …] and `right` [n, …]."""
+    count, k, n = len(rows), len(left), len(right)
+    part = product(right.T, rows.reshape(count * k, n).T)  # [… , count k]
+    part = part.reshape(-1, count, k).transpose(2, 1, 0).reshape(k, -1)
+    return (
+        product(left.T, part).reshape(-1, count, right.shape[1]).swapaxes(0, 1).reshape(count, -1)
+    )
+
+
+AnyBasis = PolynomialBasis | SpikeBasis
+AnyRegression = Regression | SpikeRegression
 _last: Recent[Regression] = Recent(LAST)
+
+
+def basis_of(of: GaussianFactors, priced: bool) -> AnyBasis:
+    """The functions for these factors and their spikes; `priced`: whether the end date has a
+    price."""
+    inner = gaussian_basis(of, priced)
+    return inner if of.spikes is None else SpikeBasis(inner, of.spikes)
+
+
+def regression_of(basis: AnyBasis) -> AnyRegression:
+    """The regression of a basis."""
+    return SpikeRegression(basis) if isinstance(basis, SpikeBasis) else regression(basis)
 
 
 def regression(basis: PolynomialBasis) -> Regression:
     """The regression of a basis, cached by the factors."""
-    key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
+    of = basis.of
+    key = *basis.key(), of.loading.tobytes(), of.variance.tobytes(), of.additive, of.shift
     return _last.of(key, lambda: Regression(basis))
 
 

@@ -70,6 +70,10 @@ class Hindsight:
 
         Where each inventory was decided without foresight.
         """
+        if states.shape[2] > BLOCK:
+            blocks = [slice(i, i + BLOCK) for i in range(0, states.shape[2], BLOCK)]
+            charged = [self.charged(inventory[:, x], states[:, :, x], scale) for x in blocks]
+            return np.concatenate(charged)
         innovations = self._surprises(states, scale)
         if innovations is None or self.coefficients is None:
             return np.zeros(inventory.shape[1])
@@ -163,6 +167,4 @@ class StoreRelaxation:
         """The scale of each function of the basis, from those of the penalty's parts."""
         if self.fitted_value is None or not len(scale):
             return 1.0
-        basis = self.fitted_value.basis
-        counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
-        return np.repeat(scale, counts)
+        return scale[self.fitted_value.basis.parts]

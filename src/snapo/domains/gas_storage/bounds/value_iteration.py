@@ -20,9 +20,8 @@ from ..references.day_terms import Interpolation, end_value, rates, unit_prices,
 from ..references.lattice_day import inventory_nodes
 from ..references.marginal import ROWS, slope_table
 from ..references.piecewise import visited
-from .basis import PolynomialBasis, gaussian_basis
 from .day_grid import DayGrid, best_value, day_grids, largest_rate, one_day, spacing_of
-from .regression import Recent, product, regression
+from .regression import AnyBasis, Recent, basis_of, regression_of
 
 # All that the grids follow from. A name that is missing here would leave old grids in use.
 STEPS = (
@@ -74,7 +73,7 @@ class FittedValue:
     - `value`: on the valuation date, in present money, before fixed costs. An approximation.
     """
 
-    basis: PolynomialBasis
+    basis: AnyBasis
     nodes: list[np.ndarray]
     coefficients: list[np.ndarray]
     value: float
@@ -114,20 +113,20 @@ def fit_guide(schedule, factors: GaussianFactors, interpolation: Interpolation) 
 def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedValue:
     steps, constants = schedule.steps, schedule.constants
     horizon = len(days)
-    basis = gaussian_basis(factors, constants.end_fraction != 0)
-    available = regression(basis)
+    basis = basis_of(factors, constants.end_fraction != 0)
+    available = regression_of(basis)
     nodes = [day.nodes for day in days] + [days[-1].after]
-    spot = constants.end_forward * available.noise(horizon)
+    spot = available.spot(horizon, constants.end_forward)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
-        coefficients[t] = product(available.day(t).fit, value.T).T
+        coefficients[t] = available.fitted(t, value)
         if t:
-            prices = unit_prices(schedule, t - 1, steps.forward[t - 1] * available.noise(t - 1))
+            prices = unit_prices(schedule, t - 1, available.spot(t - 1, steps.forward[t - 1]))
             value = best_value(
                 days[t - 1],
                 prices,
-                product(coefficients[t], available.day(t - 1).ahead),
+                available.expected(t - 1, coefficients[t]),
                 above=False,
             )
     return FittedValue(basis, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
@@ -150,6 +149,7 @@ class FittedMarginal(NamedTuple):
     - `above`, `below`: [T, rows, n] on either side: of the polynomials of the basis times its
       exponential and, where there is one, of the constant.
     - `whiten`: [T, kept, F], `common` [T, F], `shift` [T]: y = whiten f, ln g = common f - shift.
+    - `exponents`, `exponents_ahead`: of functions of spikes, where there are any, see `SpikeBasis`.
     """
 
     low: np.ndarray
@@ -159,17 +159,18 @@ class FittedMarginal(NamedTuple):
     whiten: np.ndarray
     common: np.ndarray
     shift: np.ndarray
+    exponents: np.ndarray | None = None
+    exponents_ahead: np.ndarray | None = None
 
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
     """The table of a fitted value; outside its inventories the last slope continues."""
     basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
-    available = regression(basis)
-    size = len(basis.powers) + bool(basis.common)
-    table = np.zeros((2, horizon, ROWS, size))
+    available = regression_of(basis)
+    table = np.zeros((2, horizon, ROWS, basis.plain))
     for t in range(horizon):
-        nodes, drift = fitted_value.nodes[t + 1], available.day(t).drift
+        nodes, drift = fitted_value.nodes[t + 1], available.drift(t)
         if nodes.size == 1:  # no choice of inventory: the spot is as good as any
             table[:, t, :, 0] = steps.gas_discount[t] * steps.forward[t]
             continue
@@ -189,7 +190,7 @@ class InnovationTable(NamedTuple):
     - `now`: [T + 1, levels, n] coefficients of the functions of `FittedMarginal`; present values.
     - `ahead`: [T, levels, n] those of its expectation a day before, on the next date's levels.
     - `first`: its expectation on the valuation date.
-    - `whiten`, `common`, `shift`: [T + 1, …], as in `FittedMarginal`.
+    - `whiten`, `common`, `shift`, exponents: [T + 1, …], as in `FittedMarginal`.
     """
 
     low: np.ndarray
@@ -200,6 +201,8 @@ class InnovationTable(NamedTuple):
     whiten: np.ndarray
     common: np.ndarray
     shift: np.ndarray
+    exponents: np.ndarray | None = None
+    exponents_ahead: np.ndarray | None = None
 
 
 def innovation_table(fitted_value: FittedValue, levels: int = INNOVATION_LEVELS) -> InnovationTable:
@@ -207,16 +210,15 @@ def innovation_table(fitted_value: FittedValue, levels: int = INNOVATION_LEVELS)
     basis, dates, available = (
         fitted_value.basis,
         len(fitted_value.nodes),
-        regression(fitted_value.basis),
+        regression_of(fitted_value.basis),
     )
     low, high = (np.array([nodes[end] for nodes in fitted_value.nodes]) for end in (0, -1))
     now = np.stack(
         [
-            fitted_value.at(t, np.linspace(low[t], high[t], levels)) @ available.day(t).plain
+            fitted_value.at(t, np.linspace(low[t], high[t], levels)) @ available.plain(t)
             for t in range(dates)
         ]
     )
     ahead = basis.expected_coefficients(now[1:])
-    constant = np.all(basis.powers == 0, axis=1).astype(float)
-    mean = np.append(constant, 1.0) if basis.common else constant
-    return InnovationTable(low, high, now, ahead, float(now[0, 0] @ mean), *basis.linear())
+    first = float(now[0, 0] @ basis.plain_first)
+    return InnovationTable(low, high, now, ahead, first, *basis.linear())

@@ -17,6 +17,7 @@ from snapo.study.chapter import Number
 from snapo.study.chapters.certificate import Certificate, bump_table, certificate, limit_table
 from snapo.study.study import Setup, StudyRun
 
+from ..prices.process import VOLATILITY
 from ..setup import OUTPUT, case_of, on_independent_paths
 from .run import StorageRun
 
@@ -144,6 +145,14 @@ def assumptions(run: StorageRun) -> Section:
     return Section("assumptions", title, "Assumptions", [*blocks, _glossary(run)])
 
 
+def _volatility(run: StorageRun) -> tuple[str, str, str]:
+    """The row on volatilities, of prices in money or of their logarithm."""
+    unit = next((x.unit for x in run.inputs.values() if x.group == "volatility"), "")
+    if unit in ("", VOLATILITY.unit):
+        return "Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"
+    return "Volatility", unit.replace("sqrt(year)", "√year"), "of the price itself"
+
+
 def _glossary(run: StorageRun) -> Table:
     money, gas = run.currency or "currency", run.volume
     rows = [
@@ -155,7 +164,7 @@ def _glossary(run: StorageRun) -> Table:
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
-        ("Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"),
+        _volatility(run),
         ("±", "", "half of the 95 % interval of an estimate, of simulation alone"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),
     ]  # fmt: skip

@@ -20,13 +20,13 @@ from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
 from ..policy.network import StoragePolicy
-from ..policy.triggers import Triggers, decide, triggers
+from ..policy.triggers import Triggers, decide, spots_around, triggers
 from ..setup import case_of, on_independent_paths, policy_of
 from .run import StorageRun
 from .today import FirstDecision, first_decision, levels_of
 
 PATHS = 4096
-PRICES = 21  # spot prices of decisions.csv, from half to one and a half of the forward
+PRICES = 21  # spot prices of decisions.csv, mostly from half to one and a half of the forward
 TRIGGERS = (("withdrawal", "Withdraw above", "withdraw"), ("injection", "Inject below", "inject"))
 
 
@@ -119,8 +119,11 @@ def working_volume(case: StorageCase) -> float:
 
 def _by_price(problem: Problem, case: StorageCase, policy: StoragePolicy, levels: np.ndarray):
     """Header and rows of decisions.csv: the first day's decision by spot price and inventory."""
-    forward = float(problem.schedule.steps.forward[0])
-    spots, stock = np.meshgrid(forward * np.linspace(0.5, 1.5, PRICES), levels, indexing="ij")
+    forward = problem.schedule.steps.forward[:1]
+    around = forward * np.linspace(0.5, 1.5, PRICES)
+    if not case.model.proportional:
+        around = spots_around(problem, forward, np.linspace(-0.5, 0.5, PRICES))[0]
+    spots, stock = np.meshgrid(around, levels, indexing="ij")
     spots, stock = spots.ravel(), stock.ravel()
     decided = decide(problem, policy, 0, stock, spots)
     gas, price = case.volume_unit, f"{case.currency}/{case.volume_unit}"

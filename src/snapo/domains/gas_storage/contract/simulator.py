@@ -28,7 +28,7 @@ from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
 from ..prices.process import PricedSimulator, PriceProcess, use
 from .feasibility import InventoryLimits, reachable
-from .records import Contract, EndTerms, StorageCase
+from .records import Contract, EndTerms, StorageCase, storage_inputs
 from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
 
 
@@ -70,9 +70,7 @@ class StorageSimulator(PricedSimulator):
     def of(cls, case: StorageCase, value_table: ValueTable | None = None) -> Self:
         """The contract of a case, with the scales of its numbers."""
         contract, market = case.contract, case.market
-        rows = contract.ratchets
-        scaled = (market.forward_curve, rows.withdrawal, rows.injection)
-        numbers = {series.name: series.values for series in scaled}
+        numbers = {name: item.value for name, item in storage_inputs(case).items()}
         made = cls(  # pyright: ignore[reportCallIssue]
             formed(contract),
             formed(case.model),
@@ -91,13 +89,13 @@ class StorageSimulator(PricedSimulator):
         """With the scales of features of these inputs: the mean size of forward prices, and the
         largest volume that may move on a day."""
         rows: Any = self.contract.ratchets
-        prices = self.curve.in_numpy(values)
+        size = self.process.price_scale(self.curve.in_numpy(values), values)
         rates = [
             np.max(item.in_numpy(values), initial=0.0) for item in (rows.withdrawal, rows.injection)
         ]
         return replace(
             self,
-            price_scale=np.asarray(np.mean(np.abs(prices))),
+            price_scale=np.asarray(size),
             rate_scale=np.asarray(max(*rates, 1e-9)),
         )
 
@@ -223,6 +221,10 @@ class StorageSimulator(PricedSimulator):
         injection = smooth.positive_part(flows.base, constants.rate_scale)
         withdrawal = injection - flows.base + action[1] * (flows.base - flows.minimum)
         injection = injection + action[0] * (flows.maximum - flows.base)
+        if not self.process.proportional:
+            # At a negative price fuel earns money: to inject and to withdraw at once would pay.
+            net = injection - withdrawal
+            injection, withdrawal = jnp.maximum(net, 0.0), jnp.maximum(-net, 0.0)
         gas = spot * now.gas_discount
         cost = (
             injection * now.injection_cost * now.injection_cost_discount

@@ -83,6 +83,8 @@ class FittedKnots(NamedTuple):
     whiten: Array
     common: Array
     shift: Array
+    exponents: Array | None = None
+    exponents_ahead: Array | None = None
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
         """Marginal values, as present values, above and below these inventories at day's end."""
@@ -93,8 +95,14 @@ class FittedKnots(NamedTuple):
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
     """[size] the polynomials times the exponential, then the constant where there is one.
 
-    `reading` has a day's `whiten`, `common` and `shift`; whitened factors are cut at `reach`.
+    `reading` has a day's `whiten`, `common`, `shift` and `exponents`; whitened factors are cut at
+    `reach`. With exponents, the last factor is the spikes, and each function of the others is
+    multiplied by their exponentials.
     """
+    if reading.exponents is not None:
+        inner = reading._replace(exponents=None)
+        others = functions(inner, factors[:-1], size // len(reading.exponents), reach)
+        return jnp.ravel(others[:, None] * jnp.exp(reading.exponents * factors[-1]))
     y = reading.whiten @ factors
     y = jnp.clip(y, -reach, reach) if math.isfinite(reach) else y
     level = jnp.exp(jnp.sum(reading.common * factors) - reading.shift)
@@ -136,6 +144,14 @@ class Reading(NamedTuple):
     whiten: Array
     common: Array
     shift: Array
+    exponents: Array | None = None
+    exponents_ahead: Array | None = None
+
+    def ahead(self, factors: Array, size: int, now: Array) -> Array:
+        """The functions that expectations of the next date are made of; `now`: those of the day."""
+        if self.exponents is None:
+            return now
+        return functions(self._replace(exponents=self.exponents_ahead), factors, size)
 
 
 class SurpriseDay(NamedTuple):
@@ -163,13 +179,13 @@ class Innovations(eqx.Module):
     @classmethod
     def of(cls, result: InnovationTable) -> "Innovations":
         position = DateValues(result.low, result.high, result.now)  # pyright: ignore
-        reading = Reading(result.whiten, result.common, result.shift)  # pyright: ignore
+        reading = Reading(*result[-5:])  # pyright: ignore
         first = DateValues(*(item[:-1] for item in position))
         ahead = DateValues(result.low[1:], result.high[1:], result.ahead)  # pyright: ignore
-        days = SurpriseDay(first, ahead, Reading(*(entry[:-1] for entry in reading)))
+        days = SurpriseDay(first, ahead, jax.tree.map(lambda x: x[:-1], reading))
         last = (
             DateValues(*(value[-1] for value in position)),
-            Reading(*(each[-1] for each in reading)),
+            jax.tree.map(lambda x: x[-1], reading),
         )
         return cls(days, SurpriseEnd(*last, np.asarray(result.first)))  # pyright: ignore
 
@@ -182,8 +198,10 @@ def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Arr
     """
     # Data without a derivative: an adjoint need not form any.
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
-    observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
-    return _worth(row.now, before, observed) - _worth(row.ahead, after, observed)
+    size = row.now.coefficients.shape[-1]
+    observed = functions(row.reading, factors, size)
+    ahead = row.reading.ahead(factors, size, observed)
+    return _worth(row.now, before, observed) - _worth(row.ahead, after, ahead)
 
 
 def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:

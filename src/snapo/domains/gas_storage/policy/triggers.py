@@ -20,12 +20,12 @@ from ..contract.simulator import StorageSimulator, simulator_of
 from .network import HEAD, Economics, StoragePolicy
 
 ROUND = 256  # inventories and prices of one call
-SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
+SPOTS = 241  # spot prices tried for a trigger
 
 
 class Triggers(NamedTuple):
     """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN where no spot
-    between a third and three times the forward price would make the policy do so."""
+    price of `spots_around` would make the policy do so."""
 
     injection: Float[np.ndarray, " n"]
     withdrawal: Float[np.ndarray, " n"]
@@ -45,13 +45,24 @@ def triggers(
     with jax.enable_x64(True):
         schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
-        spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
+        spots = spots_around(problem, now.forward, np.linspace(-1.0, 1.0, SPOTS))
         stock = np.asarray(inventory, float)
         values = (simulator_of(problem), schedule.constants, policy, now, stock, spots)
         buying, selling = (np.asarray(gain) for gain in _gains(*values))
     return Triggers(
         _crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False)
     )
+
+
+def spots_around(problem: Problem, forward: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """[n, shares] spot prices around forward prices [n], for shares from -1 to 1 of the widest
+    range: from exp(-1) to exp(1) times the forward price, or see `PriceProcess.price_spread`."""
+    simulator = simulator_of(problem)
+    values = {name: item.value for name, item in problem.inputs_by_name.items()}
+    spread = simulator.process.price_spread(simulator.curve.in_numpy(values), values)
+    if spread is None:
+        return np.exp(shares) * forward[:, None]
+    return forward[:, None] + spread * shares
 
 
 def decide(

@@ -160,13 +160,14 @@ class GivenFactors(FactorPrices):
         mean_reversion: CaseInput,
         volatility: CaseInput,
         correlation: CaseInput,
+        **more: CaseInput,
     ):
-        """With the number of factors, and the fast one among them."""
+        """With the number of factors, and the fast one among them; `more`: of a subclass."""
         moves = volatility.used().max(axis=0) > 0
         fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
         numbers = mean_reversion, volatility, correlation
         size = len(mean_reversion.values)
-        return cls(delivery.times, *numbers, size, fast)  # pyright: ignore[reportCallIssue]
+        return cls(delivery.times, *numbers, size, fast, **more)  # pyright: ignore
 
     def parameters(self, inputs) -> Factors:
         size = self.noise_size

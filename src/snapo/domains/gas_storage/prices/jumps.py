@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from scipy.stats import poisson
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
@@ -24,6 +25,7 @@ from .process import (
     register,
     use,
 )
+from .spikes import Spikes
 
 INTENSITY = Quantity(
     "1/year",
@@ -112,17 +114,30 @@ class OneFactorJumps(PriceProcess):
 
     @property
     def initial_noise_size(self) -> int:
-        return 1 + 2 * self.gap
+        return 1 + (self.noise_size - 1) * self.gap
 
-    def prepare(self, inputs) -> Schedule:
-        reversion, eta = use(inputs, self.mean_reversion), use(inputs, self.jump_size)
-        days = jnp.round(self.delivery.years * YEAR)
+    def _threshold(self, inputs) -> Array:
+        """Minus the logarithm of the probability of a spike a day."""
+        return -jnp.log(-jnp.expm1(-use(inputs, self.jump_intensity) / YEAR))
+
+    def _compensator(self, inputs, days: Array) -> Array:
+        """ln E[exp y] after so many days."""
         probability = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
         # Sizes that a spike has left after 0, 1, … days, and the mean of its exponential.
         ages = np.arange(max(self.last, 1))
-        left = eta * jnp.exp(-use(inputs, self.jump_mean_reversion) * ages / YEAR)
+        left = jnp.exp(-use(inputs, self.jump_mean_reversion) * ages / YEAR)
+        left = use(inputs, self.jump_size) * left
         compensator = jnp.cumsum(jnp.log1p(probability * left / (1 - left)))
-        compensator = jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
+        return jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
+
+    def _spike(self, constants: JumpConstants, noise) -> Array:
+        """What the spikes of a day leave at its end."""
+        excess = (noise[0] ** 2 + noise[1] ** 2) / 2 - constants.threshold
+        return constants.size * jnp.maximum(excess, 0.0)
+
+    def prepare(self, inputs) -> Schedule:
+        reversion = use(inputs, self.mean_reversion)
+        days = jnp.round(self.delivery.years * YEAR)
         loading = use(inputs, self.volatility)
         variance = integral(2 * reversion, days / YEAR)
         constants = JumpConstants(
@@ -130,23 +145,25 @@ class OneFactorJumps(PriceProcess):
             jnp.exp(-reversion / YEAR),
             jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
             jnp.exp(-use(inputs, self.jump_mean_reversion) / YEAR),
-            -jnp.log(probability),
-            eta,
+            self._threshold(inputs),
+            use(inputs, self.jump_size),
             1 / jnp.sqrt(integral(2 * reversion, 1.0)),
         )
         forward = self.delivery.forward(inputs)
+        compensator = self._compensator(inputs, days)
         return Schedule(constants, JumpStep(forward, loading, loading**2 * variance, compensator))
 
     def initial(self, constants, noise):
-        spikes = jnp.zeros(())
+        spikes, size = jnp.zeros(()), self.noise_size - 1
         for day in range(self.gap):
-            one = noise[1 + 2 * day : 3 + 2 * day]
-            spikes = constants.jump_decay * spikes + _spike(constants, one)
+            one = noise[1 + size * day : 1 + size * (day + 1)]
+            spikes = constants.jump_decay * spikes + self._spike(constants, one)
         return jnp.stack([constants.first_deviation * noise[0], spikes])
 
     def step(self, constants, now, state, noise):
         factor = constants.decay * state[0] + constants.deviation * noise[0]
-        return jnp.stack([factor, constants.jump_decay * state[1] + _spike(constants, noise[1:])])
+        spikes = constants.jump_decay * state[1] + self._spike(constants, noise[1:])
+        return jnp.stack([factor, spikes])
 
     def level(self, constants, now, state):
         calm = now.loading * state[0] - now.variance / 2
@@ -166,23 +183,91 @@ class OneFactorJumps(PriceProcess):
     def fast(self, state):
         return state[0]
 
-    def slow_level(self, constants, now, state):
-        # A spike is gone soon: it moves today's price, and hardly the value of gas in store.
-        return jnp.asarray(1.0)
+    def gaussian(self, state):
+        return state
 
     def factors(self, schedule):
-        """The calm factor only, as a guide; a lattice in it is not exact."""
         constants, steps = schedule.constants, schedule.steps
         count = len(steps.forward)
         shock = np.full((count, 1, 1), constants.deviation)
         shock[0] = constants.first_deviation
         decay = np.full((count, 1), constants.decay)
-        return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
+        spikes = Spikes(
+            float(constants.jump_decay),
+            float(constants.size),
+            *self._rate(float(constants.threshold)),
+            self.gap,
+            np.asarray(steps.compensator),
+        )
+        return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, spikes=spikes)
+
+    def _rate(self, threshold: float) -> tuple[float, bool]:
+        """Spikes a day, and whether they are a Poisson process."""
+        return -np.log1p(-np.exp(-threshold)), False
 
     def describe(self) -> str:
         return "One mean-reverting factor with upward spikes that die out, compensated"
 
 
-def _spike(constants: JumpConstants, noise):
-    excess = (noise[0] ** 2 + noise[1] ** 2) / 2 - constants.threshold
-    return constants.size * jnp.maximum(excess, 0.0)
+class PoissonJumpTable(JumpTable):
+    """`[model]` of kind "one-factor-poisson-jumps"."""
+
+    kind: Literal["one-factor-poisson-jumps"]  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+LOST = 1e-7  # probability of more spikes a day than are drawn
+
+
+@register
+class OneFactorPoissonJumps(OneFactorJumps):
+    """The same with spikes of a compound Poisson process, dy = -b y dt + dJ, in continuous time.
+
+    Several may come on a day, each of which has partly died out at its end, and
+
+        c(T) = (intensity / b) ln((1 - eta exp(-b T)) / (1 - eta)),   eta < 1.
+
+    The spikes of a day are drawn from the largest to the smallest: with G_k the k-th point of a
+    Poisson process of rate 1, the k-th size is eta max(0, ln(intensity / 365) - ln G_k), and its
+    time is uniform. A path is continuous in the intensity. Source: Kluge (2006), "Pricing swing
+    options and other electricity derivatives"; the series of Ferguson and Klass (1972).
+    """
+
+    kind = "one-factor-poisson-jumps"
+    table = PoissonJumpTable
+
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: CaseInput):
+        gap, last = delivery.ahead[0], delivery.ahead[-1]
+        rate = float(numbers["jump_intensity"].values[0]) / YEAR
+        size = 1 + 2 * max(int(poisson.isf(LOST, rate)), 1)
+        return cls(delivery.times, gap=gap, last=last, noise_size=size, **numbers)  # pyright: ignore
+
+    def _threshold(self, inputs) -> Array:
+        return -jnp.log(use(inputs, self.jump_intensity) / YEAR)
+
+    def _compensator(self, inputs, days: Array) -> Array:
+        eta, speed = use(inputs, self.jump_size), use(inputs, self.jump_mean_reversion)
+        left = -jnp.expm1(-speed * days / YEAR)
+        # (intensity / b) ln(1 + eta (1 - exp(-b T)) / (1 - eta)), also where b is 0.
+        share = eta / (1 - eta) * left
+        mean = jnp.where(share > 0, jnp.log1p(share) / jnp.where(share > 0, share, 1.0), 1.0)
+        time = integral(speed, days / YEAR)
+        return use(inputs, self.jump_intensity) * eta / (1 - eta) * time * mean
+
+    def _spike(self, constants: JumpConstants, noise) -> Array:
+        """What the spikes of a day leave: sizes from exponentials, times from the angles."""
+        total, point = jnp.zeros(()), jnp.zeros(())
+        log_decay = jnp.log(constants.jump_decay)
+        for first in range(0, self.noise_size - 1, 2):
+            x, y = noise[first], noise[first + 1]
+            point = point + (x**2 + y**2) / 2
+            excess = jnp.maximum(-jnp.log(point) - constants.threshold, 0.0)
+            time = 0.5 + jnp.arctan2(y, x) / (2 * jnp.pi)
+            total = total + excess * jnp.exp(log_decay * time)
+        return constants.size * total
+
+    def _rate(self, threshold: float) -> tuple[float, bool]:
+        return float(np.exp(-threshold)), True
+
+    def describe(self) -> str:
+        return "One mean-reverting factor with upward spikes of a compound Poisson process"

@@ -6,8 +6,8 @@ parameters, noise, dynamics, forward price, description. Nothing outside depends
 
 import abc
 import datetime
-from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,6 +22,8 @@ from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
 from snapo.problem.simulator import Simulator
+
+from .spikes import Spikes
 
 YEAR = 365.0
 FEWEST = 32  # days of noise before the first date, where they are several
@@ -111,13 +113,16 @@ class Times(eqx.Module):
 
 
 class GaussianFactors(NamedTuple):
-    """Factors of ln S as a dynamic program reads them, on the T days and the end date.
+    """Factors of the spot price as a dynamic program reads them, on the T days and the end date.
 
-    - `loading` [T + 1, F], `variance` [T + 1] of ln S.
+        S = (F + shift) exp(loading f - variance / 2) - shift,   or S = F + loading f (`additive`)
+
+    - `loading` [T + 1, F], `variance` [T + 1] of loading f.
     - `decay` [T + 1, F] and `shock` [T + 1, F, F] (lower Cholesky factor) lead INTO each date, the
       first from the valuation date, where all factors are 0.
     - `fast`: the factor in which a one-factor dynamic program is written.
     - `exact`: whether these factors are the whole process; a lattice then gives the exact value.
+    - `spikes`: those of ln S besides the factors, a further coordinate after them.
     """
 
     loading: np.ndarray
@@ -126,6 +131,28 @@ class GaussianFactors(NamedTuple):
     shock: np.ndarray
     fast: int = 0
     exact: bool = True
+    additive: bool = False
+    shift: float = 0.0
+    spikes: Spikes | None = None
+
+    @property
+    def proportional(self) -> bool:
+        """Whether every price is the forward price times noise."""
+        return not self.additive and self.shift == 0
+
+    def noise(self, moved: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """The random part of a price, `moved` by loading f of this variance."""
+        return moved if self.additive else np.exp(moved - variance / 2)
+
+    def spot(self, forward: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """The price with this noise, around its forward price."""
+        if self.additive:
+            return forward + noise
+        return (forward + self.shift) * noise - self.shift
+
+    def by_forward(self, noise: np.ndarray) -> np.ndarray:
+        """The derivative of `spot` with respect to the forward price."""
+        return np.ones_like(noise) if self.additive else noise
 
 
 class PriceProcess(Process):
@@ -170,7 +197,7 @@ class PriceProcess(Process):
         return jnp.zeros(())
 
     def gaussian(self, state) -> Float[Array, " F"]:
-        """The factors that `factors` describes."""
+        """The factors that `factors` describes, and its spikes."""
         return jnp.atleast_1d(self.fast(state))
 
     def slow_level(self, constants, now, state) -> Float[Array, ""]:
@@ -180,6 +207,14 @@ class PriceProcess(Process):
     def factors(self, schedule) -> GaussianFactors | None:
         """Factors for dynamic programs, from the process's prepared schedule; None: none, and
         the policy begins without the values of a dynamic program."""
+        return None
+
+    def price_scale(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float:
+        """The typical size of a price, from the forward prices and the values of all inputs."""
+        return float(np.mean(np.abs(prices)))
+
+    def price_spread(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float | None:
+        """How far spot prices may be from the forward price, in money; None: in proportion."""
         return None
 
     def sources(self, seed: int) -> Sources | None:
@@ -210,10 +245,18 @@ def use(inputs: dict[str, Any], series: CaseInput | Use):
     return (series if isinstance(series, Use) else series.use())(inputs)
 
 
+def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.ndarray:
+    """The same in NumPy."""
+    return (series if isinstance(series, Use) else series.use()).in_numpy(values)
+
+
 KINDS: dict[str, type[PriceProcess]] = {}
 
 
-def register(process: type[PriceProcess]) -> type[PriceProcess]:
+Registered = TypeVar("Registered", bound=PriceProcess)
+
+
+def register(process: type[Registered]) -> type[Registered]:
     """Makes a process known under its `kind`; one without a part of its behaviour is refused."""
     missing = missing_members(process)
     if missing:

@@ -166,6 +166,9 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     low, high = (0.0, math.inf) if math.isnan(unit) else (PRICES[0] * unit, PRICES[1] * unit)
     name = f"{case.currency}/{case.volume_unit}"
     hint = f"the curve is in {name}"
+    if not case.model.proportional:  # a curve may pass zero, and costs may be above its prices
+        yield Plausible(0.0, high, hint, names=("forward_curve",), by_size=True)
+        return
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:

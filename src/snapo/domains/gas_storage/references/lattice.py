@@ -77,7 +77,7 @@ def lattice(
         return _at_the_end(schedule, selected, dropped)
     if volumes == "free":
         volumes = free_volumes(schedule, interpolation)
-    spacing = spacing or (0.15 if len(selected) == 1 else 0.3)
+    spacing = spacing or SPACINGS[coordinates(factors, selected)]
     grid = factor_grid(factors, selected, spacing, slow_nodes)
     step = step or volume_scale(schedule) / (inventories - 1)
     days, value = _backward(schedule, interpolation, grid, step, volumes)
@@ -96,10 +96,10 @@ def _at_the_end(schedule, selected, dropped) -> LatticeResult:
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
-    A non-reverting factor with the same loading on all days, independent of the others, scales
-    all prices in proportion; without proportional costs it leaves the value unchanged (a change of
-    numeraire), and almost so with small costs (a fixed payment for the gas left counts as one). It
-    is dropped unless it is the only factor.
+    A non-reverting factor with the same loading on all days, independent of the others, scales all
+    prices in proportion, where they are proportional to the curve; without proportional costs it
+    leaves the value unchanged (a change of numeraire), and almost so with small costs (a fixed
+    payment for the gas left counts as one). It is dropped unless it is the only factor.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)
@@ -109,12 +109,17 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     increments = np.max(np.abs(shock @ np.swapaxes(shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
     common = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
-    neutral = alone & common & np.all(decay == 1, axis=0)
+    neutral = alone & common & np.all(decay == 1, axis=0) & factors.proportional
     # A factor that never moves any price is dropped as well.
     defaulted = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
     speed = np.argsort(decay.mean(axis=0), kind="stable")
     selected = tuple(int(i) for i in speed if not neutral[i] and not defaulted[i])
     return selected or (int(speed[0]),)
+
+
+def coordinates(factors: GaussianFactors, selected: tuple[int, ...]) -> int:
+    """Of a grid of prices: the factors kept, and the spikes."""
+    return len(selected) + (factors.spikes is not None)
 
 
 def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes):
@@ -123,14 +128,14 @@ def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes
     horizon = len(steps.forward)
     low, high = visited(schedule, interpolation)
     nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
-    spots = constants.end_forward * grid.noise(horizon)
+    spots = grid.spot(horizon, constants.end_forward)
     value = end_value(schedule, nodes[:, None], spots)
     days: list[DayDecisions] = []
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
         day_rates = rates(schedule, interpolation, t)
         inventory = inventory_nodes(low[t], high[t], spacing, day_rates.levels)
-        prices = unit_prices(schedule, t, steps.forward[t] * grid.noise(t))
+        prices = unit_prices(schedule, t, grid.spot(t, steps.forward[t]))
         day, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
         days.append(day)
         nodes = inventory
@@ -149,18 +154,19 @@ def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
         net[t] = flow.injected.sum() - flow.withdrawn.sum()
         sold = (1 - steps.withdrawal_fuel[t]) * flow.withdrawn
         sold -= (1 + steps.injection_fuel[t]) * flow.injected
-        deltas[t] = steps.gas_discount[t] * (grid.noise(t) @ sold)
+        deltas[t] = steps.gas_discount[t] * (grid.by_forward(t) @ sold)
         weight, nodes = grid.after(t).spread(flow.weight), day.nodes
     left = nodes @ weight
     stock[horizon] = left.sum()
-    end_delta = constants.end_fraction * constants.end_discount * (grid.noise(horizon) @ left)
+    end_delta = constants.end_fraction * constants.end_discount * (grid.by_forward(horizon) @ left)
     return deltas, float(end_delta), net, stock
 
 
 MOVED = 1e-4  # of the value: a grid is fine enough when half its spacing moves the value by less
 HALVED = 3  # times at most
 SPACINGS = {1: 0.15, 2: 0.3}  # of the fast factor's nodes, by the number of factors
-NODES, MAX_NODES = 200, 800  # spacings of the first grid of inventories, and of one of daily flows
+NODES = (200, 30)  # spacings of the first grid of inventories, without spikes and with them
+MAX_NODES = 800  # and of one of daily flows
 SLOW = 17
 
 
@@ -181,7 +187,9 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
     selected = relevant_factors(schedule, factors)
-    step, spacing = _first_step(schedule), SPACINGS[min(len(selected), 2)]
+    count = coordinates(factors, selected)
+    step = _first_step(schedule, NODES[factors.spikes is not None])
+    spacing = SPACINGS[min(count, 2)]
 
     def value(parts: int = 1, finer: int = 1, slow: int = SLOW) -> float:
         grids = {"step": step / parts, "spacing": spacing / finer, "slow_nodes": slow}
@@ -189,7 +197,7 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
     first = value()
     results = [on_finer_grids(first, value), on_finer_grids(first, lambda n: value(finer=n))]
-    if len(selected) > 1:
+    if count > 1:
         results.append(on_finer_grids(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
     total = first + sum(item.value - first for item in results)
     return Refined(total, sum(entry.error for entry in results))
@@ -207,10 +215,10 @@ def on_finer_grids(first: float, value: Callable[[int], float], enough: float = 
     return Refined(before, moved)
 
 
-def _first_step(schedule) -> float:
+def _first_step(schedule, nodes: int) -> float:
     """The spacing of inventories: a part of the common measure of the daily flows, where it can."""
     room = volume_scale(schedule)
     volume = common_volume(schedule.steps)
     if volume is None or volume < room / MAX_NODES:
-        return room / NODES
-    return volume / max(1, round(volume * NODES / room))
+        return room / nodes
+    return volume / max(1, round(volume * nodes / room))

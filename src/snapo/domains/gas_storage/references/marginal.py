@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..prices.process import GaussianFactors
+from ..prices.spikes import Spikes
 from .day_terms import Interpolation, end_value, interpolation_matrix, rates, unit_prices
 from .intrinsic import values_after
 from .lattice_day import decide, free_volumes
@@ -57,9 +58,11 @@ class Transition(NamedTuple):
 class FactorGrid:
     """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
 
+    Where prices have spikes, these are the slow coordinate.
+
     - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
       first.
-    - `fast`, `slow`: node positions (slow: one node at 0 where a single factor is kept).
+    - `fast`, `slow`: node positions (slow: one node at 0 where there is one coordinate).
     - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
     """
 
@@ -74,14 +77,24 @@ class FactorGrid:
     def columns(self) -> int:
         return len(self.slow) * len(self.fast)
 
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """Spot prices [columns] on day t (T: on the end date), of mean `forward`."""
+        return self.of.spot(forward, self.noise(t))
+
+    def by_forward(self, t: int) -> np.ndarray:
+        """Derivatives [columns] of the spot price of day t with respect to its forward price."""
+        return self.of.by_forward(self.noise(t))
+
     def noise(self, t: int) -> np.ndarray:
-        """Spot over forward price [columns] on day t (T: on the end date), of mean 1."""
+        """The random part of the spot price [columns] on day t."""
         loading = self.of.loading[t][list(self.selected)]
         variance = loading @ self.covariance[t] @ loading
         log = loading[0] * self.fast[None, :]
-        if len(self.selected) > 1:
+        if self.of.spikes is not None:
+            log = log + (self.slow[:, None] - self.of.spikes.compensator[t])
+        elif len(self.selected) > 1:
             log = log + loading[1] * self.slow[:, None]
-        return np.exp(log - variance / 2).ravel()
+        return self.of.noise(log, variance).ravel()
 
     def start(self) -> Transition:
         """From the valuation date, where all factors are 0, to the first day (one row)."""
@@ -115,7 +128,9 @@ def factor_grid(
         fast = np.linspace(-1, 1, 2 * min(int(np.ceil(half)), MAX_NODES // 2) + 1)
         fast = FAST_REACH * widest[0] * fast
     slow = np.zeros(1)
-    if len(selected) > 1 and widest[1] > 0:
+    if of.spikes is not None:
+        slow = spike_nodes(of.spikes, 2 * slow_nodes)
+    elif len(selected) > 1 and widest[1] > 0:
         slow = np.linspace(-1, 1, slow_nodes | 1) * SLOW_REACH * widest[1]
     return FactorGrid(of, tuple(selected), fast, slow, covariance)
 
@@ -130,6 +145,9 @@ def _covariance(of: GaussianFactors, selected: list[int]) -> np.ndarray:
 
 def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
     """Independent factors need one term; correlated ones a term per shock of the slow factor."""
+    if grid.of.spikes is not None:
+        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        return Transition([(_spike_weights(grid.of.spikes, grid.slow, slow), local)])
     if len(grid.slow) == 1:
         local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(np.ones((1, 1)), local)])
@@ -147,6 +165,39 @@ def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
             for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
         ]
     )
+
+
+LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, and in mean sizes
+
+
+def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
+    """Zero, and about `count` nodes above it in a constant ratio.
+
+    Where it can, a power of that ratio is the decay of a day: without a spike, nodes lead to nodes.
+    """
+    largest = LARGEST / (1 - spikes.size)
+    log_ratio = np.log(LEAST / largest) / (count - 2)
+    if spikes.decay < 1:
+        log_decay = np.log(max(spikes.decay, 1e-300))
+        log_ratio = max(log_decay / max(round(log_decay / log_ratio), 1), log_ratio)
+    steps = np.arange(int(np.log(LEAST / largest) / log_ratio) + 2)
+    return np.append(0.0, spikes.size * largest * np.exp(log_ratio * steps[::-1]))
+
+
+def _spike_weights(spikes: Spikes, nodes: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Weights [start, nodes] of the expectation a day later; on the first date, where `start` is
+    the valuation date."""
+    points, probabilities = spikes.quadrature()
+    spline = CubicSpline(nodes, np.eye(len(nodes)))
+    reached = spikes.decay * nodes[:, None] + points
+    values = spline(np.clip(reached, 0.0, nodes[-1]))
+    day = np.einsum("k,nkm->nm", probabilities, values)
+    if len(start) > 1:
+        return day
+    weights = np.eye(len(nodes))[:1]
+    for _ in range(spikes.before):
+        weights = weights @ day
+    return weights
 
 
 def _from_points(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
@@ -289,7 +340,7 @@ def marginal_values(
         without_noise = _without_noise(schedule, interpolation, table)
         reach = np.zeros(len(schedule.steps.forward))
     else:
-        grid = factor_grid(factors, (factors.fast,), SPACING, 1)
+        grid = factor_grid(factors._replace(spikes=None), (factors.fast,), SPACING, 1)
         without_noise, reach = _with_noise(schedule, interpolation, table, grid), _reach(grid)
     above, below = without_noise
     return MarginalValues(table.low, table.high, above, below, reach)
@@ -304,10 +355,10 @@ def _with_noise(
     polynomials, reach = np.zeros((2, horizon, ROWS, DEGREE + 1)), _reach(grid)
     volumes = free_volumes(schedule, interpolation)
     nodes = table.nodes(horizon - 1)
-    value = end_value(schedule, nodes[:, None], constants.end_forward * grid.noise(horizon))
+    value = end_value(schedule, nodes[:, None], grid.spot(horizon, constants.end_forward))
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
-        spot = steps.forward[t] * grid.noise(t)
+        spot = grid.spot(t, steps.forward[t])
         sides = np.zeros((2, ROWS, 1)) + steps.gas_discount[t] * spot
         if len(nodes) > 1:
             at = partial(_interpolated, nodes, after)

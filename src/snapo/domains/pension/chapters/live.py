@@ -12,13 +12,13 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.report.quantity import SPACE, number
 from snapo.solver.evaluate import estimate
-from snapo.study.study import LiveTable, PathTotals, Setup, Today
+from snapo.study.study import Headline, LiveTable, PathTotals, Setup, Today
 
 from ..fund.swap_limits import limit_unit
 from ..results import balance
 from ..results.balance import ClassTrade
 from ..results.setup import case_in, outcome_measure
-from .objective import equivalent
+from .objective import equivalent, headline_name
 from .paths import first_traded
 
 TAIL = 0.05  # of the paths: the worst
@@ -72,6 +72,13 @@ def _verb(trade: ClassTrade, assets: float) -> str:
     return "buy" if trade.trade > 0 else "sell"
 
 
+def headline(setup: Setup, value: float) -> Headline | None:
+    """The certain ratio with this utility, in %."""
+    certain = equivalent(setup.problem.objective, value)
+    name = headline_name(setup.problem.objective)
+    return certain and Headline(name, "%", 100 * certain.ratio, 100 * certain.slope)
+
+
 def outcome(paths: PathTotals) -> list[LiveTable]:
     """The ratio that summarises a fund at the end: certain equivalent, mean, tail, shortfall."""
     case, problem = case_in(paths.setup), paths.setup.problem
@@ -90,5 +97,5 @@ def outcome(paths: PathTotals) -> list[LiveTable]:
         rows.insert(0, ("Certainty equivalent of the value, %", 100 * certain.ratio, error))
     columns = (("", ""), ("at the end", ""), ("±", ""))
     years = number(case.steps * case.step, 0)
-    text = f"The value is that of the objective; these are ratios, after {years} years."
+    text = f"Ratios at the end, after {years} years."
     return [LiveTable("Outcome", columns, rows, text)]

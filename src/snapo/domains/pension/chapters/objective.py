@@ -21,10 +21,19 @@ class Equivalent(NamedTuple):
     slope: float
 
 
+NAMES = {FUNDING.output: "funding ratio", PENSION.output: "pension"}
+
+
+def headline_name(objective: Objective) -> str:
+    """The name of the certainty equivalent; empty for objectives that have none."""
+    if not isinstance(objective, ExpectedUtility) or objective.output not in NAMES:
+        return ""
+    return f"Certainty-equivalent {NAMES[objective.output]}"
+
+
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
     """The certainty equivalent of the final ratio; None for other objectives."""
-    ratios = FUNDING.output, PENSION.output
-    if not (isinstance(objective, ExpectedUtility) and objective.output in ratios):
+    if not (isinstance(objective, ExpectedUtility) and objective.output in NAMES):
         return None
     crra: CRRA = objective.utility
     ratio = crra.certainty_equivalent(utility)

@@ -18,7 +18,7 @@ from ..chapters import live
 from ..chapters.attribution import ATTRIBUTION, VARIANCE
 from ..chapters.evidence import CERTIFICATE, CONSISTENCY
 from ..chapters.frontier import FRONTIER
-from ..chapters.objective import OBJECTIVE
+from ..chapters.objective import OBJECTIVE, headline_name
 from ..chapters.outputs import OUTPUTS
 from ..chapters.paths import PATHS
 from ..chapters.policies import LEARNED, POLICIES, leads
@@ -76,7 +76,7 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     today = None if case.pots is not None else live.today
     return Study(
         "pension", available, selected, result, setup, bounded, at_case, checks,
-        today=today, live_tables=live.outcome,
+        today=today, live_tables=live.outcome, headline=live.headline,
     )  # fmt: skip
 
 
@@ -113,6 +113,12 @@ def about(case: PensionCase) -> dict[str, Any]:
         "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
         "turnover_limit": case.assets.turnover,
+        "names": {
+            f"weights.{i}": f"{class_.name}, share of the assets"
+            for i, class_ in enumerate(case.assets.classes)
+        }
+        | {"theta": "indexation so far", "fresh": "rights accrued, over those of the baseline"},
+        "headline": headline_name(objective_of(case)),
         "units": {"funding": "assets over liability"}
         | dict.fromkeys(("contribution", "benefit", "expenses", "cost"), case.currency),
     }

@@ -1,0 +1,141 @@
+"""Functions of Gaussian factors and spikes: every product of one of each.
+
+Those of spikes y are exponentials exp(k y), whose expectation is known: spikes that die out lift
+the prices of the days ahead by such factors. E[exp(k y(t + 1)) | y(t)] = E[exp(k J)]
+exp(k decay y(t)). As both are independent, so are the regressions, and a regression on the products
+is the Kronecker product of one in the factors and one in the spikes.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..prices.process import GaussianFactors
+from ..prices.spikes import Spikes
+from .basis import PolynomialBasis
+
+# Exponents of the functions, the constant first: prices that are lifted, and, in parts of the mean
+# size, values that no longer rise with a spike.
+RISING, LEVEL = (0.0, 1.0, 0.6), (-0.5, -1.5, -5.0, -15.0)
+COUNT = len(RISING) + len(LEVEL)
+NODES, LARGEST = 16, 12.0  # of the regression: how many, and the largest in mean sizes
+RARE = 0.05  # least weight of the nodes above 0, of that at 0
+
+
+@dataclass(frozen=True, eq=False)
+class SpikeBasis:
+    """Products of the functions of `inner`, of the factors, and of exponentials of the spikes.
+
+    It has the members of a `PolynomialBasis` that values are read by. Coordinates are the factors,
+    then y; the function of a pair has the number of the first times how many there are of the
+    second, plus that of the second.
+    """
+
+    inner: PolynomialBasis
+    spikes: Spikes
+
+    @property
+    def exponents(self) -> np.ndarray:
+        """Of the functions of the spikes."""
+        return np.append(RISING, np.array(LEVEL) / self.spikes.size)
+
+    @property
+    def of(self) -> GaussianFactors:
+        """All factors, and the spikes."""
+        return self.inner.of
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """Those of the factors."""
+        return self.inner.selected
+
+    @property
+    def size(self) -> int:
+        """K, how many there are."""
+        return self.inner.size * COUNT
+
+    @property
+    def plain(self) -> int:
+        """How many are without hinges."""
+        return self.inner.plain * COUNT
+
+    @property
+    def parts(self) -> np.ndarray:
+        """[K] see `PolynomialBasis.parts`."""
+        return np.repeat(self.inner.parts, COUNT)
+
+    @property
+    def constant(self) -> int:
+        """The number of the function 1 among those without hinges."""
+        return self.inner.constant * COUNT
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """[K] expectations on the valuation date of the functions on the first day."""
+        return np.kron(self.inner.first, self.spikes.first_moment(self.exponents))
+
+    @cached_property
+    def plain_first(self) -> np.ndarray:
+        """The same of those without hinges."""
+        return np.kron(self.inner.plain_first, self.spikes.first_moment(self.exponents))
+
+    def increments(self, states: np.ndarray) -> np.ndarray:
+        """See `PolynomialBasis.increments`; `states` [T + 1, F + 1, paths]."""
+        factors, y = states[:, :-1], states[:, -1:]
+        result = _products(self.inner.functions(factors), np.exp(self.exponents[:, None] * y))
+        moments, left = (
+            self.spikes.moment(self.exponents)[:, None],
+            self.spikes.decay * self.exponents,
+        )
+        ahead = moments * np.exp(left[:, None] * y[:-1])
+        result[1:] -= _products(self.inner.expected(factors[:-1]), ahead)
+        result[0] -= self.first[:, None]
+        return result
+
+    def linear(self) -> tuple[np.ndarray, ...]:
+        """As of a `PolynomialBasis`; then [T + 1, n] the exponents of the functions, and of their
+        expectation a day before."""
+        rows = np.ones((len(self.of.decay), 1))
+        return (
+            *self.inner.linear(),
+            rows * self.exponents,
+            rows * self.exponents * self.spikes.decay,
+        )
+
+    def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
+        """See `PolynomialBasis.expected_coefficients`; of the exponentials of the day before."""
+        split = after.reshape(*after.shape[:2], -1, COUNT)
+        parts = [self.inner.expected_coefficients(split[..., j]) for j in range(COUNT)]
+        return (np.stack(parts, axis=-1) * self.spikes.moment(self.exponents)).reshape(after.shape)
+
+    def key(self) -> tuple:
+        """Equal for bases with the same functions of the same factors and spikes."""
+        return *self.inner.key(), *self.spikes[:-1], self.spikes.compensator.tobytes()
+
+    @cached_property
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Spikes at which values are fitted, and their weights."""
+        nodes = self.spikes.size * LARGEST * (np.arange(NODES) / (NODES - 1)) ** 2
+        weights = np.gradient(nodes) / self.spikes.size * np.exp(-nodes / self.spikes.size)
+        often = max(self.spikes.rate / max(-np.log(self.spikes.decay), 1e-9), RARE)
+        weights[1:] *= min(often, 1.0)
+        weights[0] = 1.0
+        return nodes, weights
+
+    @cached_property
+    def regression(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """[n, nodes] coefficients of values at the nodes, [n, nodes] functions there as expected
+        for the day after, and [n, n] the best functions of these expectations."""
+        nodes, weights = self.nodes
+        functions = np.exp(self.exponents[:, None] * nodes)
+        ahead = np.exp(self.spikes.decay * self.exponents[:, None] * nodes)
+        ahead *= self.spikes.moment(self.exponents)[:, None]
+        fit = np.linalg.pinv(functions.T * np.sqrt(weights)[:, None]) * np.sqrt(weights)
+        return fit, ahead, ahead @ fit.T
+
+
+def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[days, K n, paths] of functions [days, K, paths] and [days, n, paths]."""
+    days, _, paths = left.shape
+    return (left[:, :, None] * right[:, None]).reshape(days, -1, paths)
