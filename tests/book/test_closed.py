@@ -131,7 +131,7 @@ WRONG = {
     ),
     "its end": (
         '[[stress]]\nname = "x"\nscale = { "a.b" = 2 }\nwhen = "2025-02/2025-01"\n',
-        "the first lies after the last",
+        "the first day is after the last",
     ),
     "no such key": ("[tasks]\npolicy = 3\n", "tasks.policy"),
     "no such table": ('[[stress]]\ntable = "none.csv"\n', "none.csv"),

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from snapo.live.headline import HeadlineTables
-from snapo.study.study import Headline
+from snapo.study.study import DisplayedValue
 
 
-def certain(value: float) -> Headline | None:
+def certain(value: float) -> DisplayedValue | None:
     """The certainty equivalent in % of the utility -1 / x."""
-    return Headline("Ratio", "%", -100 / value, 100 / value**2) if np.isfinite(value) else None
+    return (
+        DisplayedValue("Ratio", "%", -100 / value, 100 / value**2) if np.isfinite(value) else None
+    )
 
 
 def tables(headline=certain) -> HeadlineTables:

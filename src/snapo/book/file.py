@@ -384,7 +384,7 @@ def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.d
         allowed = 'two months or days with a slash, the last one included: "2026-12/2027-02"'
         raise CaseError(file, where, text, allowed) from None
     if last < first:
-        raise CaseError(file, where, text, "the first lies after the last")
+        raise CaseError(file, where, text, "the first day is after the last")
     return first, last
 
 

@@ -298,7 +298,11 @@ def _add_runs(commands) -> None:
     runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
     runs.add_argument("case", metavar="CASE", type=Path, help="its folder, or its file")
     runs.add_argument(
-        "--remove", metavar="RUN", nargs="+", default=[], help="remove these: names, or their ends"
+        "--remove",
+        metavar="RUN",
+        nargs="+",
+        default=[],
+        help="runs to remove: names, or how they end",
     )
     runs.add_argument(
         "--keep", metavar="N", type=whole_number, help="remove all but the last N, and the latest"

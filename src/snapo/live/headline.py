@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from snapo.study.study import Headline
+from snapo.study.study import DisplayedValue
 
 from .moves import WhatIf
 
@@ -18,7 +18,7 @@ class HeadlineTables:
 
     def __init__(self, valuation: WhatIf):
         self.valuation = valuation
-        self.base: tuple[float, Headline] | None = None  # the run's value, and its headline
+        self.base: tuple[float, DisplayedValue] | None = None  # the run's value, and its headline
         self.slope = 1.0  # d headline / d value at the value that was shown last
 
     def table(self, stage: str, table: Any) -> Any:
@@ -44,7 +44,7 @@ class HeadlineTables:
             return units
         return units | {"unit": self.base[1].unit, "meaning": self.base[1].name}
 
-    def _at(self, value: float) -> Headline | None:
+    def _at(self, value: float) -> DisplayedValue | None:
         return self.valuation.headline(value)
 
     def _value(self, table: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ from snapo.case.error import CaseError
 from snapo.case.table import keys_of, recorded_tables
 from snapo.problem.inputs import Input
 from snapo.solver import statistics
-from snapo.study.study import Headline, Recalculated, Study
+from snapo.study.study import DisplayedValue, Recalculated, Study
 
 from .files import Files, Key
 from .positions import ChangedCase, InputPositions
@@ -248,7 +248,7 @@ class WhatIf:
     def settings(self) -> dict[str, Any]:
         """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
-    def headline(self, value: float) -> Headline | None:
+    def headline(self, value: float) -> DisplayedValue | None:
         """A value as the domain shows it, at the inputs that were valued last; None: as it is."""
         return None
 

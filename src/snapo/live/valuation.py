@@ -29,7 +29,7 @@ from snapo.solver.statistics import Estimate
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
 from snapo.study.run_folder import POLICY
-from snapo.study.study import Headline, PathTotals, Setup, Study
+from snapo.study.study import DisplayedValue, PathTotals, Setup, Study
 
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
 from .positions import InputPositions
@@ -81,7 +81,7 @@ class Valuation(WhatIf):
             self.policy = loaded
             return
         if not 0 <= policy < len(self._policies):
-            message = "it ended with the calculation that trained it; the run's is there"
+            message = "it was lost when the calculation that trained it ended; use the run's policy"
             raise CaseError("this policy", "", None, message)
         self.policy = self._policies[policy]
 
@@ -101,7 +101,7 @@ class Valuation(WhatIf):
             except PolicyFileError as error:
                 raise CaseError(POLICY, "", None, str(error)) from None
 
-    def headline(self, value: float) -> Headline | None:
+    def headline(self, value: float) -> DisplayedValue | None:
         if self.study.headline is None or not np.isfinite(value):
             return None
         return self.study.headline(self._last, value)

@@ -124,7 +124,7 @@ class PathTotals(NamedTuple):
         return ratio.value, ratio.standard_error
 
 
-class Headline(NamedTuple):
+class DisplayedValue(NamedTuple):
     """A value as its reader knows it: an increasing function of it, "Certainty equivalent" in %.
 
     - `number`: at the value; `slope`: d number / d value.
@@ -230,7 +230,7 @@ class Study:
     inputs: Callable[[Any], Mapping[str, Input]] | None = None
     live_tables: Callable[[PathTotals], Sequence[LiveTable]] | None = None
     recalculated: Callable[[], Recalculated] | None = None
-    headline: Callable[[Setup, float], Headline | None] | None = None
+    headline: Callable[[Setup, float], DisplayedValue | None] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

@@ -117,7 +117,7 @@ class Largest(Rights):
 
 @pytest.mark.prove
 def test_a_decision_that_moves_the_state_is_refused():
-    with pytest.raises(NotStopping, match=r"move the state .*sold.*, not only rights"):
+    with pytest.raises(NotStopping, match=r"change the state .*sold.*, not only rights"):
         decisions(problem(Moved()))
 
 

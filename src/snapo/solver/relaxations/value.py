@@ -133,7 +133,7 @@ def _right(problem: Problem, action: Stop) -> int:
     for i in moved:
         name, result = list(never.items())[i]
         if result.shape[2:] != (action.rights,) or np.any(result != start):
-            raise NotStopping(f"its decisions move the state {name or 'itself'}, not only rights")
+            raise NotStopping(f"its decisions change the state {name or 'itself'}, not only rights")
     if len(moved) != 1:
         message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
         raise NotStopping(f"it holds the rights in {message}")

@@ -61,7 +61,7 @@ def about(case: AnyCase) -> dict[str, Any]:
         "step": case.period,
         "horizon": case.horizon,
         "warm_up": case.warm_up,
-        "objective": f"{case.objective.kind} of the result{per}: all costs with a minus",
+        "objective": f"{case.objective.kind} of the result{per}, which is minus all costs",
         "objective_output": "result",
         "notes": list(case.notes),
         "other_leads": case.other_leads,

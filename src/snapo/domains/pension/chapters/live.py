@@ -12,7 +12,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.report.quantity import SPACE, number
 from snapo.solver.evaluate import estimate
-from snapo.study.study import Headline, LiveTable, PathTotals, Setup, Today
+from snapo.study.study import DisplayedValue, LiveTable, PathTotals, Setup, Today
 
 from ..fund.swap_limits import limit_unit
 from ..results import balance
@@ -72,11 +72,11 @@ def _verb(trade: ClassTrade, assets: float) -> str:
     return "buy" if trade.trade > 0 else "sell"
 
 
-def headline(setup: Setup, value: float) -> Headline | None:
+def headline(setup: Setup, value: float) -> DisplayedValue | None:
     """The certain ratio with this utility, in %."""
     certain = equivalent(setup.problem.objective, value)
     name = headline_name(setup.problem.objective)
-    return certain and Headline(name, "%", 100 * certain.ratio, 100 * certain.slope)
+    return certain and DisplayedValue(name, "%", 100 * certain.ratio, 100 * certain.slope)
 
 
 def outcome(paths: PathTotals) -> list[LiveTable]:

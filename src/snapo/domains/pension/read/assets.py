@@ -30,7 +30,7 @@ from .cells import WHOLE, TimeGrid, empty, number, unique, word
 from .tables import AssetsTable
 
 MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
-    "mean", "the mean of a class: under excess returns over cash, under total returns all of it"
+    "mean", "mean return of a class: above cash for excess returns, in total for total returns"
 )
 IN_CELL = VOLATILITY.in_column(
     "volatility", "volatility of a class in its own currency, its mean as the case gives it",
@@ -172,7 +172,7 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
                 raise row.error(name, message)
         if minimum < 0 and row.cells.get("max_sale"):
             message = (
-                "a class with a low below 0 is sold beyond its holding: it has no largest sale"
+                "a class whose low is below 0 can be sold short, so that it has no largest sale"
             )
             raise row.error("max_sale", message)
     return low, high
