@@ -9,7 +9,7 @@ from snapo.report import charts, quantity
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import decimals, finite, measured, number, readable, seconds, with_unit
+from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
@@ -353,27 +353,22 @@ class LossRow(NamedTuple):
     case: str
     value: float
     loss: WithError
-    share: str
 
 
 def _shared(policies: Sequence[Mapping[str, Any]]) -> Section:
     rows, texts = list[LossRow](), list[str]()
     for shared in policies:
-        verb = "take" if shared["is_shared"] else "do not take"
-        texts.append(
-            f"The contracts similar to {shared['leader']} ({shared['contracts']:,} with it) {verb} "
-            "its trained policy."
-        )
+        leader, verb = shared["leader"], "take" if shared["is_shared"] else "do not take"
+        count = f"{shared['contracts']:,} with it"
+        texts.append(f"The contracts similar to {leader} ({count}) {verb} its trained policy.")
         for x in shared["losses"]:
-            share = number(100 * x["share"], 3, True) + " %" if finite(x["share"]) else ""
             loss = WithError(x["loss"], x["loss_error"])
-            rows.append(LossRow(shared["leader"], x["case"], x["value"], loss, share))
+            rows.append(LossRow(leader, x["case"], x["value"], loss))
     columns = [
         Column("Policy of", "leader"),
         Column("Tested on", "case"),
         Column("Value with its own policy", "value"),
         Column("Loss with the other one", "loss", sign=True),
-        Column("Loss in percent", "share"),
     ]
     caption = "One policy for similar contracts: the loss on common paths; at most 0.5 % is allowed"
     blocks: list[Block] = [*map(Text, texts)]

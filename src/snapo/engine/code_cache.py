@@ -40,7 +40,8 @@ def keep_programs() -> None:
     """XLA's programs of this process are kept on disk and read from there, unless the user has
     named another folder (`JAX_COMPILATION_CACHE_DIR`), or has switched the cache off."""
     config = jax.config
-    if config.jax_compilation_cache_dir is not None or not config.jax_enable_compilation_cache:
+    names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
+    if tuple(getattr(config, name) for name in names) != (None, True):
         return
     folder = code_folder(PROGRAMS)
     with suppress(OSError):

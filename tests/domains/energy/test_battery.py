@@ -3,7 +3,7 @@
 import datetime
 
 import pytest
-from tests.domains.energy.energy_cases import battery, exact
+from tests.domains.energy.energy_cases import battery, best_plan, exact
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.lattice import refined
@@ -36,6 +36,30 @@ def test_a_week(changes, value, error):
     assert result.value == pytest.approx(value, abs=error + result.error)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"cycles": {"day": 0.99}}, {"cycles": {"day": 1.013}}, {"cycles": {"term": 1.73}},
+     {"energy": 4.04}, {"charge": {"power": 1.013, "efficiency": 0.9}}],
+)  # fmt: skip
+def test_limits_between_nodes_are_reached(changes):
+    """Two days at forward prices: a linear program, less what is lost between nodes."""
+    case = battery(end=datetime.datetime(2026, 5, 6), **changes)
+    plan, value = best_plan(case), exact(case, forward=True)
+    assert 0.997 * plan <= value <= plan * (1 + 1e-12)
+
+
+def test_cycles_of_each_day_and_of_the_term():
+    """Three days at forward prices, a cycle a day and 2.5 in all: a linear program within 0.5 %."""
+    end, both = datetime.datetime(2026, 5, 7), {"day": 1.0, "term": 2.5}
+    case = battery(end=end, cycles=both)
+    plan, value = best_plan(case), exact(case, forward=True)
+    assert 0.995 * plan <= value <= plan * (1 + 1e-12)
+    assert plan <= min(best_plan(battery(end=end, cycles={name: x})) for name, x in both.items())
+    problem = bare_problem(case)
+    with pytest.raises(ValueError, match="three levels"):
+        refined(case.contract.layout, problem.schedule, factors_of(problem))
+
+
 @pytest.mark.prove
 def test_cycles_of_the_term_are_worth_more_than_those_by_day():
     by_day, by_term = (
@@ -63,7 +87,6 @@ def test_the_day_of_summer_time_has_23_hours():
     ("changes", "where"),
     [
         ({"stored": 5.0}, "stored"),
-        ({"cycles": {"day": 1.0, "term": 3.0}}, "cycles"),
         ({"time_zone": "Atlantis"}, "time_zone"),
         ({"end": datetime.datetime(2026, 5, 12)}, "2026-05-11T00:00"),
         ({"charge": {"power": 1.0, "efficiency": 1.2}}, "charge.efficiency"),

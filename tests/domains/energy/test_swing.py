@@ -186,6 +186,19 @@ def test_rights_of_a_bermudan_put(rights, value, tmp_path):
     assert result == pytest.approx(value, rel=2e-4)
 
 
+@pytest.mark.prove
+def test_policy_and_bound_of_three_rights_with_rest(tmp_path):
+    """D4: the fitted rule within 0.4 % of the exact value, the bound within 1 %."""
+    setup, value = make_setup(bermudan(tmp_path / "case", {"most": 3, "rest": 4})), 6.57977
+    problem, policy, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    rule = evaluate(problem, policy, paths=65536, engine=engine)
+    assert 0.996 * value <= rule.value + 3 * rule.standard_error
+    assert rule.value <= value + 3 * rule.standard_error
+    relaxation = EnergyRelaxation(problem)
+    upper = bound(problem, policy, relaxation=relaxation, engine=engine, paths=1024).upper
+    assert value - 3 * upper.standard_error <= upper.value <= 1.01 * value
+
+
 def test_no_file_of_the_core_names_a_contract():
     """Core, methods and chapters read levels, modes, moves and cash alone."""
     for folder in ("core", "methods", "chapters"):

@@ -56,10 +56,16 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 
 
 def rebuilt(problem: Problem) -> Problem:
-    """The problem with the fitted value and the scales of features of its inputs."""
+    """The problem with the fitted value and the scales of features of its inputs.
+
+    Its nodes are as far apart as before: values of different inputs are then equally good.
+    """
+    table = simulator_of(problem).unit_values
+    apart = None if table is None else np.max(table.steps.rows.spacing, axis=0)
     problem = _bare(problem)
     values = {name: item.value for name, item in problem.inputs_by_name.items()}
-    return fitted_problem(replace(problem, simulator=simulator_of(problem).scaled(values)))
+    problem = replace(problem, simulator=simulator_of(problem).scaled(values))
+    return fitted_problem(problem, apart)
 
 
 def _bare(problem: Problem) -> Problem:
@@ -68,10 +74,11 @@ def _bare(problem: Problem) -> Problem:
     )
 
 
-def fitted_problem(problem: Problem) -> Problem:
+def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem:
     """The problem with the unit values that its policy starts from, and with a control variate
-    where its prices have no other risks than its factors'."""
-    result = fitted_value(problem)
+    where its prices have no other risks than its factors'. `apart`: of nodes, see `grid_of`."""
+    levels = len(simulator_of(problem).layout.levels)
+    result = fitted_value(problem, np.zeros(levels) if apart is None else apart)
     if result is None:
         return problem
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
@@ -89,13 +96,16 @@ class FactorFit(NamedTuple):
     factors: GaussianFactors
 
 
-def fitted_value(problem: Problem) -> FactorFit | None:
-    """The fitted value, where prices have at most three Gaussian factors that matter."""
+def fitted_value(problem: Problem, apart: np.ndarray | None = None) -> FactorFit | None:
+    """The fitted value, where prices have at most three Gaussian factors that matter.
+
+    `apart`: where a coarse grid suffices, see `grid_of`.
+    """
     found = factors_of(problem)
     if found is None:
         return None
     schedule = problem.schedule
-    grid = grid_of(simulator_of(problem).layout, schedule)
+    grid = grid_of(simulator_of(problem).layout, schedule, apart=apart)
     result = fit(simulator_of(problem).layout, schedule, found, grid)
     return FactorFit(result, found) if len(result.basis.selected) <= MAX_FACTORS else None
 

@@ -13,6 +13,7 @@ from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.prices.spikes import Spikes, spike_nodes, spike_weights
 from snapo.domains.gas_storage.references.lattice import lattice
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.engine import Xla
@@ -113,6 +114,21 @@ def test_poisson_spikes_have_the_moments_of_their_process():
     none = case(kind="one-factor-poisson-jumps", jump_mean_reversion=0.0)
     expected = 20 * np.array([10, 11]) / 365 * 0.3 / 0.7
     assert_allclose(bare(none)[2].steps.price.compensator[:2], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("poisson", [False, True])
+@pytest.mark.parametrize("speed", [0.0, 5.0, 120.0, 1000.0])
+def test_the_nodes_of_the_lattice_have_the_moments_of_the_law(speed, poisson):
+    """Also of spikes that do not die out, or are gone in a day."""
+    spikes = Spikes(np.exp(-speed / 365), 0.35, 8 / 365, poisson, 0, np.zeros(1))
+    nodes = spike_nodes(spikes, 34)
+    expected = spike_weights(spikes, nodes, nodes) @ np.exp(0.5 * nodes)
+    right = spikes.moment(0.5) * np.exp(0.5 * spikes.decay * nodes)
+    assert_allclose(expected[:-4], right[:-4], rtol=1e-4)
+    if speed == 0:
+        p = -np.expm1(-8 / 365)
+        exact = np.exp(8 / 365 * 0.175 / 0.825) if poisson else 1 - p + p / 0.825
+        assert_allclose(spikes.moment(0.5), exact, rtol=1e-7)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -3,7 +3,7 @@
     earnings = sum over hours of discount x (d (efficiency out S - wear) - c S / efficiency in)
 
 c is stored and d taken from the store in an hour, both in energy in the store: c at most power in x
-efficiency in, d at most power out. A cycle is `energy` taken; the cycles of each calendar day, or
+efficiency in, d at most power out. A cycle is `energy` taken; the cycles of each calendar day, and
 of the whole term, may be limited.
 """
 
@@ -47,7 +47,7 @@ class DischargeTable(CaseTable):
 
 
 class CyclesTable(CaseTable):
-    """{ day = 1.5 }, { term = 60.0 }: most of each calendar day, or of the whole term."""
+    """{ day = 1.5, term = 60.0 }: most of each calendar day, and of the whole term."""
 
     day: CaseInput | None = CYCLES("most of a calendar day", None, name="cycles_day")
     term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
@@ -117,7 +117,7 @@ class BatteryContract(EnergyContract):
 
 
 def layout_of(day: bool, term: bool) -> ContractLayout:
-    """Energy in store, and the energy taken today or in the whole term."""
+    """Energy in store, and the energy taken today and in the whole term."""
     levels = [Level("energy", "MWh")]
     levels += [Level("taken today", "MWh")] * day + [Level("taken", "MWh")] * term
     counted = len(levels) - 1
@@ -140,9 +140,6 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
-    if cycles.day is not None and cycles.term is not None:
-        message = "allowed are cycles by day or of the term, not both"
-        raise where.error("cycles", None, message)
     ends = [day != following for day, following in zip(days, [*days[1:], None])]
     return BatteryContract(  # pyright: ignore[reportCallIssue]
         table.energy,

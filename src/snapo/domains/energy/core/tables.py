@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...gas_storage.bounds.basis import REACH
+from ...gas_storage.bounds.basis import REACH, hinges, powers
 from ...gas_storage.policy.guide import Reading, functions
 
 
@@ -38,8 +38,18 @@ class UnitValues(NamedTuple):
     reading: Reading
 
     def read(self, factors: Array) -> Array:
-        """[n] the functions of the factors."""
-        return functions(self.reading, factors, self.slopes.shape[-1], REACH)
+        """[n] the functions of the factors: polynomials, hinges where the table has them, times
+        the exponential; the constant."""
+        size, count = self.slopes.shape[-1], self.reading.whiten.shape[-2]
+        plain = len(powers(count))
+        at = hinges(count)
+        if size - len(at) not in (plain, plain + 1):
+            return functions(self.reading, factors, size, REACH)
+        rest = functions(self.reading, factors, size - len(at), REACH)
+        fast = jnp.clip((self.reading.whiten @ factors)[0], -REACH, REACH)
+        level = jnp.exp(jnp.sum(self.reading.common * factors) - self.reading.shift)
+        bends = level * jnp.maximum(fast - jnp.asarray(at), 0.0)
+        return jnp.concatenate([rest[:plain], bends, rest[plain:]])
 
 
 class UnitValueTable(eqx.Module):

@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
-from .measure import measures_of
+from .measure import measures_of, node_widths
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
-COARSE = {1: 401, 2: 49, 3: 17}  # of a level where these are too many, by the number of levels
+COARSE = {0: 1, 1: 401, 2: 2601, 3: 4913}  # where these are too many, by the number of levels
+LONG = 2_000_000  # nodes of all steps of a coarse grid
 NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
@@ -29,15 +30,16 @@ class Passage(NamedTuple):
     """A volume along a flow, from some nodes of a step to nodes after it.
 
     - `flow`: its index, -1 for none; `volume`: how much.
-    - `rows`: numbers of nodes before. `goals` [corners, rows]: those after, with their `weights`
-      [corners, rows, 1], None where each one ends at a node.
+    - `rows`, `goals`: from a block of nodes to one of the same shape, a slice of each level.
+    - `weights` [corners, rows, 1]: where it ends between nodes. `rows` are then numbers of nodes,
+      and `goals` [corners, rows] those around each end.
     """
 
     flow: int
     volume: float
-    rows: np.ndarray
-    goals: np.ndarray
-    weights: np.ndarray | None
+    rows: Any
+    goals: Any
+    weights: np.ndarray | None = None
 
 
 class StepGrid(NamedTuple):
@@ -73,11 +75,16 @@ class ContractGrid:
         return int(np.prod([len(x) for x in self.nodes[t]], dtype=int))
 
 
-def grid_of(layout: ContractLayout, schedule: Any, parts: int = 1) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one."""
+def grid_of(
+    layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
+) -> ContractGrid:
+    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one.
+
+    `apart` [levels]: a coarse grid suffices, and its nodes are at least so far apart.
+    """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
-    before, after, exact = _nodes(layout, terms, found, start, parts)
+    before, after, exact = _nodes(layout, terms, found, start, parts, apart)
     scale = max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
     known: dict[tuple, tuple] = {}
     steps = []
@@ -99,19 +106,19 @@ def best(
     `cash` [flows, columns]: earnings of a unit; `fixed` [moves]; `after` [modes, nodes after,
     columns]. Columns are nodes of price factors, or paths.
     """
-    count = int(np.prod([len(x) for x in step.before], dtype=int))
-    value = np.full((len(layout.modes), count, after.shape[2]), -np.inf)
+    shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
+    columns = after.shape[2]
+    value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
         here, there = value[move.before], after[move.after]
+        block, goal_block = here.reshape(*shape, columns), there.reshape(*goal_shape, columns)
         for flow, volume, rows, goals, weights in passages:
-            reached = there[goals[0]]
-            if weights is not None:
-                reached = np.sum(weights * there[goals], axis=0)
-            if flow >= 0 and volume:
-                reached = reached + volume * cash[flow]
-            if money:
-                reached = reached + money
-            here[rows] = np.maximum(here[rows], reached)
+            earned = money + volume * cash[flow] if flow >= 0 and volume else money
+            if weights is None:
+                np.maximum(block[rows], goal_block[goals] + earned, out=block[rows])
+            else:
+                reached = np.sum(weights * there[goals], axis=0) + earned
+                here[rows] = np.maximum(here[rows], reached)
     return value
 
 
@@ -121,15 +128,21 @@ def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     return result - step.lost[:, None] if step.lost.any() else result
 
 
-def _nodes(layout: ContractLayout, terms, found, start, parts: int):
+def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
     horizon, count = len(terms.low), len(layout.levels)
     measures = measures_of(layout, terms, start)
     visited = [_visited(layout, terms, found, start, i) for i in range(count)]
     widest = [float(np.max(high - low)) for low, high in visited]
+    coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
+    widths = node_widths(
+        layout, widest, measures, np.zeros(count) if apart is None else apart, coarse
+    )
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
-    exact = all(x <= MOST for x in sizes) and together <= TOGETHER
+    exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
+    if apart is not None:
+        exact = exact and all(m > (1 - NEAR) * w for m, w in zip(measures, widths) if m)
     columns = []
     for i, (low, high) in enumerate(visited):
         restarts, measure = terms.restarts[:, i], measures[i]
@@ -138,8 +151,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int):
             continue
         points = _breakpoints(layout, terms, start, i, low, high) if count == 1 else None
         if points is None:
-            width = widest[i] / (COARSE[min(count, 3)] - 1) / parts
-            points = _regular(low, high, width or 1.0, restarts, ends=True)
+            points = _regular(low, high, widths[i] / parts, restarts, _origin(layout, terms, i))
         else:
             exact = True
         columns.append(points)
@@ -174,12 +186,22 @@ def _extremes(layout: ContractLayout, terms, t: int, i: int) -> np.ndarray:
     return np.array(sorted(result))
 
 
-def _regular(low, high, width: float, restarts, ends: bool = False):
-    """Multiples of the width, and both ends where they are none."""
+def _origin(layout: ContractLayout, terms, i: int) -> float:
+    """A point of evenly spaced nodes: the limit of a level that only rises, where it has one, since
+    the value bends wherever whole volumes lead to that limit; else zero."""
+    limit, effects = terms.high[:, i], [flow.effects[i] for flow in layout.flows]
+    effects += [move.changes[i] for move in layout.every_move]
+    return float(limit[0]) if min(effects) >= 0 and np.ptp(limit) == 0 else 0.0
+
+
+def _regular(low, high, width: float, restarts, origin: float | None = None):
+    """Multiples of the width; with an origin those from there on, and both ends."""
+    zero = origin or 0.0
 
     def nodes(a: float, b: float) -> np.ndarray:
-        inner = np.arange(np.ceil(a / width - 1e-6), np.floor(b / width + 1e-6) + 1) * width
-        if not ends and len(inner):
+        first, last = np.ceil((a - zero) / width - 1e-6), np.floor((b - zero) / width + 1e-6)
+        inner = zero + np.arange(first, last + 1) * width
+        if origin is None and len(inner):
             return inner
         inner = inner[(inner > a + 1e-6 * width) & (inner < b - 1e-6 * width)]
         return np.unique(np.concatenate([[a], inner, [b]]))
@@ -232,30 +254,30 @@ def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndar
 
 
 def _passages(layout: ContractLayout, terms, t: int, before, after, near: float):
-    opposed, result = opposed_levels(layout), []
+    signs, result = flow_signs(layout), []
     for move in layout.every_move:
         passages: list[Passage] = []
         changes = np.array(move.changes)
         still = all(terms.least[t, flow] <= near for flow in move.flows)
         if still:
-            passages += _moved(-1, 0.0, changes, before, after, opposed, near)
+            passages += _moved(-1, 0.0, changes, (), before, after, signs, near)
         for flow in move.flows:
             effects = np.array(layout.flows[flow].effects)
-            ends = terms.least[t, flow], terms.most[t, flow]
+            ends = float(terms.least[t, flow]), float(terms.most[t, flow])
+            touched = np.flatnonzero(effects)
             for volume in _possible(effects, changes, ends, before, after, near):
                 if volume > near or not still:
                     change = changes + volume * effects
-                    passages += _moved(flow, volume, change, before, after, opposed, near)
+                    pinned = () if volume in ends else touched
+                    passages += _moved(flow, volume, change, pinned, before, after, signs, near)
         result.append(tuple(passages))
     return tuple(result)
 
 
 def _possible(effects, changes, ends, before, after, near: float) -> list[float]:
-    """The volumes to try: both ends, and those that lead from a node to a node between them."""
-    volumes = [float(ends[0]), float(ends[1])]
-    touched = np.flatnonzero(effects)
-    if len(touched):
-        i = touched[0]
+    """The volumes to try: both ends, and those that lead from a node to a node of a level."""
+    volumes = list(ends)
+    for i in np.flatnonzero(effects):
         every = ((after[i][None, :] - before[i][:, None] - changes[i]) / effects[i]).ravel()
         inside = every[(every > ends[0] + near) & (every < ends[1] - near)]
         volumes += inside.tolist()
@@ -263,86 +285,90 @@ def _possible(effects, changes, ends, before, after, near: float) -> list[float]
     return [volumes[k] for k in np.unique(rounded, return_index=True)[1]]
 
 
-def _moved(flow: int, volume: float, change, before, after, opposed: bool, near: float):
-    """The passages of one volume: from the nodes that it moves to a node, and from the others that
-    it moves between nodes."""
+def _moved(flow: int, volume: float, change, pinned, before, after, signs, near: float):
+    """The passages of one volume: from the nodes that it moves to a node, and from others that it
+    moves between nodes; of these only such that get on a node of a `pinned` level, if there is one,
+    since values are linear between them."""
     if not before:
-        return [Passage(flow, volume, np.zeros(1, int), np.zeros((1, 1), int), None)]
-    goals, on, inside = [], [], []
+        return [Passage(flow, volume, (), ())]
+    goals, positions, on, inside = [], [], [], []
     for points, nodes, moved in zip(before, after, change):
         goal = points + moved
-        right = np.clip(np.searchsorted(nodes, goal - 2 * near), 0, len(nodes) - 1)
+        position = np.clip(np.searchsorted(nodes, goal - 4 * near), 0, len(nodes) - 1)
         goals.append(goal)
-        on.append(np.abs(nodes[right] - goal) <= 4 * near)
+        positions.append(position)
+        on.append(np.abs(nodes[position] - goal) <= 4 * near)
         inside.append((goal >= nodes[0] - near) & (goal <= nodes[-1] + near))
-    strides, result = _strides(before), []
-    exact = [np.flatnonzero(x) for x in on]
-    if all(map(len, exact)):
-        places = [np.searchsorted(n, g[x] - 4 * near) for n, g, x in zip(after, goals, exact)]
-        goal = _flat(places, _strides(after))
-        result.append(Passage(flow, volume, _flat(exact, strides), goal[None], None))
-    if all(x.any() for x in inside) and not all(np.array_equal(a, b) for a, b in zip(on, inside)):
-        possible = [np.flatnonzero(x) for x in inside]
-        rows = _flat(possible, strides)
-        mesh = np.meshgrid(*(g[x] for g, x in zip(goals, possible)), indexing="ij")
-        levels = np.stack([x.ravel() for x in mesh], axis=1)
-        found, weights = corners(after, levels, opposed)
-        result.append(Passage(flow, volume, rows, found, weights[:, :, None]))
+    blocks = product(*(_runs(np.flatnonzero(x), position) for x, position in zip(on, positions)))
+    result: list[Passage] = []
+    for block in blocks:
+        rows, there = zip(*block)
+        result.append(Passage(flow, volume, rows, there))
+    chosen = np.stack(np.meshgrid(*map(np.flatnonzero, inside), indexing="ij"), -1)
+    chosen = chosen.reshape(-1, len(on))
+    hits = np.stack([x[i] for x, i in zip(on, chosen.T)])
+    between = ~hits.all(axis=0)
+    if len(pinned):
+        between &= hits[pinned].any(axis=0)
+    if between.any():
+        chosen = chosen[between]
+        levels = np.stack([goal[i] for goal, i in zip(goals, chosen.T)], axis=1)
+        around, weights = corners(after, levels, signs)
+        used = weights.any(axis=1)
+        rows = np.ravel_multi_index(tuple(chosen.T), [len(x) for x in before])
+        result.append(Passage(flow, volume, rows, around[used], weights[used, :, None]))
     return result
 
 
-def opposed_levels(layout: ContractLayout) -> bool:
-    """Whether a flow moves two levels in opposite directions."""
-    return any(np.min(f.effects, initial=0.0) < 0 < np.max(f.effects, initial=0.0)
-               for f in layout.flows)  # fmt: skip
+def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
+    """Rows and their positions, cut where one of both does not go on by one."""
+    if not len(rows):
+        return []
+    there = positions[rows]
+    cuts = np.flatnonzero((np.diff(rows) != 1) | (np.diff(there) != 1)) + 1
+    return [
+        (slice(int(a[0]), int(a[-1]) + 1), slice(int(b[0]), int(b[-1]) + 1))
+        for a, b in zip(np.split(rows, cuts), np.split(there, cuts))
+    ]
 
 
-def corners(nodes, levels: np.ndarray, opposed: bool) -> tuple[np.ndarray, np.ndarray]:
+def flow_signs(layout: ContractLayout) -> np.ndarray:
+    """[levels] 1, or -1 for a level that flows move against the first level that they move."""
+    signs = np.ones(len(layout.levels), int)
+    for flow in layout.flows:
+        touched = np.flatnonzero(flow.effects)
+        if len(touched) > 1:
+            first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
+            signs[touched] = first * np.sign(np.array(flow.effects)[touched])
+    return signs
+
+
+def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
 
-    One level is cut at its nodes; two are cut along their flows too, into triangles, so that a
-    function between nodes is linear along every flow and the best volumes lead to nodes.
+    Cells are cut into simplices along the flows, so that a function between nodes is linear along
+    every flow, and the best volumes lead to nodes.
     """
     count, sizes = len(levels), [len(x) for x in nodes]
     if not sizes:
         return np.zeros((1, count), int), np.ones((1, count))
     lefts, shares = [], []
-    for i, x in enumerate(nodes):
-        position = np.interp(levels[:, i], x, np.arange(len(x), dtype=float))
+    for x, level, sign in zip(nodes, levels.T, signs):
+        position = np.interp(level, x, np.arange(len(x), dtype=float))
         left = np.minimum(position.astype(int), max(len(x) - 2, 0))
-        lefts.append(left)
-        shares.append(position - left)
-    if len(sizes) == 1:
-        right = np.minimum(lefts[0] + 1, sizes[0] - 1)
-        return np.stack([lefts[0], right]), np.stack([1 - shares[0], shares[0]])
-    if len(sizes) > 2:
-        raise ValueError("a contract of three levels that its volumes do not share has no grid")
-    first, second = shares[0], 1 - shares[1] if opposed else shares[1]
-
-    def at(i, j) -> np.ndarray:
-        row = np.minimum(lefts[0] + i, sizes[0] - 1)
-        return row * sizes[1] + np.minimum(lefts[1] + (1 - j if opposed else j), sizes[1] - 1)
-
-    zero, wide = np.zeros(count, int), first >= second
-    middle = at(np.where(wide, 1, 0), np.where(wide, 0, 1))
-    weights = [1 - np.maximum(first, second), np.abs(first - second), np.minimum(first, second)]
-    return np.stack([at(zero, zero), middle, at(zero + 1, zero + 1)]), np.stack(weights)
-
-
-def _strides(nodes) -> list[int]:
-    return _strides_of([len(x) for x in nodes])
-
-
-def _strides_of(shape) -> list[int]:
-    return [int(np.prod(shape[i + 1 :], dtype=int)) for i in range(len(shape))]
-
-
-def _flat(indices, strides) -> np.ndarray:
-    """Numbers of nodes from those by level, of all combinations."""
-    result = np.zeros(1, int)
-    for index, stride in zip(indices, strides):
-        result = (result[:, None] + stride * np.asarray(index)[None, :]).ravel()
-    return result
+        share = position - left
+        lefts.append(left if sign > 0 else np.minimum(left + 1, len(x) - 1))
+        shares.append(share if sign > 0 else 1 - share)
+    order, share = np.argsort(-np.stack(shares), axis=0, kind="stable"), np.stack(shares)
+    corner, highest = np.stack(lefts), np.array(sizes)[:, None] - 1
+    sorted_shares = np.take_along_axis(share, order, axis=0)
+    ends = np.concatenate([np.ones((1, count)), sorted_shares, np.zeros((1, count))])
+    rows, everyone = [corner.copy()], np.arange(count)
+    for axis in order:
+        corner[axis, everyone] += signs[axis]
+        rows.append(corner.copy())
+    inside = [np.clip(row, 0, highest) for row in rows]
+    return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)
 
 
 def _arrivals(terms, t: int, after, following) -> tuple[np.ndarray, np.ndarray]:
@@ -353,7 +379,8 @@ def _arrivals(terms, t: int, after, following) -> tuple[np.ndarray, np.ndarray]:
         missed = np.maximum(terms.owed[t, i] - points, 0.0) if again else np.zeros(len(points))
         amount = missed * terms.short[t, i] if again else missed
         lost = (lost[:, None] + amount[None, :]).ravel()
-    return _flat(places, _strides(following)), lost
+    numbers = np.arange(math.prod(map(len, following)))
+    return numbers.reshape([len(x) for x in following])[np.ix_(*places)].ravel(), lost
 
 
 def node_levels(nodes: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -16,7 +16,7 @@ from snapo.problem.problem import Problem
 from ...gas_storage.bounds.regression import product
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
-from .grid import arrived, best, corners, grid_of, opposed_levels
+from .grid import arrived, best, corners, flow_signs, grid_of
 
 BLOCK = 128  # paths at once
 PARTS = 3  # of the penalty: polynomials, hinges, the constant
@@ -64,7 +64,7 @@ class EnergyRelaxation:
         for nodes, table, moved, level, now in zip(
             self.grid.nodes, self.fitted.coefficients, innovations, levels, mode
         ):
-            rows, weights = corners(nodes, level, opposed_levels(self.layout))
+            rows, weights = corners(nodes, level, flow_signs(self.layout))
             for row, weight in zip(rows, weights):
                 total += weight * np.einsum("pk,kp->p", table[now, row], moved)
         return total

@@ -77,6 +77,8 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     """The value, each of its grids halved until that moves it by less than 0.001 %."""
     of_levels = partial(lattice, layout, schedule, factors)
     first = of_levels()
+    if len(layout.levels) > 2 and not first.grid.exact:
+        raise ValueError("there is no lattice of three levels without a practical common measure")
     of_prices = partial(of_levels, grid=first.grid)
     finer: list[Callable[[int], Lattice]] = []
     if not first.grid.exact:

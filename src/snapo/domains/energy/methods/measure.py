@@ -1,27 +1,25 @@
-"""The common measure of the volumes of a contract: the largest of which all are multiples."""
+"""The common measure of the volumes of a contract: the largest of which all are multiples.
+
+And the widths between nodes where that measure is too small.
+"""
 
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import reduce
-from math import gcd, lcm
+from math import ceil, gcd, lcm, prod
 
 import numpy as np
 
 from ..core.contract import ContractLayout
 
+ROUND_OFF = 1e-9  # of a count
 DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 
 def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
     """The largest volume of which all of a level are multiples; one for levels of the same flow."""
-    groups = [{i} for i in range(len(layout.levels))]
-    for flow in layout.flows:
-        touched = {i for i, effect in enumerate(flow.effects) if effect}
-        if touched:
-            joined = set().union(touched, *(g for g in groups if g & touched))
-            groups = [g for g in groups if not g & touched] + [joined]
     result: list[float | None] = [None] * len(layout.levels)
-    for group in groups:
+    for group in joined_levels(layout):
         volumes: set[float] = set()
         for i in group:
             volumes.add(float(start[i]))
@@ -36,6 +34,37 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
         for i in group:
             result[i] = found
     return result
+
+
+def joined_levels(layout: ContractLayout) -> list[set[int]]:
+    """The levels in groups that no flow joins."""
+    groups = [{i} for i in range(len(layout.levels))]
+    for flow in layout.flows:
+        touched = {i for i, effect in enumerate(flow.effects) if effect}
+        if touched:
+            joined = set().union(touched, *(g for g in groups if g & touched))
+            groups = [g for g in groups if not g & touched] + [joined]
+    return groups
+
+
+def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
+    """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
+    one. It is the same for levels that flows join, so that these lead from node to node of all of
+    them: else volumes between nodes blur the value. `apart`: the least width of each level."""
+    widths = [1.0] * len(widest)
+    for group in joined_levels(layout):
+        members = sorted(group)
+        unit, sides = measures[members[0]] or 0.0, [widest[i] for i in members]
+        count = nodes ** (len(members) / len(widest)) * (1 + ROUND_OFF)
+        width = max(max(sides) / count, *(apart[i] for i in members)) or 1.0
+        while True:
+            width = unit * max(ceil(width / unit - ROUND_OFF), 1) if unit else width
+            if prod(side / width + 1 for side in sides) <= count:
+                break
+            width *= 1.01
+        for i in members:
+            widths[i] = width
+    return widths
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:

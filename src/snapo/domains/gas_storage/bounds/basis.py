@@ -95,7 +95,7 @@ class PolynomialBasis:
     @property
     def hinges(self) -> np.ndarray:
         """[hinges] where they are, in standard deviations of the fast factor."""
-        return ALONE if len(self.selected) == 1 else FEW
+        return hinges(len(self.selected))
 
     @property
     def first(self) -> np.ndarray:
@@ -260,6 +260,11 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     )
     common = tuple(int(i) for i in speed if common[i] and not defaulted[i] and i not in selected)
     return PolynomialBasis(of, selected, common, powers(len(selected)))
+
+
+def hinges(count: int) -> np.ndarray:
+    """[hinges] where they are for so many factors, in standard deviations of the fast one."""
+    return ALONE if count == 1 else FEW
 
 
 def _degree(powers: np.ndarray) -> np.ndarray:

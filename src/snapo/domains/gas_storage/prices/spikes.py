@@ -7,6 +7,7 @@ size ("Bernoulli"), or what is left of a compound Poisson process. Everything he
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.special import hyp1f1
 
 REACH = 30.0  # of the exponent of the density times exp(J), up to which that is integrated
@@ -33,7 +34,7 @@ class Spikes(NamedTuple):
         """E[exp(exponent J)], for exponents below 1 / size."""
         x = self.size * exponent
         if self.poisson:
-            return ((1 - self.decay * x) / (1 - x)) ** self._shape
+            return ((1 - self._left * x) / (1 - x)) ** self._shape
         chance = -np.expm1(-self.rate)
         return 1 - chance + chance / (1 - x)
 
@@ -54,9 +55,9 @@ class Spikes(NamedTuple):
         none = np.exp(-self.rate)
         if self.poisson:
             # A negative binomial number of exponentials: Kummer's form of the mixture of gammas.
-            shape, left = self._shape, max(self.decay, 1e-300)
-            z = x * (1 - self.decay) / left
-            density = density * hyp1f1(1 - shape, 2, -z) * shape * (1 - self.decay) / left
+            shape, left = self._shape, self._left
+            z = x * (1 - left) / left
+            density = density * hyp1f1(1 - shape, 2, -z) * shape * (1 - left) / left
         mass = density * (half[:, None] * weights).ravel()
         mass = mass * ((1 - none) / mass.sum())
         return self.size * np.append(0.0, x), np.append(none, mass)
@@ -64,4 +65,42 @@ class Spikes(NamedTuple):
     @property
     def _shape(self) -> float:
         """Spikes that come while one dies out by the factor e."""
-        return self.rate / max(-np.log(self.decay), 1e-9)
+        return self.rate / -np.log(self._left)
+
+    @property
+    def _left(self) -> float:
+        """The decay, of spikes that do die out."""
+        return min(max(self.decay, 1e-300), 1 - 1e-6)
+
+
+LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, and in mean sizes
+
+
+def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
+    """Zero, and about `count` nodes above it in a constant ratio.
+
+    Where it can, a power of that ratio is the decay of a day: without a spike, nodes lead to nodes.
+    """
+    largest = LARGEST / (1 - spikes.size)
+    log_ratio = np.log(LEAST / largest) / (count - 2)
+    log_decay = np.log(max(spikes.decay, 1e-300))
+    if a_day := round(log_decay / log_ratio):
+        log_ratio = log_decay / a_day
+    steps = np.arange(int(np.log(LEAST / largest) / log_ratio) + 2)
+    return np.append(0.0, spikes.size * largest * np.exp(log_ratio * steps[::-1]))
+
+
+def spike_weights(spikes: Spikes, nodes: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Weights [start, nodes] of the expectation a day later; on the first date, where `start` is
+    the valuation date."""
+    points, probabilities = spikes.quadrature()
+    spline = CubicSpline(nodes, np.eye(len(nodes)))
+    reached = spikes.decay * nodes[:, None] + points
+    values = spline(np.clip(reached, 0.0, nodes[-1]))
+    day = np.einsum("k,nkm->nm", probabilities, values)
+    if len(start) > 1:
+        return day
+    weights = np.eye(len(nodes))[:1]
+    for _ in range(spikes.before):
+        weights = weights @ day
+    return weights

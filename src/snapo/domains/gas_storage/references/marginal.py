@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..prices.process import GaussianFactors
-from ..prices.spikes import Spikes
+from ..prices.spikes import spike_nodes, spike_weights
 from .day_terms import Interpolation, end_value, interpolation_matrix, rates, unit_prices
 from .intrinsic import values_after
 from .lattice_day import decide, free_volumes
@@ -147,7 +147,7 @@ def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
     """Independent factors need one term; correlated ones a term per shock of the slow factor."""
     if grid.of.spikes is not None:
         local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
-        return Transition([(_spike_weights(grid.of.spikes, grid.slow, slow), local)])
+        return Transition([(spike_weights(grid.of.spikes, grid.slow, slow), local)])
     if len(grid.slow) == 1:
         local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(np.ones((1, 1)), local)])
@@ -165,39 +165,6 @@ def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
             for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
         ]
     )
-
-
-LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, and in mean sizes
-
-
-def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
-    """Zero, and about `count` nodes above it in a constant ratio.
-
-    Where it can, a power of that ratio is the decay of a day: without a spike, nodes lead to nodes.
-    """
-    largest = LARGEST / (1 - spikes.size)
-    log_ratio = np.log(LEAST / largest) / (count - 2)
-    if spikes.decay < 1:
-        log_decay = np.log(max(spikes.decay, 1e-300))
-        log_ratio = max(log_decay / max(round(log_decay / log_ratio), 1), log_ratio)
-    steps = np.arange(int(np.log(LEAST / largest) / log_ratio) + 2)
-    return np.append(0.0, spikes.size * largest * np.exp(log_ratio * steps[::-1]))
-
-
-def _spike_weights(spikes: Spikes, nodes: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Weights [start, nodes] of the expectation a day later; on the first date, where `start` is
-    the valuation date."""
-    points, probabilities = spikes.quadrature()
-    spline = CubicSpline(nodes, np.eye(len(nodes)))
-    reached = spikes.decay * nodes[:, None] + points
-    values = spline(np.clip(reached, 0.0, nodes[-1]))
-    day = np.einsum("k,nkm->nm", probabilities, values)
-    if len(start) > 1:
-        return day
-    weights = np.eye(len(nodes))[:1]
-    for _ in range(spikes.before):
-        weights = weights @ day
-    return weights
 
 
 def _from_points(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
