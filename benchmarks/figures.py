@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 import snapo
+from snapo.solver.statistics import half_width
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "figures.toml"
@@ -167,25 +168,30 @@ def cases(folder: Path) -> dict[str, str]:
     def result(kind: str) -> dict[str, Any]:
         return json.loads((folder / kind / "run" / "result.json").read_text(encoding="utf-8"))
 
+    def estimate(kind: str) -> tuple[float, float]:
+        entries = result(kind)
+        return entries["value"], half_width(entries["standard_error"])
+
     stock, parts = result("inventory"), folder / "pension" / "run" / "parts"
     policies = json.loads((parts / "classical-policies.json").read_text(encoding="utf-8"))
     leads = {
-        row["key"]: (1e4 * row["lead"], 1e4 * row["lead_error"]) for row in policies["policies"]
+        row["key"]: (1e4 * row["lead"], half_width(1e4 * row["lead_error"]))
+        for row in policies["policies"]
     }
     tuned = min(leads[key] for key in ("constant_mix", "glide_path", "liability_driven"))
     return {
         **{
-            name: f"{estimate['value']:,.2f} ± {estimate['standard_error']:.2f}"
+            name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
             for kind in ("swing", "battery")
-            for name, estimate in (
+            for name, x in (
                 (kind, result(kind)),
                 (f"{kind}_upper", result(kind)["bound"]["upper"]),
             )
         },
-        "inventory": f"{-stock['value']:.3f} ± {stock['standard_error']:.3f}",
+        "inventory": f"{-stock['value']:.3f} ± {half_width(stock['standard_error']):.3f}",
         "base_stock": f"{-stock['references']['base stock']:.2f}",
-        "pharma": "{value:.3f} ± {standard_error:.3f}".format(**result("pharma")),
-        "control": "{value:.1f} ± {standard_error:.1f}".format(**result("control")),
+        "pharma": "{:.3f} ± {:.3f}".format(*estimate("pharma")),
+        "control": "{:.1f} ± {:.1f}".format(*estimate("control")),
         "lead_present": "{:.0f} ± {:.0f}".format(*leads["present_mix"]),
         "lead_tuned": "{:.1f} ± {:.1f}".format(*tuned),
     }
@@ -193,7 +199,12 @@ def cases(folder: Path) -> dict[str, str]:
 
 def _estimate(rung: Mapping[str, Any]) -> str:
     error = rung["standard_error"]
-    return f"{rung['value']:,.0f}" + ("" if error is None else f" ± {error:,.0f}")
+    return f"{rung['value']:,.0f}" + ("" if error is None else f" {plus_minus_of(error)}")
+
+
+def plus_minus_of(error: float) -> str:
+    """Half of the 95 % interval in whole units."""
+    return f"± {half_width(error):,.0f}"
 
 
 def reservoir() -> dict[str, str]:

@@ -45,7 +45,7 @@ def stages(values, chosen, policy=0):
     rows = [["fill rate, %", value / 10, 0.1]]
     yield "sections", [{"title": "Service", "description": "", "rows": rows,
                         "facts": [["yield", value / 10, "%"], ["temperature", 40.5, "degC"]],
-                        "columns": [["", ""], ["mean", ""], ["± standard error", ""]]}]  # fmt: skip
+                        "columns": [["", ""], ["mean", ""], ["±", ""]]}]  # fmt: skip
     yield "deltas", list(deltas(numbers))
     facts = [["stock", value / 100, "t"]]
     yield "today", {"description": f"order {value:.0f} t", "facts": facts, "columns": [],

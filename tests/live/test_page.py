@@ -342,5 +342,20 @@ def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):
     page.locator("#beside summary").click()
     rows = [row.inner_text().split("\t") for row in page.locator("#beside-table tr").all()]
     assert rows[0] == ["", "Dear", "All", "Some"]
-    assert rows[1][1].startswith("456 ±") and rows[2][1].startswith("+1 ±")
+    assert rows[1][1] == "456 ± 0.98" and rows[2][1] == "+1 ± 0.49"  # of 0.5 and 0.25
     assert ["Price", "as the run", "all +1.5 EUR/t", "3 of 3: +1.5 to +4 EUR/t"] in rows
+
+
+def test_the_page_starts_from_the_value_of_the_run_and_says_which_paths_are_its_own(
+    browser, tmp_path, held
+):
+    with (
+        serving(tmp_path, held, value=455.25, standard_error=0.1) as server,
+        opened(browser, server) as page,
+    ):
+        assert page.inner_text("#figure") == "455.25" and page.inner_text("#error") == "± 0.2"
+        changes = page.inner_text("#changes")
+        assert "on the 64 paths of this page" in changes.lower() and "455 ± 0.98" in changes
+        assert "± is half of a 95 % interval, of simulation alone." in page.inner_text("#value")
+        enter(page, "cost", "6")
+        assert settled(page) == "456"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from snapo import Box, Input, Mean, Policy, Problem, Pseudo, Simulator, Xla
-from snapo.cli.commands import bounds, summary
+from snapo.cli.answers import bounds, summary
 from snapo.problem.simulator import Schedule
 from snapo.solver.bound import Between, Bound, bound, nested_mean
 from snapo.study.chapters.bound import ValueBounds, sentence

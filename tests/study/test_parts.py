@@ -186,7 +186,7 @@ def test_sections_of_a_whole_run(tmp_path):
     )
     run = write(tmp_path, parts, result, states)
     page = render(Page("A run", [], [section(run) for section in SECTIONS]))
-    for words in ("1,000.0", "± 2.2".replace(" ", "\N{NO-BREAK SPACE}"), "trained to the end",
+    for words in ("1,000.0", "± 4.3".replace(" ", "\N{NO-BREAK SPACE}"), "trained to the end",
                   "a remark", "of a week", "Water (state), 40 paths", "Cash: total of a path",
                   "its method <code>slack</code> names none", "12.00 more, 12.80 less",
                   ">12.40<"):  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
-from snapo.cli.commands import by_seed
+from snapo.cli.answers import by_seed
 from snapo.cli.main import main
 from snapo.problem.scenarios import EVALUATE, Pseudo, Supplied, stream
 from snapo.solver.evaluate import evaluate

@@ -17,7 +17,7 @@ class Run(dict):
 def test_a_rule_that_does_better_is_named_and_the_best_of_several():
     leads = [("none", 5.0, 0.1), ("linear", -2.0, 0.1), ("clipped", -3.0, 0.25)]
     found = trained(Run(["Paths were left out."]), {"linear": 3.0}, leads)
-    assert "“clipped” does better" in found["verdict"] and "3 ± 0.25" in found["verdict"]
+    assert "“clipped” does better" in found["verdict"] and "3 ± 0.49" in found["verdict"]
     assert found["notes"] == ["Paths were left out.", found["verdict"]]
     assert found["references"] == {"linear": 3.0}
 

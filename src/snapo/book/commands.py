@@ -12,6 +12,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.table import parse
+from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_text
 from snapo.study.assign import OPTION, assigned
 from snapo.study.domain import Domain, Options, RunsCode, find
@@ -244,7 +245,7 @@ def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader."""
     orders = result["orders"]
     counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
-    lines = [f"book: {result['status']}"]
+    lines = [f"book: {result['status']}; ± is half of a 95 % interval, of simulation alone"]
     if result.get("points"):
         lines += _table_of_points(result)
     elif "sums" in result:
@@ -290,7 +291,7 @@ def _table_of_points(result: Mapping[str, Any]) -> list[str]:
 
 
 def _plus_minus(error: float | None) -> str:
-    return "" if error is None else f" ± {error:,.2g}"
+    return "" if error is None else f" {plus_minus(error)}"
 
 
 def _worst(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

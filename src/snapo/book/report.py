@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.report import charts
+from snapo.report import charts, quantity
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
@@ -78,7 +78,7 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
         return Section("value", "Value of the book", "Value", blocks)
     digits = decimals([base["value"]], 6)
     value, error = measured(base["value"], base["standard_error"], digits)
-    note = f"{valued}. The standard error counts the paths that contracts of one market share."
+    note = f"{valued}; {quantity.PLUS_MINUS}, with the paths that contracts of one market share."
     blocks = [Headline("value of the book", value, error, note)]
     blocks += [Text(f"{text[0].upper()}{text[1:]}.", caveat=True) for text in result["notes"]]
     if result["risk"]:
@@ -93,8 +93,8 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
 
 
 RISK = (
-    "Losses over the stresses as scenarios of equal weight; the errors are those of Monte Carlo, "
-    "without that of having only these scenarios."
+    "Losses over the stresses as scenarios of equal weight; their intervals are those of "
+    "simulation, without that of having only these scenarios."
 )
 
 
@@ -226,7 +226,7 @@ def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Sec
     ]
     folded = "" if len(rows) <= MAX_ROWS else "all points"
     keys = ", ".join(f"{axis['label']} is {axis['key']}" for axis in axes)
-    blocks.append(table(rows, columns, f"All points; {keys}; ± one standard error", folded=folded))
+    blocks.append(table(rows, columns, f"All points; {keys}", folded=folded))
     return Section("points", "Value over the axes", "Axes", blocks)
 
 
@@ -341,11 +341,8 @@ def _deltas(result: Mapping[str, Any]) -> Section:
         columns = columns[1:]
     few = rows[:400]
     caption = "Derivatives of the book's value with decisions held, summed over contracts"
-    blocks: list[Block] = [
-        table(
-            few, columns, caption, by_row=True, folded="" if len(few) <= MAX_ROWS else "all inputs"
-        )
-    ]
+    folded = "" if len(few) <= MAX_ROWS else "all inputs"
+    blocks: list[Block] = [table(few, columns, caption, by_row=True, folded=folded)]
     return Section("deltas", "Derivatives", "Derivatives", blocks)
 
 

@@ -214,7 +214,8 @@ class Played(NamedTuple):
     steps: np.ndarray
 
     def __str__(self) -> str:
-        return f"{self.mean:.4g} ± {self.standard_error:.2g} over {len(self.rewards):,} starts"
+        half = statistics.plus_minus(self.standard_error, degrees=len(self.rewards) - 1)
+        return f"{self.mean:.4g} {half} (95 %) over {len(self.rewards):,} starts"
 
 
 def play(

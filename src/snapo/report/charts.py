@@ -134,13 +134,12 @@ def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, com
     legend_above(axes)
 
 
-def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, compare) -> None:
-    """A bar per label, coloured by sign and named so; 95 % whiskers, a comparison, a tolerance.
+def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, compare) -> None:
+    """A bar per label, coloured by sign and named so; 95 % whiskers, and a comparison.
 
     **Arguments:**
 
     - `half`: [n] half widths of 95 % intervals, or None.
-    - `moved`: [n] recent change of each value: a pale box around its end; or None.
     - `compare`: (name, [n]) drawn as a bold tick across the bar; or None.
     """
     position = np.arange(len(values))
@@ -149,12 +148,6 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
     for part, colour, name in ((above, "withdraw", names[0]), (below, "inject", names[1])):
         if np.isfinite(part).any():
             axes.bar(position, part, width=0.6, color=LIGHT[colour], label=name)
-    if moved is not None:
-        size = np.abs(moved)
-        style = {"facecolor": "none", "edgecolor": LIGHT["ink"], "linewidth": 0.8, "hatch": "////"}
-        axes.bar(
-            position, 2 * size, bottom=values - size, width=0.6, alpha=0.55, label="Moved", **style
-        )
     if half is not None:
         caps = 4.0 if len(values) <= 24 else 1.5
         line = {"ecolor": LIGHT["ink"], "elinewidth": 1.3, "capsize": caps}
@@ -171,7 +164,7 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, 
     axes.margins(y=0.06)
     number_axis(axes.yaxis, 8)
     unit_above(axes, unit)
-    legend_above(axes, order=[*names, "95 % interval", "Moved"])
+    legend_above(axes, order=[*names, "95 % interval"])
 
 
 def histogram(axes: "Axes", edges, counts, marks, unit: str) -> None:

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from snapo.solver.learning.conditioning import PATHS, Growth
+from snapo.solver.verdict.further import OPTIMUM
 
 from . import charts
 from .drawing import LIGHT, draw, unit_above
 from .folder import RunFiles
 from .page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
-from .quantity import MINUS, decimals, finite, measured, number, readable, seconds
+from .quantity import MINUS, decimals, finite, measured, number, plus_minus, readable, seconds
 
 HISTORY = (
     ("objective", "Smooth objective, training paths", "other", 0.8),
@@ -23,6 +24,7 @@ BELOW = (
     ("gradient_norm", "Gradient norm", "inject", "-"),
     ("temperature", "Temperature", "limit", "--"),
 )
+RESTLESS = 2.0  # times its noise: a gradient that is not that of a policy at rest
 BETTER = " does better"  # in a sentence on two rules, of which one should be taken
 TOTAL = "of all parts, before this page"
 
@@ -64,10 +66,14 @@ def training_history(run: RunFiles, unit: str) -> Section:
 
 
 def notes(run: RunFiles) -> list[Text]:
-    """Sentences that a reader of the value must know: paths left out, ruin, unused controls."""
+    """Sentences that a reader of the value must know: paths left out, ruin, unused controls.
+
+    The bound is not among them: it is next to the value.
+    """
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
         for item in run.result.notes
+        if OPTIMUM not in str(item)
     ]
 
 
@@ -90,12 +96,21 @@ def with_verdicts(first: Section, run: RunFiles) -> Section:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
+    """Whether training could still improve the policy, as its gradient tells; none where that is
+    not known."""
     norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
-    if norm is None:
+    if norm is None or noise is None:
         return []
-    available = "" if noise is None else f"; noise of {number(noise)} is taken off"
-    return [("Policy gradient norm", number(norm), f"zero at an optimum{available}")]
+    if norm <= RESTLESS * noise or not noise:
+        meaning = "small changes of the policy would not change the value beyond simulation noise"
+        return [("Policy gradient", "no more than noise", meaning)]
+    meaning = (
+        f"norm {number(norm)}, noise {number(noise)}: small changes of the policy would still "
+        "change the value"
+    )
+    if run.get("bound") is not None:
+        meaning = f"{meaning}; the upper bound limits by how much"
+    return [("Policy gradient", f"{number(norm / noise, 1)} times its noise", meaning)]
 
 
 def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried") -> Mark | str:
@@ -104,12 +119,9 @@ def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried")
 
 
 def spent(run: RunFiles) -> dict[str, float]:
-    """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
-    of itself."""
+    """Wall-clock seconds by name, without the writing of the page itself."""
     available = run.get("seconds") or run.result.seconds
-    table = {name: item for name, item in available.items() if finite(item) is not None}
-    page = table.pop("report", 0.0)
-    return table | {"total": table["total"] - page} if "total" in table else table
+    return {name: x for name, x in available.items() if finite(x) is not None and name != "report"}
 
 
 def times(run: RunFiles) -> list[Facts]:
@@ -249,7 +261,8 @@ def seeds(run: RunFiles) -> Section:
 
 def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     mean, worst, best = (number(result[name], digits) for name in ("mean", "worst", "highest"))
-    spread, error = (number(result[name], digits) for name in ("deviation", "standard_error"))
+    spread = number(result["deviation"], digits)
+    half = plus_minus(result["standard_error"], digits)
     paths = number(result["paths"], 0)
     text = (
         f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths they earn "
@@ -257,8 +270,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (
-            f"; their standard deviation is {spread}, and the Monte Carlo error of these paths, "
-            f"the same for all, {error}"
+            f"; their standard deviation is {spread}, and {half} comes from these paths, for all "
+            "of them alike"
         )
     return f"{text}. This page is the run of seed {result['best']}."
 

@@ -201,7 +201,7 @@ class RunFiles:
         return money(value, self.currency, digits, sign)
 
     def value_text(self, value: Any, error: Any, digits: int) -> str:
-        """A value with its standard error, "EUR 78,312 ± 41"."""
+        """A value with half of its 95 % interval, "EUR 78,312 ± 41", from its standard error."""
         return f"{self.money(value, digits)} {plus_minus(error, digits)}".rstrip()
 
 

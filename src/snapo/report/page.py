@@ -92,7 +92,10 @@ class Facts:
 
 @dataclass(frozen=True)
 class Headline:
-    """The main number of the report, with one sentence on it."""
+    """The main number of the report, with one sentence on it.
+
+    `context`: what a reader compares it with, such as a bound or the lead over another policy.
+    """
 
     kind: ClassVar[str] = "headline"
     label: str
@@ -104,6 +107,7 @@ class Headline:
     when: str = "What to do today"
     tone: str = "main"  # a colour of the theme
     marks: Sequence[Mark] = ()
+    context: str = ""
 
 
 @dataclass(frozen=True)
@@ -147,13 +151,15 @@ class Section:
 @dataclass(frozen=True)
 class Page:
     """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
-    image that holds all of it."""
+    image that holds all of it, `menu` (anchor, text) of the links in its bar: by default one to
+    every section."""
 
     title: str
     about: Sequence[tuple[str, str]]
     sections: Sequence[Section]
     footer: str = ""
     logo: str = ""
+    menu: Sequence[tuple[str, str]] = ()
 
 
 def render(page: Page) -> str:
@@ -168,7 +174,8 @@ def render(page: Page) -> str:
         for section in page.sections
         if section.blocks
     ]
-    page = replace(page, sections=sections)
+    menu = page.menu or [(section.name, section.short) for section in sections if section.short]
+    page = replace(page, sections=sections, menu=menu)
     environment = Environment(
         loader=PackageLoader("snapo.report"),
         autoescape=select_autoescape(default=True),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.workbook import lines
-from snapo.solver.statistics import critical
 
 from .folder import RunFiles
 from .page import Block, Section, Table, Text
@@ -64,13 +63,13 @@ def _changes(run: RunFiles, origin: Mapping[str, Any]) -> Iterator[Block]:
     digits = decimals([x for x in (error, old) if x] or [run.result.value], 2)
     change = previous.get("difference"), previous.get("difference_error")
     rows = [
-        ("Value of this run", *_with_interval(run.result.value, error, digits)),
-        (f"Value of {previous.get('run')}", *_with_interval(previous.get("value"), old, digits)),
+        ("Value of this run", *measured(run.result.value, error, digits)),
+        (f"Value of {previous.get('run')}", *measured(previous.get("value"), old, digits)),
     ]
     if finite(change[0]) is not None:
         name = "Difference, on the same paths" if previous.get("paired") else "Difference"
-        rows.append((name, *_with_interval(*change, digits, sign=True)))
-    yield Table([], rows, "Changed against the last run; ± is half of a 95 % interval", 1)
+        rows.append((name, *measured(*change, digits, sign=True)))
+    yield Table([], rows, "Changed against the last run", 1)
     settings = [
         (str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous["changes"]
     ]
@@ -79,12 +78,6 @@ def _changes(run: RunFiles, origin: Mapping[str, Any]) -> Iterator[Block]:
         yield Table(head, settings, "Settings that differ from the last run", 3)
     else:
         yield Text("All settings are those of the last run.")
-
-
-def _with_interval(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
-    half = finite(error)
-    half = None if half is None else critical() * half
-    return measured(value, half, digits, sign=sign)
 
 
 def _inputs(record: Mapping[str, Any], folder: Path) -> Iterator[Block]:

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from snapo.solver.statistics import half_width
+
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
+PLUS_MINUS = "± is half of a 95 % interval, of simulation alone"  # where the first one stands
 SPACE = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-12  # relative, of sums in double precision
 TINY, MAXIMUM = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
@@ -77,11 +80,17 @@ def money(value: Any, currency: str, digits: int | None = None, sign: bool = Fal
 
 
 def plus_minus(error: Any, digits: int) -> str:
-    """A standard error, "± 41"; nothing where there is none.
+    """Half of the 95 % interval, "± 41", from a standard error; nothing where there is none.
 
-    One that `places` decimals would round to zero keeps a digit: "± 0.00004".
+    One that `digits` decimals would round to zero keeps a digit: "± 0.00004".
     """
     available = finite(error)
+    return plus_minus_half(None if available is None else half_width(available), digits)
+
+
+def plus_minus_half(half: Any, digits: int) -> str:
+    """The same from half of an interval."""
+    available = finite(half)
     if available is None:
         return ""
     text = (
@@ -91,19 +100,20 @@ def plus_minus(error: Any, digits: int) -> str:
 
 
 def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
-    """A value and its standard error, ("+0.00018", "± 0.00004").
+    """A value and half of its 95 % interval, ("+0.00018", "± 0.00008"), from its standard error.
 
     Both with `digits` decimals, or with those of the first digit of a smaller error; both as powers
     of ten where they are tiny. An error below the rounding of the value is omitted.
     """
     available, values = finite(error), finite(value)
-    if available is not None and values is not None and abs(available) < ROUNDING * abs(values):
-        error = available = 0.0
-    if available is not None and _tiny(available) and values is not None and _tiny(values):
-        return ("+" if sign and values > 0 else "") + rough(values), plus_minus(error, digits)
-    if available is not None and not _tiny(available):
-        digits = _reached(available, digits)
-    return number(value, digits, sign), plus_minus(error, digits)
+    half = None if available is None else half_width(available)
+    if half is not None and values is not None and abs(half) < ROUNDING * abs(values):
+        half = 0.0
+    if half is not None and _tiny(half) and values is not None and _tiny(values):
+        return ("+" if sign and values > 0 else "") + rough(values), plus_minus_half(half, digits)
+    if half is not None and not _tiny(half):
+        digits = _reached(half, digits)
+    return number(value, digits, sign), plus_minus_half(half, digits)
 
 
 def rough(value: Any) -> str:
@@ -200,6 +210,15 @@ def long_date(day: Any) -> str:
     except ValueError:
         return str(day) if day else NONE
     return f"{date.day}{SPACE}{MONTHS.split()[date.month - 1]}{SPACE}{date.year}"
+
+
+def until(end: Any) -> str:
+    """The last day of a period that ends before `end`: `2022-04-01` as "31 March 2022"."""
+    try:
+        date = datetime.date.fromisoformat(str(end)[:10])
+    except ValueError:
+        return long_date(end)
+    return long_date(date - datetime.timedelta(days=1))
 
 
 def long_month(month: Any) -> str:

@@ -14,7 +14,8 @@ from .quantity import decimals, measured, number
 
 
 class WithError(NamedTuple):
-    """A number and its standard error, None where it has none."""
+    """A number and its standard error, None where it has none: after ± stands half of its 95 %
+    interval."""
 
     value: float | None
     error: float | None = None

@@ -30,7 +30,7 @@ from snapo.problem.smooth import Exact
 
 from .adjoint import float64
 from .relaxations.stop import Relaxation, relaxation_of
-from .statistics import critical, independent, mean, skewed_mean, with_error
+from .statistics import critical, independent, mean, plus_minus, skewed_mean, with_error
 from .tables import paragraph, table
 
 Penalty = Literal["none", "value", "trained"]
@@ -52,7 +52,12 @@ class Between(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        return with_error(self.value, self.standard_error)
+        return with_error(self.value, self.half_width)
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval."""
+        return (self.high - self.low) / 2
 
 
 @dataclass(frozen=True)
@@ -84,8 +89,8 @@ class Bound:
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:
             return ""
-        summary = f"a gap of {gap:,.3g} ± {error:,.2g}"
-        share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
+        summary = f"a gap of {gap:,.3g} {plus_minus(error)}"
+        share = f" ({gap / value:.2%} of the value)" if value else ""
         few = ", which a few paths that gain much by foresight decide" if self.few else ""
         return f"says little: {summary}{share}{few}"
 
@@ -116,7 +121,7 @@ class Bound:
     def _repr_html_(self) -> str:
         """The same in a notebook."""
         rows = [
-            (name, f"{item.value:,.7g}", f"± {item.standard_error:,.3g}", f"{item.low:,.7g}",
+            (name, f"{item.value:,.7g}", f"± {item.half_width:,.3g}", f"{item.low:,.7g}",
              f"{item.high:,.7g}")
             for name, item in self._named().items()
         ]  # fmt: skip
@@ -132,7 +137,7 @@ class Bound:
 
     def __str__(self) -> str:
         lines = [
-            f"{name:<16}{item.value:>16,.7g} ± {item.standard_error:<10.3g}"
+            f"{name:<16}{item.value:>16,.7g} ± {item.half_width:<10.3g}"
             f"95 %: {item.low:,.7g} to {item.high:,.7g}"
             for name, item in self._named().items()
         ]

@@ -45,8 +45,8 @@ class Value(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        """ "2,732 ± 21": two significant digits of the error."""
-        return statistics.with_error(self.value, self.standard_error)
+        """ "2,732 ± 21": two significant digits of half of the 95 % interval."""
+        return statistics.with_error(self.value, statistics.half_width(self.standard_error))
 
 
 @takes_problem

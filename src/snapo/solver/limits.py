@@ -35,7 +35,7 @@ from snapo.problem.smooth import Smooth
 
 from .adjoint import weighted_adjoint
 from .evaluate import value_of_groups
-from .statistics import of_shares
+from .statistics import of_shares, plus_minus
 
 
 def slope_of(
@@ -164,10 +164,11 @@ class LimitFound(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        value = f"one unit more has the value {self.price:,.5g} ± {self.price_error:,.3g}"
+        value = f"one unit more has the value {self.price:,.5g} {plus_minus(self.price_error, 3)}"
         return (
-            f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
-            f"to {self.high:,.6g}), {self.met}; {value if self.binds else 'it has no price'}"
+            f"{self.name}: {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %: "
+            f"{self.low:,.6g} to {self.high:,.6g}), {self.met}; "
+            f"{value if self.binds else 'it has no price'}"
         )
 
 

@@ -60,13 +60,16 @@ class Seeds:
         spread = f", standard deviation {values.std(ddof=1):.3g}" if len(values) > 1 else ""
         lines = [
             f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
-            f"mean {values.mean():.6g}{spread}"
+            f"mean {values.mean():.6g}{spread}; ± is half of a 95 % interval"
         ]
         for seed, solution in self.solutions.items():
             behind = self.behind(seed)
-            below = f"{behind.value:.3g} ± {behind.standard_error:.2g} below the best"
+            below = (
+                f"{behind.value:.3g} {statistics.plus_minus(behind.standard_error)} below the best"
+            )
             lines.append(
-                f"  seed {seed}: {solution.value:.6g} ± {solution.standard_error:.2g}, "
+                f"  seed {seed}: {solution.value:.6g} "
+                f"{statistics.plus_minus(solution.standard_error)}, "
                 f"{'the best' if seed == self.best else below}; {solution.status}, "
                 f"{solution.convergence}, "
                 f"{solution.seconds['total']:.1f} s"

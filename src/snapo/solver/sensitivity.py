@@ -35,7 +35,7 @@ from .derivatives.bump import FEWEST, one_percent
 from .derivatives.by_block import DerivativePass
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
-from .statistics import Estimate
+from .statistics import Estimate, plus_minus
 from .tables import frame, table
 
 
@@ -221,7 +221,7 @@ def _figure(number: float) -> str:
 
 
 def _error(number: float) -> str:
-    return f"± {number:,.2g}" if np.isfinite(number) else ""
+    return plus_minus(number) if np.isfinite(number) else ""
 
 
 def _half(width: float) -> str:

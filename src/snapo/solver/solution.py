@@ -24,6 +24,7 @@ from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
+from .statistics import plus_minus
 from .tables import (
     TRAINING,
     SheetTable,
@@ -204,11 +205,12 @@ class Solution:
         """A summary of the value and the training, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
         if np.isfinite(self.smoothing_gap_error):
-            gap = f"{gap} ± {self.smoothing_gap_error:,.2g}"
+            gap = f"{gap} {plus_minus(self.smoothing_gap_error)}"
         status = ", ".join(filter(None, (self.status, self.convergence)))
-        seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
+        stages = [(name, value) for name, value in self.seconds.items() if name != "total"]
+        seconds = ", ".join(f"{name} {value:.1f} s" for name, value in stages)
         return [
-            f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
+            f"value {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %; {gap}), {status}",
             *([f"maximised: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",

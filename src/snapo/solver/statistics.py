@@ -5,6 +5,9 @@ Paths are independent in groups only: an antithetic pair is one draw, and so is 
 estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran, Sampling
 Techniques, 1977, section 6.3), other statistics by their influence function. Results computed block
 by block become an `Estimate`, by a jackknife over the blocks (`by_block`). Intervals are Student's.
+
+After ± stands half of a 95 % interval, of simulation alone, wherever a number is shown to people;
+files and attributes hold the `standard_error`.
 """
 
 from decimal import Decimal
@@ -20,8 +23,18 @@ SHOWN = 3  # numbers of an array that are printed
 LEVEL = 0.95  # of an interval, by default
 
 
+def half_width(error: float, degrees: float = np.inf) -> float:
+    """Half of the 95 % interval of an estimate with this standard error."""
+    return critical(degrees) * error
+
+
+def plus_minus(error: float, digits: int = 2, degrees: float = np.inf) -> str:
+    """ "± 41": half of the 95 % interval, from a standard error."""
+    return f"± {half_width(error, degrees):,.{digits}g}"
+
+
 def with_error(value: float, error: float) -> str:
-    """A number with its standard error, to two significant digits of the error: "2,732 ± 21".
+    """A number with half of its interval, to two significant digits of it: "2,732 ± 21".
 
     Large and small ones share a power of ten, "(1.235 ± 0.021)e-07"; without an error, or with one
     that only double precision makes, the number has twelve digits.
@@ -50,7 +63,7 @@ class Sampled(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        return with_error(self.value, self.standard_error)
+        return with_error(self.value, half_width(self.standard_error, self.degrees))
 
     def interval(self, level: float = LEVEL, comparisons: int = 1) -> tuple[float, float]:
         """The limits between which the true number lies with probability `level`."""
@@ -76,7 +89,8 @@ class Estimate(NamedTuple):
 
     def __str__(self) -> str:
         """ "2,732 ± 21"; of an array the first three."""
-        numbers = zip(np.ravel(self.value).tolist(), np.ravel(self.standard_error).tolist())
+        halves = half_width(1.0, len(self.blocks) - 1) * self.standard_error
+        numbers = zip(np.ravel(self.value).tolist(), np.ravel(halves).tolist())
         summary = [with_error(*number) for number in islice(numbers, SHOWN)]
         if self.blocks.ndim == 1:
             return summary[0]

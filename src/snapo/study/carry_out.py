@@ -47,16 +47,21 @@ def page_of(domain: Domain, folder: Path) -> str:
     record = run_folder.read_table(folder / run_folder.RUN) or {}
     texts = lookup(record, "decides.case.report", {})
     sections = [section(run) for section in summary.sections]
+    menu = summary.links(sections)
     sections[0] = with_verdicts(sections[0], run)
     if run.get("by_seed"):
         sections.insert(1, seeds(run))
+        menu.insert(0, (sections[1].name, sections[1].short))
+    sections.append(provenance(run, record, folder))
+    menu += [(x.name, x.short) for x in sections[-1:] if x.blocks]
     if note := texts.get("note"):
         sections[0] = replace(sections[0], blocks=[Text(note), *sections[0].blocks])
     made = ("Author", texts.get("author")), ("Date", date(record.get("provenance", {})))
     page = Page(
         title=str(texts.get("title") or run.get("title") or summary.title),
         about=[(name, value) for name, value in (*summary.about(run), *made) if value],
-        sections=[*sections, provenance(run, record, folder)],
+        sections=sections,
+        menu=menu,
         footer=_footer(run.get("versions.snapo")),
         logo=_logo(folder, texts.get("logo")),
     )
@@ -280,8 +285,9 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
 
     "notes" ends with those on the case, which were known before any work.
 
-    "seconds" has those of every part, of preparing the case and of writing reports, whose sum is
-    the "total"; and the stages of the training, which are within its part.
+    "seconds" has those of every part and of preparing the case, whose sum is the "total"; those of
+    writing reports, which no page can know of itself; and the stages of the training, which are
+    within its part.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
@@ -290,7 +296,8 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
         result["notes"] = list(dict.fromkeys(notes))
     seconds = {name: state["seconds"] for name, state in states.items()}
     seconds = record.get("beside", {}) | seconds
-    result["seconds"] = {**head.seconds, **seconds, "total": sum(seconds.values())}
+    total = sum(seconds.values()) - seconds.get("report", 0.0)
+    result["seconds"] = {**head.seconds, **seconds, "total": total}
     available = (DONE, INTERRUPTED)
     failed = {
         name: state["note"] for name, state in states.items() if state["state"] not in available

@@ -318,4 +318,4 @@ def _error(number: float | None) -> str:
     """A standard error as half of a 95 % interval."""
     if number is None or not np.isfinite(number):
         return ""
-    return f"± {statistics.critical() * number:,.2g}"
+    return statistics.plus_minus(number)

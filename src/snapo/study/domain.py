@@ -6,7 +6,7 @@ nothing heavy, so that `snapo new` answers at once.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -59,12 +59,28 @@ class Report:
     - `folder`: reads the run; the class of a domain adds its units.
     - `about`: (name, value) pairs under the title.
     - `sections`: each makes a section of the page.
+    - `menu`: {link: the first section of its group}; empty: a link to each section.
     """
 
     title: str
     folder: "type[RunFiles]"
     about: "Callable[[Any], Sequence[tuple[str, str]]]"
     sections: "Sequence[Callable[[Any], Section]]"
+    menu: "Mapping[str, Callable[[Any], Section]]" = field(default_factory=dict)
+
+    def links(self, made: "Sequence[Section]") -> "list[tuple[str, str]]":
+        """(anchor, text) of the menu; `made`: by the sections, of which those without blocks are
+        not shown."""
+        if not self.menu:
+            return [(x.name, x.short) for x in made if x.blocks and x.short]
+        names = {id(first): text for text, first in self.menu.items()}
+        links, text = [], ""
+        for section, result in zip(self.sections, made, strict=True):
+            text = names.get(id(section), text)
+            if text and result.blocks:
+                links.append((result.name, text))
+                text = ""
+        return links
 
 
 @runtime_checkable

@@ -14,6 +14,7 @@ from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
+from snapo.solver.statistics import half_width, plus_minus, with_error
 from snapo.solver.tables import write_csv
 from snapo.solver.train import Progress, Record, initial_progress
 from snapo.solver.verdict.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
@@ -105,8 +106,8 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
         return ""
     name, more, error = max(certain, key=lambda entry: entry[1])
     return (
-        f"The classical rule “{name}” does better than the trained policy, by {more:,.3g} ± "
-        f"{error or 0.0:,.2g} on the same paths: take that rule, or train for longer "
+        f"The classical rule “{name}” does better than the trained policy, by {more:,.3g} "
+        f"{plus_minus(error or 0.0)} on the same paths: take that rule, or train for longer "
         "(training.steps)."
     )
 
@@ -167,9 +168,11 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
     """Best policy and history so far, on disk; a write that fails does not lose the run."""
     if state.history:
         last = state.history[-1]
+        half = half_width(last.exact_error)
+        best = with_error(last.best, half).partition(" ±")[0]
         run.progress(
-            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
-            f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
+            f"step {last.step:>5} of {training.steps}: validation "
+            f"{with_error(last.exact, half):>20}, best {best:>12}, {last.seconds:6.1f} s"
         )
     try:
         checkpoint.save(state, run.folder / CHECKPOINT, run.mark)

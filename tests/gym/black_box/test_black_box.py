@@ -173,9 +173,11 @@ def test_a_result_prints_itself():
         environment=Counter(),
     )  # fmt: skip
     told = str(learned).splitlines()
-    assert told[0] == "real environment -14 ± 4, model 0 ± 0, gap -14 ± 4 over 2 episodes"
+    assert told[0] == "real environment -14 ± 51, model 0 ± 0, gap -14 ± 51 (95 %) over 2 episodes"
     assert told[1] == "1,000 real steps, 3 s of processor time, policy of round 2 of 2"
-    assert told[3].split()[:4] == ["1", "500", "300", "20.00%"] and "-15 ± 5" in told[3]
+    assert (
+        told[3].split()[:4] == ["1", "500", "300", "20.00%"] and "-15 ± 64" in told[3]
+    )  # 12.7 standard errors of two
     with pytest.raises(ValueError, match="there is only one environment"):
         learned.play(3)
 

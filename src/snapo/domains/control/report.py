@@ -18,6 +18,14 @@ SECTIONS = (
     headline, BASELINES, costs, PLANE, PROFILE, sensitivities, DISTRIBUTION, history, CERTIFICATE,
     making,
 )  # fmt: skip
+MENU = {
+    "Rules": BASELINES,
+    "Costs": costs,
+    "Over time": PLANE,
+    "Sensitivities": sensitivities,
+    "Totals": DISTRIBUTION,
+    "Checks": history,
+}
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
@@ -28,4 +36,4 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
             ("Objective", objective)]  # fmt: skip
 
 
-REPORT = Report("A controlled plant", RunFiles, about, SECTIONS)
+REPORT = Report("A controlled plant", RunFiles, about, SECTIONS, MENU)

@@ -15,10 +15,18 @@ from snapo.study.domain import Report
 from ..gas_storage.chapters.products import product_deltas
 from .chapters.values import VALUES
 
+OVER_TIME = profile()
 SECTIONS = (
-    headline, VALUES, methods_section, value_bounds, profile(), sensitivities,
-    product_deltas, DISTRIBUTION, history, CERTIFICATE, making,
+    headline, VALUES, methods_section, value_bounds, OVER_TIME, sensitivities, product_deltas,
+    DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
+MENU = {
+    "Value": VALUES,
+    "Over time": OVER_TIME,
+    "Sensitivities": sensitivities,
+    "Totals": DISTRIBUTION,
+    "Checks": history,
+}
 
 
 def _about(run: RunFiles) -> list[tuple[str, str]]:
@@ -27,4 +35,4 @@ def _about(run: RunFiles) -> list[tuple[str, str]]:
     return [*pairs, ("Decisions", number(run.get("horizon"), 0)), ("Prices", str(run.get("model")))]
 
 
-REPORT = Report("Energy contract", RunFiles, _about, SECTIONS)
+REPORT = Report("Energy contract", RunFiles, _about, SECTIONS, MENU)

@@ -10,16 +10,17 @@ from snapo.report.evidence import making, notes
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
 from snapo.report.quantity import (
+    PLUS_MINUS,
     decimals,
     finite,
     long_date,
     number,
-    part_of,
     percent,
     plus_minus,
     quantity,
+    until,
 )
-from snapo.study.chapters.bound import value_bounds
+from snapo.study.chapters.bound import optimum, value_bounds
 from snapo.study.chapters.certificate import checks
 from snapo.study.chapters.ladder import methods_section
 from snapo.study.domain import Report
@@ -50,7 +51,8 @@ def headline(run: StorageRun) -> Section:
         label="Value of the contract",
         value=run.money(value, digits),
         error=plus_minus(error, digits),
-        note=_error_note(value, error),
+        note=f"{PLUS_MINUS}; exact contract on fresh scenarios, present value.",
+        context=optimum(run),
         action=_verb(run, now) if now.action else "",
         sentence=_sentence(run, now) if now.action else "",
         tone=TONES.get(now.action, "main"),
@@ -63,15 +65,6 @@ def headline(run: StorageRun) -> Section:
     if facts := _facts(run, value, digits, position.cycles, now):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)
-
-
-def _error_note(value: float, error) -> str:
-    available = finite(error)
-    text = "exact contract on fresh scenarios, present value"
-    if available is None:
-        return f"{text[0].upper()}{text[1:]}."
-    share = f" ({part_of(available / abs(value))} of the value)" if value else ""
-    return f"± one standard error{share}; {text}."
 
 
 def _marks(run: StorageRun) -> list[Mark]:
@@ -148,10 +141,17 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, VALUES, methods_section, value_bounds, POSITION, inventory, DELTAS, daily, quotes,
-    product_deltas, risk, sliders, today, cash_flow,
-    history, CERTIFICATE, assumptions, making,
+    headline, today, VALUES, methods_section, value_bounds, cash_flow, POSITION, inventory, DELTAS,
+    daily, quotes, product_deltas, risk, sliders, history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
+MENU = {
+    "Today": today,
+    "Value": VALUES,
+    "Store": POSITION,
+    "Deltas": DELTAS,
+    "Risk": risk,
+    "Checks": history,
+}
 
 
 def _about(run: StorageRun) -> list[tuple[str, str]]:
@@ -159,8 +159,8 @@ def _about(run: StorageRun) -> list[tuple[str, str]]:
     if run.get("valuation_date"):
         pairs.append(("Valuation date", long_date(run.get("valuation_date"))))
     if run.get("start") and run.get("end"):
-        dates = f"{long_date(run.get('start'))} to {long_date(run.get('end'))}"
-        pairs.append(("Contract, end not included", dates))
+        dates = f"{long_date(run.get('start'))} to {until(run.get('end'))}"
+        pairs.append(("Contract", dates))
     if run.days:
         pairs.append(("Decision days left", f"{len(run.days):,}"))
     if run.currency:
@@ -168,7 +168,7 @@ def _about(run: StorageRun) -> list[tuple[str, str]]:
     return pairs
 
 
-REPORT = Report("Gas storage", StorageRun, _about, SECTIONS)
+REPORT = Report("Gas storage", StorageRun, _about, SECTIONS, MENU)
 
 
 def readme_picture(folder: Path) -> str:

@@ -38,6 +38,13 @@ SECTIONS = (
     headline, decisions, BASELINES, sensitivities, lead_time, DISTRIBUTION,
     profile(factor=of_its_period), history, CERTIFICATE, making,
 )  # fmt: skip
+MENU = {
+    "Decisions": decisions,
+    "Rules": BASELINES,
+    "Sensitivities": sensitivities,
+    "Totals": DISTRIBUTION,
+    "Checks": history,
+}
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
@@ -50,4 +57,4 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 
 
-REPORT = Report("Inventory", RunFiles, about, SECTIONS)
+REPORT = Report("Inventory", RunFiles, about, SECTIONS, MENU)

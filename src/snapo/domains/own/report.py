@@ -59,6 +59,14 @@ SECTIONS = (
     headline, limits, sensitivities, DISTRIBUTION, PROFILE, value_bounds, history, CERTIFICATE,
         making,
 )  # fmt: skip
+MENU = {
+    "Limits": limits,
+    "Sensitivities": sensitivities,
+    "Totals": DISTRIBUTION,
+    "Over time": PROFILE,
+    "Bounds": value_bounds,
+    "Checks": history,
+}
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
@@ -69,4 +77,4 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
             ("Objective", objective)]  # fmt: skip
 
 
-REPORT = Report("A simulator of your own", RunFiles, about, SECTIONS)
+REPORT = Report("A simulator of your own", RunFiles, about, SECTIONS, MENU)

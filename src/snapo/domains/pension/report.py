@@ -2,21 +2,22 @@
 
 import numpy as np
 
+from snapo.problem.objective import CRRA
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
 from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
-from snapo.report.quantity import long_date, number, plus_minus
-from snapo.study.chapters.bound import value_bounds
+from snapo.report.quantity import PLUS_MINUS, finite, long_date, number, plus_minus
+from snapo.study.chapters.bound import BOUND, value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
 
 from .chapters.attribution import ATTRIBUTION, VARIANCE
 from .chapters.evidence import CERTIFICATE, CONSISTENCY, assumptions
 from .chapters.frontier import FRONTIER
-from .chapters.objective import OBJECTIVE
+from .chapters.objective import OBJECTIVE, ObjectiveValue
 from .chapters.outputs import OUTPUTS
 from .chapters.paths import PATHS
-from .chapters.policies import POLICIES
+from .chapters.policies import POLICIES, leads
 from .chapters.pots import POTS
 from .chapters.reconciliation import RECONCILIATION
 from .chapters.sensitivities import SENSITIVITIES
@@ -30,6 +31,7 @@ MEASURES = {
     "Q": "risk-neutral scenarios (Q)",
     "supplied": "supplied scenarios",
 }
+NO_LIMIT = "no turnover limit is set in this case"
 Fact = tuple[str, str, str]
 
 
@@ -60,13 +62,26 @@ def headline(run: PensionRun) -> Section:
         label=label,
         value=displayed,
         error=spread,
-        note=f"{note} exact simulator on fresh scenarios, ± one standard error.",
+        context=_context(run, objective),
+        note=f"{note} exact simulator on fresh scenarios; {PLUS_MINUS}.",
         action=action,
         sentence=sentence,
         when="Today's decision",
         marks=_marks(run),
     )
     return Section("headline", "Result", "", [block, *_facts(run)])
+
+
+def _context(run: PensionRun, objective: ObjectiveValue | None) -> str:
+    """The lead over other policies, and the most that any policy could reach."""
+    texts = [leads(POLICIES.of(run) or ())]
+    bound = BOUND.of(run)
+    if objective is not None and bound is not None and not bound.says_little:
+        utility = finite(bound.upper.high)
+        if utility is not None and np.isfinite(objective.equivalent):
+            best = CRRA(objective.aversion).certainty_equivalent(utility)
+            texts.append(f"Optimum: at most {share(best)} (95 %).")
+    return " ".join(filter(None, texts))
 
 
 def checks(run: PensionRun) -> list[tuple[str, bool]]:
@@ -99,6 +114,9 @@ def _trades(run: PensionRun) -> tuple[str, str]:
     largest = [x for x in classes[:4] if x.trade]
     parts = [f"{x.name} {share(x.now, 0)} → {share(x.target, 0)}" for x in largest]
     sentence = f"Largest trades: {'; '.join(parts)}." if parts else ""
+    cost, limit = sum(x.cost for x in classes), finite(run.get("turnover_limit"))
+    limited = f"the limit is {share(limit)} a year" if limit else NO_LIMIT
+    sentence = f"{sentence} Cost: {run.large(cost)}; {limited}.".lstrip()
     if today.trades.swaps:
         complete = run.large(sum(swap.target for swap in today.trades.swaps))
         sentence = f"{sentence} Swaps: {complete} receiver notional."
@@ -167,10 +185,19 @@ def about(run: PensionRun) -> list[tuple[str, str]]:
     return [*lines, ("Currency", run.currency)]
 
 
+TRAINED = unless_left_out(history, "training")
 SECTIONS = (
     headline, RECONCILIATION, TODAY, FUNDING, POTS, ATTRIBUTION, VARIANCE, CONTRIBUTIONS,
     INDEXATION, POLICIES, FRONTIER, PATHS, OUTPUTS, SENSITIVITIES, LADDERS, LIMITS, STRESS,
-    unless_left_out(history, "training"), unless_left_out(value_bounds, "training"), CERTIFICATE,
+    TRAINED, unless_left_out(value_bounds, "training"), CERTIFICATE,
     assumptions,
 )  # fmt: skip
-REPORT = Report("Pension fund", PensionRun, about, SECTIONS)
+MENU = {
+    "Balance": RECONCILIATION,
+    "Today": TODAY,
+    "Outlook": FUNDING,
+    "Policies": POLICIES,
+    "Risk": OUTPUTS,
+    "Checks": TRAINED,
+}
+REPORT = Report("Pension fund", PensionRun, about, SECTIONS, MENU)

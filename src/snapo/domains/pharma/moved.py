@@ -40,7 +40,7 @@ def _form(case: PharmaCase) -> Form:
 COLUMNS = (
     ("attribute", ""), ("limits", ""), ("unit", ""), ("at the set point", ""),
     ("mean of batches", ""),
-    ("standard deviation", ""), ("within limits", "%"), ("± standard error", "%"),
+    ("standard deviation", ""), ("within limits", "%"), ("±", "%"),
 )  # fmt: skip
 
 

@@ -21,6 +21,14 @@ SECTIONS = (
     batch.ONE_BATCH, PROFILES, SPACE, RANGES, PAIRS, CAPABILITY, OPTIMUM, ESTIMATION, validation,
     CLOSED_LOOP, MAKING,
 )  # fmt: skip
+MENU = {
+    "Model": MODEL,
+    "Sensitivities": MATRIX,
+    "Batch": batch.reactor,
+    "Design space": SPACE,
+    "Recipe": OPTIMUM,
+    "Assumptions": MAKING,
+}
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
@@ -34,4 +42,4 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
     ]
 
 
-REPORT = Report("Pharmaceutical process", RunFiles, about, SECTIONS)
+REPORT = Report("Pharmaceutical process", RunFiles, about, SECTIONS, MENU)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.solver.statistics import plus_minus
 from snapo.study import training
 from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
@@ -36,7 +37,7 @@ from .shared import SOUND, OpenLoop, PharmaStudy
 
 COLUMNS = (
     ("attribute", ""), ("limits", ""), ("mean of batches", ""), ("standard deviation", ""),
-    ("within limits", "%"), ("± standard error", "%"),
+    ("within limits", "%"), ("±", "%"),
 )  # fmt: skip
 
 
@@ -167,7 +168,7 @@ def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
         bounds = limits(attribute.low, attribute.high, attribute.unit)
         rows.append((attribute.name, bounds, mean, spread, 100 * share, 100 * error))
     share, error = measured.mean(measured.totals["success"])
-    text = f"{100 * share:.4g} % ± {100 * error:.2g} % of batches keep all limits"
+    text = f"{100 * share:.4g} % {plus_minus(100 * error)} of batches keep all limits (95 %)"
     units = ["" if x.unit == "1" else x.unit for x in case.attributes]
     facts = [(f"{row[0]}, mean", float(row[2]), unit) for row, unit in zip(rows, units)]
     return [LiveTable("Attributes and their limits", COLUMNS, rows, text, facts)]

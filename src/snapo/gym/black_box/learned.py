@@ -134,9 +134,10 @@ class Learned:
         result = self.comparison
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [
-            f"real environment {_pair(result.real, result.real_error)}, "
-            f"model {_pair(result.model, result.model_error)}, "
-            f"gap {_pair(result.gap, result.gap_error)} over {result.episodes} episodes",
+            f"real environment {_pair(result.real, result.real_error, result.episodes)}, "
+            f"model {_pair(result.model, result.model_error, result.episodes)}, "
+            f"gap {_pair(result.gap, result.gap_error, result.episodes)} (95 %) "
+            f"over {result.episodes} episodes",
             f"{self.steps:,} real steps, {self.seconds:.0f} s of processor time, "
             f"policy of round {self.selected} of {len(self.rounds)}",
             "{:>5} {:>7} {:>9} {:>11} {:>18} {:>18}".format(*titles),
@@ -144,13 +145,14 @@ class Learned:
         shared = min(entry.comparison.episodes for entry in self.rounds)
         for number, item in enumerate(self.rounds, 1):
             real, error, _ = statistics.mean(item.comparison.rewards[:shared])
-            gap = _pair(item.comparison.gap, item.comparison.gap_error)
+            compared = item.comparison
+            gap = _pair(compared.gap, compared.gap_error, compared.episodes)
             lines.append(
                 f"{number:>5} {item.steps:>7,} {item.rows:>9,} {np.max(item.error[:-1]):>11.2%} "
-                f"{_pair(real, error):>18} {gap:>18}"
+                f"{_pair(real, error, shared):>18} {gap:>18}"
             )
         return "\n".join(lines)
 
 
-def _pair(value: float, error: float) -> str:
-    return f"{value:.4g} ± {error:.2g}"
+def _pair(value: float, error: float, episodes: int) -> str:
+    return f"{value:.4g} {statistics.plus_minus(error, degrees=episodes - 1)}"

@@ -42,7 +42,7 @@ export function cancelled() {
 
 export function bounded({ table }) {
   idle("");
-  const { gap, upper } = table, share = Math.abs(gap.value / (upper.value || 1));
+  const { gap, upper } = table, share = Math.abs(gap.high / (upper.value || 1));
   const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
-  at("bounds").textContent = `No policy has a value above ${shown(upper.value, 6)} ${error(upper.standard_error)}: this one is at most ${shown(gap.value, 4)} ${error(gap.standard_error)} (${shown(100 * share, 2)} %) below the best.${advice}`;
+  at("bounds").textContent = `The optimum is at most ${shown(upper.high, 6)} (95 %): this policy is at most ${shown(gap.high, 4)} (${shown(100 * share, 2)} %) below it.${advice}`;
 }

@@ -1,6 +1,6 @@
 // Charts as SVG, drawn anew whenever their numbers or their width change.
 
-import { shown, ticks } from "./numbers.js";
+import { HALF, shown, ticks } from "./numbers.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -142,7 +142,7 @@ export function tornado(width, rows) {
 export function waterfall(width, start, rows, write) {
   const LINE = 40, levels = [start];
   for (const row of rows) levels.push(levels.at(-1) + (row.change ?? 0));
-  const ends = rows.flatMap((row, i) => [levels[i + 1] - 1.96 * (row.error ?? 0), levels[i + 1] + 1.96 * (row.error ?? 0)]);
+  const ends = rows.flatMap((row, i) => [levels[i + 1] - HALF * (row.error ?? 0), levels[i + 1] + HALF * (row.error ?? 0)]);
   const low = Math.min(...levels, ...ends), high = Math.max(...levels, ...ends), side = 90;
   const x = (v) => 4 + ((v - low) / (high - low || 1)) * (width - side - 8);
   const all = [{ name: "The run", shown: write(start) }, ...rows, { name: "Here", shown: write(levels.at(-1)) }];
@@ -154,7 +154,7 @@ export function waterfall(width, start, rows, write) {
     const ends = change ? [x(from), x(to)] : [x(to) - 1, x(to) + 1];
     svg.append(node("text", { x: 0, y: top - 4 }, row.name));
     svg.append(node("rect", { class: !change ? "end" : to < from ? "fall" : "bar", x: Math.min(...ends), width: Math.max(1, Math.abs(ends[1] - ends[0])), y: top, height: 14 }));
-    const reach = change ? 1.96 * (row.error ?? 0) : 0;
+    const reach = change ? HALF * (row.error ?? 0) : 0;
     if (reach) svg.append(node("line", { class: "whisker", x1: x(to - reach), x2: x(to + reach), y1: top + 7, y2: top + 7 }));
     if (k < all.length - 1) svg.append(node("line", { class: "rule", x1: x(to), x2: x(to), y1: top + 14, y2: top + LINE }));
     svg.append(node("text", { x: Math.max(...ends, x(to + reach)) + 6, y: top + 11 }, row.shown));

@@ -259,11 +259,11 @@ function done(message) {
 }
 
 function facts(by, found, none = "…") {
-  const base = page.base.value, rows = [fact("the run's inputs", shown(base.value, 6), error(base.standard_error))];
+  const base = page.base.value, rows = [fact(`the run's inputs, on the ${shown(page.paths, 6)} paths of this page`, shown(base.value, 6), error(base.standard_error))];
   if (anything()) {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
-  } else rows.push(fact("paths", shown(page.paths, 6)));
+  }
   if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "that of the scenario" : "trained again here"));
   at("changes").replaceChildren(...rows);
 }
@@ -281,10 +281,13 @@ function render(stage) {
 function value(found) {
   compiled.add(JSON.stringify(chosen()));
   stale.delete("value");
-  page.last = { value: found.value, values: structuredClone(values()), key: key(), deltas: null };
+  // At the run's inputs the value is the one that the run reports, from all of its paths.
+  const about = page.about, same = about && !about.follows && Number.isFinite(about.result.value);
+  const first = anything() || !same ? found : about.result;
+  page.last = { value: first.value, values: structuredClone(values()), key: key(), deltas: null };
   at("value").classList.remove("pending");
-  at("figure").textContent = shown(found.value, 6);
-  at("error").textContent = error(found.standard_error);
+  at("figure").textContent = shown(first.value, 6);
+  at("error").textContent = error(first.standard_error);
   facts(Object.keys(chosen()).length ? null : found.predicted ?? null, found);
   const here = anything() ? `${page.name}-${page.valued}` : "run";
   for (const [id, address] of [["take-csv", `shown/${here}.csv`], ["take-zip", `case/${here}.zip`], ["take-xlsx", `case/${here}.xlsx`]]) at(id).href = address;

@@ -27,7 +27,9 @@ export function signed(x, digits = 5) {
   return x > 0 ? `+${shown(x, digits)}` : shown(x, digits);
 }
 
-export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");
+// Half of the 95 % interval, from a standard error: nothing else stands after ±.
+export const HALF = 1.959964;
+export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(HALF * x, 2)}` : "");
 
 const DECIDED = ["converged", "start kept", "", undefined, null]; // verdicts with nothing to add
 
@@ -36,7 +38,7 @@ const DECIDED = ["converged", "start kept", "", undefined, null]; // verdicts wi
 // training; where that is not settled, a small gradient here says no more than there.
 export function nearness({ gradient, noise, at_training: before }, run = {}) {
   const away = gradient > 2 * noise && gradient > 2 * before, open = !DECIDED.includes(run.convergence);
-  const times = before ? `${shown(gradient / before, 2)} ± ${shown(noise / before, 2)} times that where it was trained` : "";
+  const times = before ? `${shown(gradient / before, 2)} times that where it was trained, with a noise of ${shown(noise / before, 2)}` : "";
   const verdict = run.verdict || (open ? `the training is “${run.convergence}”` : "");
   const said = verdict ? ` The verdict on the run itself: ${verdict.replace(/[.]$/, "")}.` : "";
   const near = open

@@ -2,7 +2,7 @@
 
 import { capital, label, unit } from "./inputs.js";
 import { bars, drawn, element, fan, tornado } from "./draw.js";
-import { alike, shown, signed, unitWords } from "./numbers.js";
+import { alike, error, shown, signed, unitWords } from "./numbers.js";
 import { at, page } from "./page.js";
 
 export function fact(name, value, note) {
@@ -28,7 +28,7 @@ export function sections(found) {
   const text = (each) => (typeof each === "string" ? each : shown(each));
   at("sections").replaceChildren(...found.map(({ title, description, columns, rows, facts = [] }) => {
     const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
-    const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
+    const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ${error(row[i + 1])}`) : "");
     const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
     const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
     const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));

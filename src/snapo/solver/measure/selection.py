@@ -135,9 +135,9 @@ class Selection(NamedTuple):
             return ""
         if self.kind == START:
             side = "below" if self.gain < 0 else "above"
-            amount = f"{abs(self.gain):,.3g} ± {self.error:,.2g} {side} it"
+            amount = f"{abs(self.gain):,.3g} {statistics.plus_minus(self.error)} {side} it"
             return f"The starting rule was kept: on fresh paths the trained policy is {amount}."
-        amount = f"{self.gain:,.3g} ± {self.error:,.2g}"
+        amount = f"{self.gain:,.3g} {statistics.plus_minus(self.error)}"
         return f"Training gained {amount} over the rule that it began with, on fresh paths."
 
 

@@ -78,7 +78,7 @@ class Gain(NamedTuple):
         return Gain(-self.value, self.error).is_significant
 
     def __str__(self) -> str:
-        return f"{self.value:,.3g} ± {self.error:,.2g}"
+        return f"{self.value:,.3g} {statistics.plus_minus(self.error)}"
 
 
 NONE = Gain(0.0, 0.0)  # over itself
@@ -228,8 +228,8 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
         attempt = f"write a decision of when to stop with snapo.Stop, or {attempt}"
     if gain.surely_below:
         return (
-            f"A constant decision ({numbers_text(constant)}) does better, by {-gain.value:,.3g} ± "
-            f"{gain.error:,.2g}: {attempt}."
+            f"A constant decision ({numbers_text(constant)}) does better, by "
+            f"{Gain(-gain.value, gain.error)}: {attempt}."
         )
     return (
         f"A constant decision ({numbers_text(constant)}) does as well (the trained rule gains "

@@ -154,6 +154,7 @@ def _way(training: TrainingPlan, step: int) -> float:
 
 
 NEAR = 0.005  # of the bound: nothing is left that a longer training should look for
+OPTIMUM = "the optimum is at most"
 USEFUL = 0.05  # of the bound: one that leaves more room is no evidence on a training
 
 
@@ -195,14 +196,10 @@ def _below_bound(bounds) -> Room | None:
     if not bounds:
         return None
     gap, upper = bounds["gap"]["high"], bounds["upper"]
-    if None in (gap, upper["value"]) or not upper["value"] or not np.isfinite(gap):
+    if None in (gap, upper["value"], upper["high"]) or not upper["value"] or not np.isfinite(gap):
         return None
     share = max(0.0, gap / abs(upper["value"]))
-    error = upper["standard_error"] or 0.0
-    return Room(
-        share,
-        f"{_at_most(share)}: no policy has a value above {upper['value']:,.6g} ± {error:,.2g}.",
-    )
+    return Room(share, f"{_at_most(share)}: {OPTIMUM} {upper['high']:,.6g} (95 %).")
 
 
 def _at_most(share: float) -> str:

@@ -84,6 +84,23 @@ def value_bounds(run: RunFiles) -> Section:
     return replace(section, blocks=[Text(text)])
 
 
+def optimum(run: RunFiles, cost: bool = False) -> str:
+    """The bound as a sentence for the first screen; empty where there is none, or it says little.
+
+    `cost`: whether the value is less a cost, of which the bound is the least possible one.
+    """
+    result = BOUND.of(run)
+    top = finite(result.upper.high) if result else None
+    if result is None or top is None or result.says_little:
+        return ""
+    digits = decimals([result.gap.high], 2)
+    text = run.value_text(-top if cost else top, None, max(0, digits))
+    name = "Lowest possible cost: at least" if cost else "Optimum: at most"
+    low = finite(result.lower.value)
+    share = f", {percent(result.gap.high / abs(low), 2)} from this policy" if low else ""
+    return f"{name} {text} (95 %){share}."
+
+
 def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     """Lower and upper bound with their 95 % intervals, and the gap between them in a sentence."""
     digits = decimals([result.upper.value], 6)

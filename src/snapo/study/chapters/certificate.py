@@ -1,6 +1,6 @@
 """Evidence for the value: the adjoint against bumps, and the limits of the simulator."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,7 +161,25 @@ def bump_table(
     caption = "Adjoint against central differences, per unit of the input, on the same paths"
     verdicts = [row.passed for row in rows if row.passed is not None]
     folded = f"Adjoint against bumps: {sum(verdicts)} of {len(verdicts)} hold"
+    if (worst := _nearest(rows)) is not None:
+        error, allowed = quantity_of(worst.worst_error, unit), power(worst.allowed)
+        folded += f"; the largest error is {error} of {allowed} allowed ({name_of(worst.family)})"
     return Table(head, body, caption, 3, folded=folded)
+
+
+def quantity_of(value: float | None, unit: str) -> str:
+    """A size of error with its unit."""
+    return f"{power(value)} {unit}".rstrip()
+
+
+def _nearest(rows: Sequence[BumpRow]) -> BumpRow | None:
+    """The row that is the largest part of what is allowed."""
+
+    def share(row: BumpRow) -> float:
+        return (row.worst_error or 0.0) / (row.allowed or np.inf)
+
+    measured = [row for row in rows if row.worst_error is not None and row.allowed]
+    return max(measured, key=share, default=None)
 
 
 def limit_table(
@@ -177,7 +195,8 @@ def limit_table(
         (
             row.limit.replace("_", " ").capitalize(),
             evidence.verdict(row.passed, "holds", "violated"),
-            power(row.worst),
+            # Of a limit that holds, less than nothing is round-off.
+            "0, up to rounding" if row.passed and (row.worst or 0.0) < 0 else power(row.worst),
             number(row.path, 0),
             when(row.step),
         )
@@ -185,7 +204,9 @@ def limit_table(
     ]
     head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
     caption = f"Limits over all paths and {step.lower()}s, exact simulator (slack: room to a limit)"
-    return Table(head, body, caption, 2)
+    verdicts = [row.passed for row in result.feasibility if row.passed is not None]
+    folded = f"Limits over all paths and {step.lower()}s: {sum(verdicts)} of {len(verdicts)} hold"
+    return Table(head, body, caption, 2, folded=folded)
 
 
 def _direction(inputs: str | float | None) -> str:

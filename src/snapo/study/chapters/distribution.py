@@ -1,6 +1,6 @@
 """How the total of every output is distributed over the paths of the evaluation."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
-from snapo.report.page import Block, Chart
+from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import number, quantity, readable, unit_words, with_unit
 from snapo.report.rows import Column, table
 from snapo.solver import statistics
@@ -118,7 +118,25 @@ def show(run: RunFiles, result: OutputTotals) -> list[Block]:
         Column("Output", lambda total: readable(total.name)),
         Column("Unit", lambda total: unit_words(total.unit)),
     )
-    return [*pictures, table(totals, (*head, *COLUMNS), "Totals of a path", by_row=True)]
+    blocks = [*pictures, table(totals, (*head, *COLUMNS), "Totals of a path", by_row=True)]
+    return [*blocks, *_plain_mean(run, totals, str(first))]
+
+
+CLOSE = 0.1  # of the value: further apart, the total is another quantity, such as a sum over weeks
+PLAIN = (
+    "The means here are plain means over the paths. The value on the first screen is of the same "
+    "paths, less control variates, which remove a part of the noise."
+)
+
+
+def _plain_mean(run: RunFiles, totals: Sequence[OutputTotal], first: str) -> list[Text]:
+    """A sentence where the mean of the objective's output is not the value of the run."""
+    value, objective = run.result.value, str(run.get("objective", ""))
+    means = [total.mean for total in totals if total.name == first]
+    if value is None or not means or not objective.startswith("mean"):
+        return []
+    differs = 1e-9 * abs(value) < abs(means[0] - value) < CLOSE * abs(value)
+    return [Text(PLAIN, caveat=True)] if differs else []
 
 
 def histogram(anchor: str, total: OutputTotal) -> Chart:

@@ -1,11 +1,21 @@
-"""The value of a run with its standard error, and the numbers next to it."""
+"""The value of a run with its interval, and the numbers next to it."""
 
 from snapo.report.evidence import gradient, notes
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Facts, Headline, Mark, Section
-from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
+from snapo.report.page import Block, Facts, Headline, Mark, Section, Text
+from snapo.report.quantity import (
+    PLUS_MINUS,
+    SPACE,
+    decimals,
+    finite,
+    measured,
+    number,
+    part_of,
+    plus_minus,
+)
 
+from .bound import optimum
 from .certificate import checks
 
 STATUS = {
@@ -24,11 +34,26 @@ def headline(run: RunFiles) -> Section:
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     text = f"{number(value, digits)}{SPACE}{unit}".rstrip(SPACE)
     objective = str(run.get("objective", "the objective"))
-    note = f"{objective}, of the exact simulator on fresh paths; ± one standard error"
+    note = f"{objective}, of the exact simulator on fresh paths; {PLUS_MINUS}"
     available = plus_minus(error, digits)
-    blocks: list[Block] = [Headline("Value", text, available, note, marks=marks(run)), *notes(run)]
+    top = Headline("Value", text, available, note, marks=marks(run), context=optimum(run))
+    blocks: list[Block] = [top, *notes(run)]
     facts = _facts(run, value, digits)
     return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
+
+
+def common_paths(run: RunFiles) -> list[Text]:
+    """How the trained policy compares with its starting rule on the same paths, as their values in
+    a table come from different ones; nothing where they were not compared."""
+    gain, error = (finite(run.get(f"solution.{name}")) for name in ("gain", "gain_error"))
+    if run.get("solution.selected") == "start":
+        text = "The policy of this run is its starting rule, which training did not improve on"
+        return [Text(f"{text}: on common paths their difference is 0.")]
+    if gain is None:
+        return []
+    value, half = measured(gain, error, max(0, decimals([error or gain], 2)), sign=True)
+    unit = f"{run.unit} " if run.unit else ""
+    return [Text(f"On common paths the policy is worth {unit}{value} {half} against its start.")]
 
 
 def marks(run: RunFiles) -> list[Mark]:

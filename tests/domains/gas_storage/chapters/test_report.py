@@ -17,16 +17,16 @@ from snapo.study.carry_out import write_report
 
 NAMES = [
     "headline",
+    "today",
     "value-ladder",
     "bound",
+    "cash-flow",
     "profile",
     "inventory",
     "deltas",
     "daily",
     "risk",
     "what-if",
-    "today",
-    "cash-flow",
     "history",
     "certificate",
     "assumptions",
@@ -93,7 +93,7 @@ def test_the_page_needs_nothing_else(full):
 def test_the_drawings_are_named_for_every_reader_and_their_references_resolve(full):
     outline = Outline(full)
     drawings = [attributes for tag, attributes in outline.tags if tag == "svg"]
-    assert len(drawings) == 9
+    assert len(drawings) == 8
     assert all(each["role"] == "img" and len(each["aria-label"]) > 40 for each in drawings)
     identifiers = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
     assert len(identifiers) == len(set(identifiers))
@@ -105,7 +105,8 @@ def test_the_drawings_are_named_for_every_reader_and_their_references_resolve(fu
 
 def test_the_headline_says_value_error_and_what_to_do(full):
     text = text_of(full)
-    assert "EUR 78,242 ± 38" in text
+    assert "EUR 78,242 ± 75" in text  # of a standard error of 38.4
+    assert "± is half of a 95 % interval, of simulation alone" in text
     assert "Withdraw 187.5 MWh" in text
     assert "inject below 16.10 EUR/MWh, withdraw above 16.16 EUR/MWh and hold between" in text
     assert "all 9 checks of the certificate hold" in text
@@ -128,7 +129,8 @@ def test_the_sliders_hold_the_stored_sensitivities(full):
     assert slopes[0] == pytest.approx(sum(slopes[5:]), rel=1e-12)
     assert slopes[0] == pytest.approx(4201.0, rel=1e-12)
     assert 421.7 in [pytest.approx(slope) for slope in slopes]
-    assert "First order only" in full
+    assert "First order only, with the decisions held" in full
+    assert "What if: inputs moved, decisions held" in full
 
 
 def test_inputs_say_their_meaning_and_move_in_the_unit_of_their_trade(full):
@@ -137,6 +139,45 @@ def test_inputs_say_their_meaning_and_move_in_the_unit_of_their_trade(full):
     assert "Spot volatility some words 1 volatility point +421.7 ± 3.1" in text
     assert "continuous zero rate 10 bp, all 3 numbers together −13.43" in text
     assert "Injection cost per unit injected 0.01 EUR/MWh −169.00 ± 0.30" in text
+
+
+def test_the_bar_has_seven_links_to_groups_of_sections(full):
+    links = re.findall(r'<a href="#([^"]+)">([^<]+)</a>', full.split("<nav")[1].split("</nav>")[0])
+    assert [text for _, text in links] == ["Today", "Value", "Store", "Deltas", "Risk", "Checks"]
+    assert {name for name, _ in links} <= set(NAMES)
+
+
+def test_the_dates_of_the_contract_include_both_ends(full):
+    assert "Contract 1 April 2021 to 31 March 2022" in text_of(full)
+
+
+def test_the_values_by_method_are_a_table_without_bars(full):
+    section = full.split('<section id="value-ladder"')[1].split("</section>")[0]
+    assert "<svg" not in section and "<table>" in section
+    assert "± 75" in text_of(section) and "Standard error" not in section
+
+
+def test_the_change_of_a_delta_in_training_is_folded_and_explained(full):
+    section = full.split('<section id="deltas"')[1].split("</section>")[0]
+    shown, folded = section.split("<details>")
+    assert "Moved" not in section and "Change in training" not in shown
+    assert "Change in training" in folded and "the error of the policy is in the interval" in folded
+    assert "not the gas in store" in shown
+
+
+def test_a_parallel_shift_has_its_interval_and_one_around_zero_is_not_significant(tmp_path):
+    rates = {"input": "interest_rate", "value": -13430.0, "low": -14430.0, "high": -12430.0}
+    text = text_of(page(tmp_path, parallel_shifts=[rates]))
+    assert "continuous zero rate 10 bp, all 3 numbers together −13.4 ± 1.0 " in text
+    assert "not significant" not in text.split("all 3 numbers together")[1][:60]
+    unsure = text_of(page(tmp_path, parallel_shifts=[rates | {"low": -30000.0, "high": 3140.0}]))
+    assert "not significant" in unsure.split("all 3 numbers together")[1][:60]
+
+
+def test_the_mean_of_the_histogram_is_the_value_of_the_first_screen(full):
+    section = text_of(full.split('<section id="cash-flow"')[1].split("</section>")[0])
+    assert "mean: EUR 78,242" in full.replace("\N{NO-BREAK SPACE}", " ")
+    assert "Standard deviation" in section and "Mean EUR" not in section
 
 
 def test_the_same_files_give_the_same_page(tmp_path, full):
@@ -240,7 +281,7 @@ def test_the_picture_for_the_readme_stands_alone(tmp_path):
     assert root.tag == "{http://www.w3.org/2000/svg}svg"
     assert re.findall(r"https?:[^\"]*", svg) == ["http://www.w3.org/2000/svg"]
     assert "var(" not in svg
-    assert "EUR 78,242 ± 38" in svg.replace("\N{NO-BREAK SPACE}", " ")
+    assert "EUR 78,242 ± 75" in svg.replace("\N{NO-BREAK SPACE}", " ")
     assert svg == readme_picture(folder)
     shutil.rmtree(folder)
     folder.mkdir()

@@ -4,6 +4,7 @@ import json
 import re
 from copy import deepcopy
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from snapo.domains.pension.chapters.outputs import OUTPUTS
 from snapo.domains.pension.chapters.sensitivities import InputEffect, NumberEffect
 from snapo.domains.pension.chapters.stress import _signed
 from snapo.domains.pension.report import SECTIONS
+from snapo.domains.pension.results.study import in_classes
 from snapo.domains.pension.run import PensionRun
 from snapo.report.bands import Layer, stack
 from snapo.report.page import Table
@@ -269,6 +271,49 @@ def test_reconciliation_comes_first(folder):
     assert len(headings) == len(set(headings)) == len(SECTIONS) - 1
 
 
+def test_the_first_box_has_the_leads_over_other_policies(folder):
+    html = write_report(folder).read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    head = html[html.index('id="headline"') : html.index('id="reconciliation"')]
+    assert "+10.0 ± 2.0 bp a year over the best tuned classical rule (glide path)." in head
+    present = ["present_mix", "Present mix", -0.2, 1.05, 0.005]
+    details = sample()
+    keys = ("key", "name", "value", "equivalent", "lead")
+    details["policies"].append(details["policies"][1] | dict(zip(keys, present)))
+    head = written(folder, details).replace("\N{NO-BREAK SPACE}", " ")
+    assert "+50.0 ± 2.0 bp a year over the present mix; +10.0 ± 2.0 bp a year over" in head
+
+
+def test_the_turnover_has_its_cost_and_its_limit(folder):
+    html = write_report(folder).read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    cost = sum(x["cost"] for x in sample()["trades"]["classes"])
+    assert f"Cost: EUR k {cost / 1e3:.2f}; no turnover limit is set in this case." in html
+    limited = written(folder, sample() | {"turnover_limit": 0.25})
+    assert "the limit is 25.0\N{NO-BREAK SPACE}% a year." in limited
+
+
+def test_the_bar_has_at_most_seven_links(folder):
+    html = write_report(folder).read_text(encoding="utf-8")
+    links = re.findall(r"<a href=", html.split("<nav")[1].split("</nav>")[0])
+    assert len(links) == 6  # and the inputs of a run of `snapo solve`
+
+
+def test_a_weight_that_never_leaves_its_bound_is_a_sentence_on_its_class():
+    assets = SimpleNamespace(
+        classes=[SimpleNamespace(name=name) for name in CLASSES],
+        low=np.zeros(6), high=np.array([0.3, 0.7, 0.6, 0.3, 0.6, 0.2]),
+    )  # fmt: skip
+    case = SimpleNamespace(assets=assets)
+    advice = ": if that is not meant, try starts=4."
+    one = f"Decision 1 of 8 never changes (0.0005499, at its limit){advice}"
+    assert in_classes(one, case) == "Cash stays at its lower bound of 0\xa0%."
+    two = f"2 of 8 decisions never change: 1 (0, at its limit), 4 (0.3, at its limit){advice}"
+    assert in_classes(two, case) == (
+        "Cash stays at its lower bound of 0\xa0%. Credit BBB stays at its upper bound of 30\xa0%."
+    )
+    for other in (one.replace("Decision 1", "Decision 7"), "A note.", one.replace(", at its", " ")):
+        assert in_classes(other, case) == other  # a swap's place; another note; within its range
+
+
 def test_the_page_is_whole_and_needs_nothing(folder):
     html = write_report(folder).read_text(encoding="utf-8")
     parser = Balanced()
@@ -395,8 +440,8 @@ def test_outputs_are_told_in_points_basis_points_and_money(folder):
     summary, funding, paid = (each.rows for each in blocks if isinstance(each, Table))
     assert summary[0][1:] == ("+1.23", "−500")
     # Of a liability of 250 million.
-    assert funding[0][1:] == ("+1.230", "±\xa00.020", "+123.0", "EUR\xa0m\xa0+3.08")
-    assert paid[0][1:] == ("−0.200", "±\xa00.004", "−20.0", "EUR\xa0k\xa0−500.00")
+    assert funding[0][1:] == ("+1.230", "±\xa00.039", "+123.0", "EUR\xa0m\xa0+3.08")
+    assert paid[0][1:] == ("−0.200", "±\xa00.008", "−20.0", "EUR\xa0k\xa0−500.00")
 
 
 @pytest.mark.prove

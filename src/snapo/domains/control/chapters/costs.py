@@ -12,7 +12,7 @@ ENDING = "_cost"  # of the names of outputs that are costs
 
 
 def costs(run: RunFiles) -> Section:
-    """A ladder of the parts, and a table with standard errors."""
+    """A ladder of the parts, and a table with their intervals."""
     title, short = "Cost by part", "Costs"
     result = DISTRIBUTION.of(run)
     totals = [x for x in result.distribution if _is_cost(x)] if result else []
@@ -48,6 +48,6 @@ def reward_and_costs(measured: PathTotals) -> list[LiveTable]:
         (f"cost of {_name(name).lower()}", *measured.mean(measured.totals[name])) for name in names
     ]
     rows.sort(key=lambda row: -row[1])
-    columns = (("", ""), ("mean of an episode", ""), ("± standard error", ""))
+    columns = (("", ""), ("mean of an episode", ""), ("±", ""))
     reward = ("reward", *measured.mean(measured.totals["reward"]))
     return [LiveTable("Reward and costs by part", columns, [reward, *rows])]

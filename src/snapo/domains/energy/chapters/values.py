@@ -1,14 +1,15 @@
 """The value by several methods, from the lowest to the highest."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from snapo.report.folder import RunFiles
-from snapo.report.page import Block
-from snapo.report.rows import Bar, Column, ladder, table
+from snapo.report.page import Block, Text
+from snapo.report.rows import Column, WithError, table
 from snapo.solver.evaluate import evaluate
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.bound import BOUND
+from snapo.study.chapters.headline import common_paths
 from snapo.study.study import StudyRun
 
 from ..core.policy import UnitValuePolicy
@@ -45,7 +46,7 @@ def measure(run: StudyRun) -> MethodValues:
         rule = evaluate(
             setup.problem, policy.value_rule, paths=PATHS, engine=setup.engines.evaluate
         )
-        note = "least squares, before training; out of sample"
+        note = "least squares, before training; other paths"
         rows.append(MethodValue("Fitted rule", rule.value, rule.standard_error, note))
     note = "exact simulator, fresh paths"
     rows.append(MethodValue("Trained policy", solution.value, solution.standard_error, note))
@@ -61,18 +62,17 @@ def measure(run: StudyRun) -> MethodValues:
 
 
 def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
-    """A ladder and a table."""
-    bars = [
-        Bar(x.name, x.value, x.standard_error, strong=x.name == "Trained policy")
-        for x in result.value_ladder
-    ]
+    """A table from the lowest to the highest value."""
     columns = [
         Column("Method", lambda row: row.name),
         Column("Meaning", lambda row: row.note),
-        Column("Value", lambda row: row.value, run.unit),
+        Column("Value", lambda row: WithError(row.value, row.standard_error), run.unit),
     ]
     caption = "Present values of the same contract; a policy is below the best one."
-    return [ladder("values", bars, caption), table(result.value_ladder, columns)]
+    rows = result.value_ladder
+    strong = frozenset(i for i, row in enumerate(rows) if row.name == "Trained policy")
+    values = replace(table(rows, columns), texts=2, strong=strong)
+    return [values, Text(caption, caveat=True), *common_paths(run)]
 
 
 VALUES = Chapter("value ladder", "Value by method", MethodValues, measure, show, "Methods",

@@ -165,7 +165,7 @@ def _glossary(run: StorageRun) -> Table:
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
         _volatility(run),
-        ("Standard error", "", "of the estimate; 95 % is ± 1.96 of them, of a delta ± 2.04"),
+        ("±", "", "half of the 95 % interval of an estimate, of simulation alone"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

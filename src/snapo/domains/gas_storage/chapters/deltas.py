@@ -164,20 +164,20 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     svg = draw("deltas-by-month", alt, month_painter(run, months), 280)
     caption = (
         f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
-        " error and error of the policy together. Hatched: the change of the delta in the second "
-        "half of training."
+        " error and error of the policy together. The sum over the months is not the gas in store:"
+        " the rule buys at low prices and sells at high ones, and a volume counts with its price"
+        " over the curve's."
     )
-    return [Chart(svg, caption), _month_table(run, months)]
+    return [Chart(svg, caption), _month_table(run, months), _parts_table(run, months)]
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
     """Paints the monthly deltas into one `Axes`; also used by the separate picture."""
-    columns = [(x.undiscounted, x.half_width, x.moved, x.intrinsic) for x in months]
-    values, halves, moved, intrinsic = np.array(columns, np.float64).T
+    columns = [(x.undiscounted, x.half_width, x.intrinsic) for x in months]
+    values, halves, intrinsic = np.array(columns, np.float64).T
     options = {
         "names": ("Long: sell", "Short: buy"),
         "half": np.nan_to_num(halves) if np.isfinite(halves).any() else None,
-        "moved": moved if np.isfinite(moved).any() else None,
         "compare": ("Intrinsic plan", intrinsic) if np.isfinite(intrinsic).any() else None,
     }
     labels = _month_labels([x.month for x in months])
@@ -196,28 +196,51 @@ def _month_labels(months: Sequence[str]) -> list[str]:
 
 
 def _month_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
-    summed = ("undiscounted", "intrinsic", "moved", "discounted", "smooth")
-    digits = decimals([getattr(x, name) for x in months for name in summed], 4)
+    digits = decimals([x for month in months for x in (month.undiscounted, month.intrinsic)], 4)
     rows = [
         (
             long_month(x.month),
             x.hedge,
             *(number(v, digits) for v in (x.undiscounted, x.undiscounted_low, x.undiscounted_high)),
             number(x.intrinsic, digits),
-            number(x.moved, digits, sign=True),
+        )
+        for x in months
+    ]
+    delta, plan = (
+        number(np.nansum([getattr(x, name) for x in months]), digits)
+        for name in ("undiscounted", "intrinsic")
+    )
+    rows.append(("All months", "", delta, "", "", plan))
+    names = ("Delta", "95 % low", "high", "Intrinsic")
+    head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
+    return Table(head, rows, texts=2, strong=frozenset([len(rows) - 1]))
+
+
+def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
+    """What the intervals are made of, and how the deltas were before the end of training."""
+    names = ("discounted", "moved", "smooth")
+    digits = decimals([getattr(x, name) for x in months for name in names], 4)
+    rows = [
+        (
+            long_month(x.month),
             number(x.discounted, digits),
             *(number(v, max(digits, 1)) for v in (x.sampling, x.policy)),
+            number(x.moved, digits, sign=True),
             number(x.smooth, digits),
         )
         for x in months
     ]
-    total = {name: number(np.nansum([getattr(x, name) for x in months]), digits) for name in summed}
-    rows.append(("All months", "", total["undiscounted"], "", "", total["intrinsic"], "",
-                 total["discounted"], "", "", ""))  # fmt: skip
-    names = ("Delta", "95 % low", "high", "Intrinsic", "Moved", "Discounted", "± sampling",
-             "± policy", "Smooth")  # fmt: skip
-    head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
-    return Table(head, rows, texts=2, strong=frozenset([len(rows) - 1]))
+    total = number(np.nansum([x.discounted for x in months]), digits)
+    rows.append(("All months", total, "", "", "", ""))
+    heads = ("Discounted", "Half-width: sampling", "policy", "Change in training", "Smooth")
+    caption = (
+        "Deltas of the present value, the two parts of the half of their 95 % intervals, by how "
+        "much training still changed them in its second half (a diagnostic: the error of the "
+        "policy is in the interval), and the deltas through the policy's reaction"
+    )
+    head = [("Delivery", ""), *((name, run.volume) for name in heads)]
+    folded = "Discounted deltas, parts of the intervals, change in training"
+    return Table(head, rows, caption, strong=frozenset([len(rows) - 1]), folded=folded)
 
 
 def daily(run: StorageRun) -> Section:

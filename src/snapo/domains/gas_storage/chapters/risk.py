@@ -7,7 +7,7 @@ simulator with the decisions held, on the same paths, one unit up and one unit d
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,9 @@ from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
-from snapo.report.quantity import MONTHS, SPACE, decimals, long_month, number, plus_minus
+from snapo.report.quantity import MONTHS, SPACE, decimals, long_month, number, plus_minus_half
 from snapo.report.rows import Column, table
+from snapo.solver.sensitivity import Sensitivities
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
@@ -29,7 +30,8 @@ UNITS = 1.0  # of the capacity; small against it, large against rounding
 # Families of inputs; every input has one.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
-    "First order only: the change is each shift times its reported derivative."
+    "First order only, with the decisions held: the change is each shift times its reported"
+    " derivative, without an interval."
     " {bound}For other inputs the curvature may have either sign. For large moves,"
     " change the case and solve again."
 )
@@ -52,10 +54,21 @@ class ShadowPrice:
 
 
 @dataclass(frozen=True)
+class ParallelShift:
+    """The derivative along a rise of all numbers of an input by one, and its 95 % interval."""
+
+    input: str
+    value: Number = np.nan
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
 class ShadowPrices:
-    """The shadow prices of all capacities."""
+    """The shadow prices of all capacities; the shifts of inputs that have several numbers."""
 
     shadow_prices: tuple[ShadowPrice, ...] = ()
+    parallel_shifts: tuple[ParallelShift, ...] = ()
 
 
 def measure(run: StudyRun) -> ShadowPrices:
@@ -74,7 +87,17 @@ def measure(run: StudyRun) -> ShadowPrices:
     for name, key, unit in capacities:
         up, down = (replay.value({key: sign * UNITS}) for sign in (1, -1))
         prices.append(ShadowPrice(name, (up - base) / UNITS, (base - down) / UNITS, unit))
-    return ShadowPrices(tuple(prices))
+    return ShadowPrices(tuple(prices), tuple(_shifts(run.solution.sensitivities)))
+
+
+def _shifts(table: Sensitivities | None) -> Iterator[ParallelShift]:
+    """Of every input with more than one number."""
+    if table is None:
+        return
+    for name, values in table.inputs.items():
+        if values.value.size > 1:
+            shift = table.along(name, np.ones(values.value.shape))
+            yield ParallelShift(name, shift.value, shift.low, shift.high)
 
 
 class _Replay:
@@ -162,14 +185,16 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     """One line for a number, or for several of one input that move together.
 
     Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
-    The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is left
-    out. Where there is one, it shows how many digits are significant.
+    The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is a
+    `ParallelShift`. It shows how many digits are significant.
     """
-    first = members[0]
+    first, prices = members[0], SHADOW_PRICES.of(run)
+    shifts = {x.input: x for x in prices.parallel_shifts} if prices else {}
     metadata = run.input_number(first.input, first.unit)
     total, error = metadata.move * math.fsum(member.value or 0.0 for member in members), None
-    if len(members) == 1 and first.low is not None and first.high is not None:
-        error = metadata.move * (first.high - first.low) / 2
+    shift = first if len(members) == 1 else shifts.get(first.input)
+    if shift is not None and shift.low is not None and shift.high is not None:
+        error = metadata.move * (shift.high - shift.low) / 2
     label, move = first.label if len(members) == 1 else "", _move(metadata)
     if len(members) > 1:
         move = f"{move}, all {len(members)} numbers together"
@@ -180,8 +205,8 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
         metadata.meaning,
         move,
         change,
-        plus_minus(error, digits),
-        first.source,
+        plus_minus_half(error, digits),
+        f"{first.source}, not significant" if error and abs(total) <= error else first.source,
     )
 
 
@@ -193,16 +218,14 @@ def _move(metadata: ReportedInput) -> str:
 
 
 def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
-    names = ("Value changes by", "95 % half-width")
     head = [("Input", ""), ("Meaning", ""), ("For a rise of", "")]
-    head += [(name, run.currency) for name in names]
-    head.append(("Derivative", ""))
+    head += [("Value changes by", run.currency), ("", ""), ("Derivative", "")]
     return Table(head, rows, caption, frozenset({0, 1, 2, 5}), folded=folded)
 
 
 def sliders(run: StorageRun) -> Section:
     """Sliders for the whole curve, each delivery month, and the model numbers."""
-    title, short = "What if: inputs moved to first order", "What if"
+    title, short = "What if: inputs moved, decisions held", "What if"
     value = run.result.value
     curve, months = _curve_sliders(run)
     groups = (

@@ -10,11 +10,12 @@ from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Facts, Section, Table, Text
-from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
+from snapo.report.quantity import decimals, finite, number, plus_minus
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.chapters.bound import BOUND
+from snapo.study.chapters.headline import common_paths
 from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
@@ -28,7 +29,7 @@ from .run import StorageRun
 
 PATHS = 16384
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)
-TITLE = "Value ladder"
+TITLE = "Value by method"
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,9 @@ def _guide_value(setup: Setup, value: Value) -> ContractValue:
     """The value of the guide before any training."""
     guide = simulator_of(setup.problem).value_table
     if guide is not None and isinstance(guide.knots, FittedKnots):
-        name, note = "Fitted rule", "value iteration in the price factors, before training"
+        name, note = "Fitted rule", "value iteration, before training; other paths"
     else:
-        name, note = "One-factor rule", "dynamic program in the fastest factor only"
+        name, note = "One-factor rule", "dynamic program in the fastest factor; other paths"
     return ContractValue(name, value.value, value.standard_error, note)
 
 
@@ -169,19 +170,18 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
     if not values:
         return [why_missing(run, VALUES.name)]
     digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
-    alt = "Horizontal bars. " + "; ".join(f"{bar.name}: {bar.text}" for bar in bars) + "."
-    svg = draw("ladder", alt, lambda axes: charts.ladder(axes, bars), 28 + 27 * len(bars))
     caption = (
-        "Present values of the same contract on the same curve; whiskers are 95 % intervals. A"
-        " policy that can be followed is a lower bound of the optimum."
+        "Present values of the same contract on the same curve. The value of a policy that can be "
+        "followed is a lower bound of the optimum."
     )
     rows = [
         (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))
         for x in values
     ]
     strong = frozenset(i for i, bar in enumerate(bars) if bar.strong)
-    head = [("", ""), ("Meaning", ""), ("Value", run.currency), ("Standard error", run.currency)]
-    blocks: list[Block] = [Chart(svg, caption), Table(head, rows, texts=2, strong=strong)]
+    head = [("", ""), ("Meaning", ""), ("Value", run.currency), ("", "")]
+    blocks: list[Block] = [Table(head, rows, texts=2, strong=strong), Text(caption, caveat=True)]
+    blocks += common_paths(run)
     if costs := finite(run.get("fixed_costs")):
         blocks.append(Text(f"Fixed costs have a present value of {run.money(costs)}."))
     return blocks
@@ -208,13 +208,13 @@ def cash_flow(run: StorageRun) -> Section:
     if not cash.counts.size or len(cash.edges) != len(cash.counts) + 1:
         return Section("cash-flow", title, short, [why_missing(run, VALUES.name)])
     quantiles = {float(q): x for q, x in cash.quantiles.items() if np.isfinite(x)}
-    marks = [("mean", cash.mean)] if np.isfinite(cash.mean) else []
+    mean = cash.mean if run.get("objective", "mean") != "mean" else run.result.value
+    marks = [("mean", mean)] if mean is not None and np.isfinite(mean) else []
     marks += [(f"{q:g} %", x) for q, x in quantiles.items() if q in (5, 95, 1, 99)]
     digits, facts = decimals(cash.edges), []
     if np.isfinite(cash.mean):
-        spread = cash.standard_deviation
-        note = f"±{SPACE}{number(spread, digits)} standard deviation" if spread == spread else ""
-        facts.append(("Mean", run.money(cash.mean, digits), note))
+        spread = run.money(cash.standard_deviation, digits)
+        facts.append(("Standard deviation", spread, "of the earnings of one path"))
     names = {1: "1 % quantile", 5: "5 % quantile", 50: "Median", 95: "95 % quantile"}
     facts += [
         (name, run.money(quantiles[q], digits), "") for q, name in names.items() if q in quantiles

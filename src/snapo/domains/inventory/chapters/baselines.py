@@ -102,7 +102,7 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
     )
     text = (
         "Each rule has the best numbers that a search on other paths found; differences are "
-        "paired, path by path, with one standard error."
+        "paired, path by path."
     )
     costs = table(rows, columns, "Costs of the rules", decimal_places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]

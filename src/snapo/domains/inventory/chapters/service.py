@@ -9,8 +9,17 @@ from snapo.report.evidence import notes
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Section, Table
-from snapo.report.quantity import decimals, measured, number, percent, plus_minus, quantity
+from snapo.report.quantity import (
+    PLUS_MINUS,
+    decimals,
+    measured,
+    number,
+    percent,
+    plus_minus,
+    quantity,
+)
 from snapo.study.chapter import Chapter, Number
+from snapo.study.chapters.bound import optimum
 from snapo.study.chapters.headline import marks
 from snapo.study.study import LiveTable, PathTotals, StudyRun
 
@@ -123,8 +132,9 @@ def headline(run: RunFiles) -> Section:
     else:
         label, text = "Value", number(value, digits)
     objective = CaseSummary.of(run).objective
-    note = f"{objective}; on fresh paths of the exact simulator, ± one standard error"
-    top = Headline(label, text, plus_minus(error, digits), note, marks=marks(run))
+    note = f"{objective}; on fresh paths of the exact simulator; {PLUS_MINUS}"
+    top = Headline(label, text, plus_minus(error, digits), note, marks=marks(run),
+                   context=optimum(run, bool(run.unit)))  # fmt: skip
     blocks: list[Block] = [top, *notes(run), *SERVICE(run).blocks]
     return Section("value", title, "Cost", blocks)
 
@@ -176,5 +186,5 @@ def live_tables(paths: PathTotals) -> list[LiveTable]:
     costs = costs_of(paths, [name for name in COSTS if name in paths.totals])
     unit = case.value_unit
     parts = [(f"{x.name}, {unit}", x.value, x.standard_error) for x in costs if x.value]
-    columns = (("", ""), ("mean", ""), ("± standard error", ""))
+    columns = (("", ""), ("mean", ""), ("±", ""))
     return [LiveTable("Service", columns, rows), LiveTable("Costs by part", columns, parts)]

@@ -13,7 +13,7 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.report import evidence
 from snapo.report.missing import not_asked
 from snapo.report.page import Block, Facts, Mark, Section, Table, Text
-from snapo.report.quantity import finite, number
+from snapo.report.quantity import decimals, finite, measured, number
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Number
@@ -145,14 +145,13 @@ def show(run: PensionRun, result: tuple[MarketTest, ...]) -> Sequence[Table]:
         (
             test.name,
             Mark(bool(test.ok), "holds" if test.ok else "fails"),
-            number(test.own),
+            *measured(test.own, test.standard_error, decimals([test.own], 4)),
             number(test.expected),
-            number(test.standard_error),
         )
         for test in result
     ]
-    head = [("Test", ""), ("", ""), ("Simulated", ""), ("Expected", ""), ("Standard error", "")]
-    caption = "Market consistency under Q on fresh paths with the trained policy, 3 standard errors"
+    head = [("Test", ""), ("", ""), ("Simulated", ""), ("", ""), ("Expected", "")]
+    caption = "Market consistency under Q on fresh paths with the trained policy"
     return [Table(head, rows, caption, 2)]
 
 
@@ -204,8 +203,8 @@ def _glossary() -> Table:
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
         (
-            "Standard error",
-            "one standard deviation of an estimate; 95 %: ± 1.96, of a sensitivity ± 2.04",
+            "±",
+            "half of the 95 % interval of an estimate, of simulation alone",
         ),
     ]
     return Table([("Term", ""), ("Meaning", "")], rows, "Terms", 2)

@@ -23,6 +23,7 @@ from snapo.report.drawing import LIGHT, draw, number_axis, unit_above
 from snapo.report.page import Block, Chart, Missing, Table, Text
 from snapo.report.quantity import number, plus_minus
 from snapo.solver.evaluate import estimate, path_totals, value_of
+from snapo.solver.statistics import half_width
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -38,8 +39,8 @@ TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is
 CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
 CAPTION = (
     "Every point is the best policy for its mixture of both aims on the validation paths, of all"
-    " that were trained on the way up and down, and measured on the same fresh paths; bars are one"
-    " standard error. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
+    " that were trained on the way up and down, and measured on the same fresh paths; bars are"
+    " 95 % intervals. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
     " the horizon. Efficient: no other point asks for less and leaves less of a shortfall."
 )
 
@@ -189,8 +190,8 @@ def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
     chart = Chart(svg, "The number at a point is the weight of contributions in its mixture.")
     body = [_row(x, share(x.share, 0), scale) for x in result.points]
     body.append(_row(result.learned, "Learned policy", scale))
-    head = [("Weight of contributions", ""), ("PV contributions", unit), ("Error", unit)]
-    head += [(f"CVaR {level}", "points"), ("Error", "points"), ("Median F", "%")]
+    head = [("Weight of contributions", ""), ("PV contributions", unit), ("", "")]
+    head += [(f"CVaR {level}", "points"), ("", ""), ("Median F", "%")]
     head += [("P(F < 1)", "%"), ("Efficient", "")]
     return [chart, Table(head, body), Text(CAPTION, True)]
 
@@ -230,8 +231,8 @@ def _dots(
     axes: "Axes", dots: Sequence[FrontierPoint], scale: float, colour: str, names, below=False
 ) -> None:
     x, y = _places(dots, scale)
-    across = np.nan_to_num([dot.contributions_error for dot in dots]) / scale
-    up = 100 * np.nan_to_num([dot.cvar_error for dot in dots])
+    across = half_width(1 / scale) * np.nan_to_num([dot.contributions_error for dot in dots])
+    up = half_width(100) * np.nan_to_num([dot.cvar_error for dot in dots])
     style = {"color": LIGHT[colour], "markersize": 6, "elinewidth": 1.0, "capsize": 2.5}
     axes.errorbar(x, y, xerr=across, yerr=up, fmt="o", **style)
     for name, right, high in zip(names, x, y):

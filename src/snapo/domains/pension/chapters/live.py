@@ -95,7 +95,7 @@ def outcome(paths: PathTotals) -> list[LiveTable]:
     if certain := equivalent(problem.objective, worth.value):
         error = 100 * certain.slope * worth.standard_error
         rows.insert(0, ("Certainty equivalent of the value, %", 100 * certain.ratio, error))
-    columns = (("", ""), ("at the end", ""), ("± standard error", ""))
+    columns = (("", ""), ("at the end", ""), ("±", ""))
     years = number(case.steps * case.step, 0)
     text = f"Ratios at the end, after {years} years."
     return [LiveTable("Outcome", columns, rows, text)]

@@ -16,7 +16,7 @@ from snapo.problem.inputs import plain
 from snapo.problem.objective import CVaR, Mean, Objective, Probability
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Table, Text
-from snapo.report.quantity import SPACE, decimals, measured, number, plus_minus
+from snapo.report.quantity import decimals, measured, number, plus_minus
 from snapo.solver.evaluate import estimate
 from snapo.solver.sensitivity import held_of_several
 from snapo.solver.statistics import Estimate
@@ -226,7 +226,7 @@ def show(run: PensionRun, result: OutputTable) -> Sequence[Block]:
 
 def _value(run: PensionRun, output: OutputValue) -> tuple[str, str]:
     if output.money:
-        return run.large(output.value), f"±{SPACE}{run.large(output.error)}"
+        return run.large(output.value), plus_minus(output.error / run.size([output.value])[0], 2)
     return share(output.value), f"{plus_minus(100 * output.error, 2)} points"
 
 
@@ -270,7 +270,7 @@ def _detail(
         cells = [*measured(100 * part, 100 * spread, 3, True), number(1e4 * part, 1, True)]
         money = [run.large(part * liability, 2, True)] if valued else []
         rows.append((rise(family), *cells, *money))
-    head = [("Move", ""), ("Effect", "" if unitless else "points"), ("Std. error", "")]
+    head = [("Move", ""), ("Effect", "" if unitless else "points"), ("", "")]
     if not unitless:
         head += [("Effect", "bp"), *([("In money", run.currency)] if valued else [])]
     caption = f"Effects on: {output.name}"

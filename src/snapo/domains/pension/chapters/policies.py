@@ -13,7 +13,7 @@ from snapo.problem.scenarios import Scenarios
 from snapo.report.bands import scatter
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.quantity import number, plus_minus
+from snapo.report.quantity import decimals, measured, number, plus_minus
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, value_of
 from snapo.solver.solution import Solution
@@ -28,6 +28,7 @@ from ..run import PensionRun, points, with_measure
 from .objective import equivalent
 
 LEARNED, MIX = "learned", "constant_mix"  # keys: of the policy that the others are compared with
+PRESENT = ("present_mix", "present_mix_yearly")  # keys of the mixes that are held
 EVEN = 1.0, 1.0  # funding ratios of a glide path that is not asked yet
 RATE = 0.05  # learning rate of rules of a few numbers each, which have far to go
 
@@ -163,19 +164,40 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     body = [_row(run, policy, certain) for policy in policies]
     head = [("Policy", "")]
     if certain:
-        head += [("Certainty equivalent", "%"), ("Learned leads by", "bp a year"), ("Error", "bp")]
+        head += [("Certainty equivalent", "%"), ("Learned leads by", "bp a year"), ("", "")]
     else:
-        head += [("Objective", ""), ("Learned leads by", ""), ("Error", "")]
+        head += [("Objective", ""), ("Learned leads by", ""), ("", "")]
     _, unit = run.size([policy.pv_contribution for policy in policies])
     text = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
-        " same bounds; the present mix is held, untuned. The lead is paired path by path;"
-        " the error is one standard error of it."
+        " same bounds; the present mix is held, untuned. The lead is paired path by path."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
     return [table, Text(caption, True), _cloud(run, policies, unit)]
+
+
+def leads(policies: Sequence[PolicyWorth]) -> str:
+    """The lead over the present mix and over the best of the other rules, in a sentence; empty
+    where no rule was valued."""
+    others = [x for x in policies if x.key != LEARNED]
+    certain = bool(others) and all(np.isfinite(x.equivalent) for x in policies)
+    first = next((x for x in others if x.key == PRESENT[0]), None)
+    rules = [x for x in others if x.key not in PRESENT]
+    best = min(rules, key=lambda x: x.lead if certain else x.difference, default=None)
+    parts = []
+    for policy, name in ((first, "the present mix"), (best, "the best tuned classical rule")):
+        if policy is None:
+            continue
+        lead, error, unit = policy.difference, policy.difference_error, "in the objective"
+        if certain:
+            lead, error, unit = 1e4 * policy.lead, 1e4 * policy.lead_error, "bp a year"
+        digits = 1 if certain else max(0, decimals([error], 2))
+        more, half = measured(lead, error, digits, True)
+        label = name if policy is first else f"{name} ({policy.name.lower()})"
+        parts.append(f"{more} {half} {unit} over {label}")
+    return f"{'; '.join(parts)}." if parts else ""
 
 
 def _cloud(run: PensionRun, policies: Sequence[PolicyWorth], unit: str) -> Chart:

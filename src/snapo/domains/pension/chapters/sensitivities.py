@@ -11,7 +11,7 @@ from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.quantity import SPACE, decimals, number, plus_minus, rough
+from snapo.report.quantity import SPACE, decimals, number, plus_minus_half, rough
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
@@ -220,7 +220,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
         name,
         move.move,
         number(None if effect is None else scale * effect, digits, True),
-        plus_minus(None if effect is None else half, digits),
+        plus_minus_half(None if effect is None else half, digits),
         rough(scale * (move.policy or 0.0)),
         move.source or "",
         number(None if move.reacting is None else scale * move.reacting, digits, True),

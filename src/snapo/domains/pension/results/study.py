@@ -1,9 +1,11 @@
 """The study of a pension fund: the parts of a run, each with its tables."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
+from snapo.report.quantity import measured
 from snapo.solver.provenance import versions
 from snapo.study import training
 from snapo.study.domain import Options
@@ -19,7 +21,7 @@ from ..chapters.frontier import FRONTIER
 from ..chapters.objective import OBJECTIVE, headline_name
 from ..chapters.outputs import OUTPUTS
 from ..chapters.paths import PATHS
-from ..chapters.policies import LEARNED, POLICIES
+from ..chapters.policies import LEARNED, POLICIES, leads
 from ..chapters.pots import POTS
 from ..chapters.reconciliation import RECONCILIATION
 from ..chapters.sensitivities import SENSITIVITIES
@@ -27,8 +29,9 @@ from ..chapters.stress import STRESS
 from ..chapters.today import TODAY
 from ..records.case import PensionCase
 from ..records.parts import OF_RIGHTS
+from ..run import share
 from .figures.lines import examine
-from .setup import make_setup, objective_of, setup_at
+from .setup import case_of, make_setup, objective_of, setup_at
 
 PARTS = (
     RECONCILIATION.part,
@@ -109,6 +112,7 @@ def about(case: PensionCase) -> dict[str, Any]:
         "held": list(case.held),
         "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
+        "turnover_limit": case.assets.turnover,
         "names": {
             f"weights.{i}": f"{class_.name}, share of the assets"
             for i, class_ in enumerate(case.assets.classes)
@@ -124,7 +128,42 @@ def result(run: StudyRun) -> Mapping[str, Any]:
     """The headline: the trained policy's value, and those of the classical policies."""
     others = [policy for policy in POLICIES.of(run) or () if policy.key != LEARNED]
     advantages = [(policy.name, policy.difference, policy.difference_error) for policy in others]
-    return trained(run, {policy.key: policy.value for policy in others}, advantages)
+    references = {policy.key: policy.value for policy in others}
+    if not (entries := trained(run, references, advantages)):
+        return entries
+    case = case_of(run)
+    notes = [in_classes(note, case) for note in entries.get("notes", ())]
+    return entries | {"notes": notes, "description": list(_description(run, case))}
+
+
+def _description(run: StudyRun, case: PensionCase) -> Iterator[str]:
+    """The value and the leads in the terms of a fund."""
+    objective = OBJECTIVE.of(run)
+    if objective is not None and objective.output is not None:
+        name = "pension over today's" if objective.output == "pension" else "funding ratio"
+        value, half = measured(100 * objective.equivalent, 100 * objective.equivalent_error, 2)
+        years = f"{case.steps * case.step:g} years"
+        yield f"certain {name} after {years}: {value} % {half} (95 %)"
+    if compared := leads(POLICIES.of(run) or ()):
+        yield compared
+
+
+STILL = re.compile(r"(\d+)(?: of \d+)?(?: never changes)? \(([-+.\deE]+), at its limit\)")
+
+
+def in_classes(note: str, case: PensionCase) -> str:
+    """A note on weights that never leave a bound, with the names of their classes: it needs no
+    advice."""
+    rows, classes = STILL.findall(note), case.assets.classes
+    if "never change" not in note or not rows or any(int(k) > len(classes) for k, _ in rows):
+        return note
+    texts = []
+    for number, value in rows:
+        i = int(number) - 1
+        low, high = float(case.assets.low[i]), float(case.assets.high[i])
+        name, bound = ("lower", low) if float(value) < (low + high) / 2 else ("upper", high)
+        texts.append(f"{classes[i].name} stays at its {name} bound of {share(bound, 0)}.")
+    return " ".join(texts)
 
 
 def _unbounded(case: PensionCase) -> str:

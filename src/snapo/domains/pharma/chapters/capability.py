@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
-from snapo.report.quantity import finite, number, percent, with_unit
+from snapo.report.quantity import finite, number, percent, plus_minus, with_unit
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
@@ -66,22 +66,23 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
             with_unit(attribute.name, attribute.shown_unit), number(result.mean[q]),
             number(result.deviation[q]), number(linear[q]), _cpk(result.cpk_batches[q]),
             _cpk(result.cpk_low[q], result.cpk_high[q]), _cpk(result.cpk[q]),
-            number(result.sigmas[q], 2), percent(result.outside[q], 2), percent(result.error[q], 2),
+            number(result.sigmas[q], 2), percent(result.outside[q], 2),
+            plus_minus(100 * result.error[q], 2),
             " – ".join(map(number, result.quantiles[q][[0, 2]])),
         )
         for q, attribute in enumerate(attributes)
     ]  # fmt: skip
     names = ("Attribute", "Mean", "Deviation", "to first order", "Cpk, batch to batch",
              "over uncertain numbers", "Cpk, all together", "Sigmas to the edge", "Out of limits",
-             "±", "1–99 %")  # fmt: skip
+             "", "1–99 %")  # fmt: skip
     caption = (
         f"Over {number(result.batches, 0)} simulated batches at the set point; together "
-        f"{percent(result.joint)} ± {percent(result.joint_error)} break a limit. “Batch to batch” "
-        "varies only the numbers that differ between batches, with the model's numbers at their "
-        "nominal values; the next column is its 5 to 95 % range over the uncertain numbers; “all "
-        "together” counts both as variation. Cpk assumes a normal attribute; the share out of "
-        "limits is counted. Where the deviation to first order differs from the simulated one, "
-        "the process is not linear over its variation."
+        f"{percent(result.joint)} {plus_minus(100 * result.joint_error, 1)} break a limit. “Batch "
+        "to batch” varies only the numbers that differ between batches, with the model's numbers "
+        "at their nominal values; the next column is its 5 to 95 % range over the uncertain "
+        "numbers; “all together” counts both as variation. Cpk assumes a normal attribute; the "
+        "share out of limits is counted. Where the deviation to first order differs from the "
+        "simulated one, the process is not linear over its variation."
     )
     blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
     if result.failed > 0:

@@ -12,7 +12,7 @@ from snapo.report.drawing import LIGHT, draw
 from snapo.report.evidence import training_history
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Mark, Table, Text
-from snapo.report.quantity import number, percent, with_unit
+from snapo.report.quantity import decimals, measured, number, with_unit
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.study.chapter import Chapter, Floats, Number
@@ -245,12 +245,12 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     """The policy against the best fixed recipe, on the same fresh batches."""
     certain = result.gain > 3 * result.gain_error
     rows = [
-        ("Trained policy", percent(result.value), percent(result.standard_error, 2)),
-        ("Best fixed recipe", percent(result.baseline), percent(result.baseline_error, 2)),
-        ("Recipe as given", percent(result.given), percent(result.given_error, 2)),
-        ("Policy less best recipe", percent(result.gain), percent(result.gain_error, 2)),
+        ("Trained policy", *_share(result.value, result.standard_error)),
+        ("Best fixed recipe", *_share(result.baseline, result.baseline_error)),
+        ("Recipe as given", *_share(result.given, result.given_error)),
+        ("Policy less best recipe", *_share(result.gain, result.gain_error)),
     ]
-    head = [("", ""), ("Probability of all limits", ""), ("Standard error", "")]
+    head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
     caption = f"On the same {batches} fresh batches, exact limits"
     clear = Mark(certain, "yes" if certain else "no")
@@ -270,31 +270,43 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     return [*blocks, *training_history(run, "objective").blocks]
 
 
+def _share(value: float, error: float) -> tuple[str, str]:
+    """A share in per cent, and half of its interval."""
+    return measured(100 * value, 100 * error, 2)
+
+
 def _goal(result: ClosedLoopResult) -> Table:
     """The objective, where it is not the probability itself."""
+    digits = decimals([result.objective, result.baseline_objective], 4)
     rows = [
-        ("Trained policy", number(result.objective), number(result.objective_error)),
-        ("Best fixed recipe", number(result.baseline_objective), ""),
+        ("Trained policy", *measured(result.objective, result.objective_error, digits)),
+        ("Best fixed recipe", number(result.baseline_objective, digits), ""),
     ]
-    head = [("", ""), ("Goal", ""), ("Standard error", "")]
+    head = [("", ""), ("Goal", ""), ("", "")]
     return Table(head, rows, f"The goal: {result.goal}")
 
 
 def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     """PI controllers: their shares on the same batches, and their settings."""
-    names = ("value", "standard_error", "policy_gain", "policy_gain_error", "recipe_gain",
-             "recipe_gain_error")  # fmt: skip
-    shares = [(x.name, *(percent(getattr(x, name), 2) for name in names)) for x in rules]
+    shares = [
+        (
+            x.name,
+            *_share(x.value, x.standard_error),
+            *_share(x.policy_gain, x.policy_gain_error),
+            *_share(x.recipe_gain, x.recipe_gain_error),
+        )
+        for x in rules
+    ]
     settings = [
         (x.name, sensor, number(gain), number(time / 60))
         for x in rules
         for sensor, gain, time in zip(x.sensors, x.gains_own, x.times)
     ]
-    head = ("", "All limits", "Standard error", "Policy less rule", "Standard error",
-            "Recipe less rule", "Standard error")  # fmt: skip
+    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy less rule", "%"), ("", ""),
+            ("Recipe less rule", "%"), ("", "")]  # fmt: skip
     local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
     return [
-        Table([(name, "") for name in head], shares, "Rules on the same batches, paired"),
+        Table(head, shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
         Text("“First settings” are those of the case or of its formula; the rule without this "
              "label was trained from there, with its recipe, for as many steps as the policy."),

@@ -9,7 +9,7 @@ import numpy as np
 from snapo.report.drawing import LIGHT, draw, legend_above, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.quantity import finite, number, percent, quantity, with_unit
+from snapo.report.quantity import finite, number, percent, plus_minus, quantity, with_unit
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
@@ -143,10 +143,11 @@ def _in_words(result: SpaceMap) -> Text:
     share, certain = (
         float((x >= result.required).mean()) for x in (result.probability, result.low)
     )
+    widest = plus_minus(100 * result.error.max(), 1)
     text = (
         f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
         f"{number(result.required)} or more; {number(result.samples, 0)} batches per point, the "
-        f"same draws at every point, standard error at most {percent(result.error.max())}. At "
+        f"same draws at every point, uncertain by at most {widest} (95 %). At "
         f"{percent(certain, 0)} of the points this is so even at the lower end of the 95 % "
         "interval, within the dotted line of the map."
     )

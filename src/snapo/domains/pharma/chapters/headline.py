@@ -10,7 +10,15 @@ from snapo.report.evidence import spent
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, plus_minus, quantity, seconds
+from snapo.report.quantity import (
+    PLUS_MINUS,
+    finite,
+    number,
+    percent,
+    plus_minus,
+    quantity,
+    seconds,
+)
 from snapo.solver.provenance import versions
 from snapo.study.chapter import Chapter
 from snapo.study.domain import GOOD
@@ -129,11 +137,11 @@ def headline(run: RunFiles) -> Section:
 
 def _note(run: RunFiles) -> str:
     if run.result.verdict:
-        return f"{run.result.verdict} ± one standard error of the sample, in percentage points."
+        return f"{run.result.verdict} {PLUS_MINUS}, in percentage points."
     who = "of the trained policy" if CLOSED_LOOP.of(run) else "of the recipe as given"
     return (
-        f"{who}, over the batch-to-batch variation that the case states; ± one standard error of "
-        "the sample, in percentage points."
+        f"{who}, over the batch-to-batch variation that the case states; {PLUS_MINUS}, in "
+        "percentage points."
     )
 
 

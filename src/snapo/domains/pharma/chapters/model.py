@@ -239,7 +239,7 @@ def _in_words(kind: Distribution | None, scale: float, unit: str) -> str:
     if kind.kind == "lognormal":
         return f"lognormal, {100 * kind.spread:g} %"
     spread = f"{kind.spread / scale:.4g}" + ("" if unit == "1" else f" {unit}")
-    return f"uniform, ± {spread}" if kind.kind == "uniform" else f"normal, {spread}"
+    return f"uniform, {spread} to either side" if kind.kind == "uniform" else f"normal, {spread}"
 
 
 def _numbers(case: PharmaCase) -> tuple[NumberStatement, ...]:

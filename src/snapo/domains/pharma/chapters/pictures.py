@@ -59,7 +59,7 @@ def tornado(axes: "Axes", names: Sequence[str], values: np.ndarray, unit: str) -
         size = abs(float(share[i]))
         axes.barh(row, 2 * size, left=-size, height=0.62, color=LIGHT["main-soft"])
         axes.plot([share[i]] * 2, [row - 0.31, row + 0.31], color=LIGHT["main"], linewidth=2.4)
-        text = f"± {number(abs(values[i]))}" if values[i] else "0"
+        text = number(abs(values[i])) if values[i] else "0"
         axes.text(size + 0.02, row, text, va="center")
     axes.set_yticks(range(len(order)), [names[int(i)] for i in order])
     axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
