@@ -34,4 +34,4 @@ def test_seeds_have_their_intervals_and_what_they_are():
     _, _, second, last = by_seed(result)
     assert "1 ± 0.2" in second
     assert last.startswith("mean 2.5 ± 0.098, worst 2, best 3; ")
-    assert "± is half of a 95 % interval on 64 common paths, of simulation alone" in last
+    assert "± is half of a 95 % interval on 64 common paths, simulation error only" in last

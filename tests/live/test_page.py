@@ -356,6 +356,6 @@ def test_the_page_starts_from_the_value_of_the_run_and_says_which_paths_are_its_
         assert page.inner_text("#figure") == "455.25" and page.inner_text("#error") == "± 0.2"
         changes = page.inner_text("#changes")
         assert "on the 64 paths of this page" in changes.lower() and "455 ± 0.98" in changes
-        assert "± is half of a 95 % interval, of simulation alone." in page.inner_text("#value")
+        assert "± is half of a 95 % interval, simulation error only." in page.inner_text("#value")
         enter(page, "cost", "6")
         assert settled(page) == "456"

@@ -43,7 +43,7 @@ def test_the_bound_is_in_the_first_box_and_nowhere_else_on_the_first_screen():
     assert isinstance(first[0], Headline)
     assert plain(first[0].context) == "Optimum: at most EUR 100.70 (95 %), 0.60 % from this policy."
     assert first[0].error == "±\N{NO-BREAK SPACE}0.20"
-    assert "± is half of a 95 % interval, of simulation alone" in first[0].note
+    assert "± is half of a 95 % interval, simulation error only" in first[0].note
     assert [x.text for x in notes(files)] == ["a note"]
 
 

@@ -245,7 +245,7 @@ def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader."""
     orders = result["orders"]
     counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
-    lines = [f"book: {result['status']}; ± is half of a 95 % interval, of simulation alone"]
+    lines = [f"book: {result['status']}; ± is half of a 95 % interval, simulation error only"]
     if result.get("points"):
         lines += _table_of_points(result)
     elif "sums" in result:

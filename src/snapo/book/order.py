@@ -41,8 +41,8 @@ class BookOrder:
     - `judged`: whether the derivatives are tested by bumps.
     - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
       a policy is trained for each stress, for its only stress.
-    - `adopted`: the file of the policy of a similar contract, whose trained numbers the base takes
-      in place of a training.
+    - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
+      takes, so that it needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
       of the processors that give the same bits.
     """

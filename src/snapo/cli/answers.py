@@ -21,7 +21,9 @@ def by_seed(result: Mapping[str, Any]) -> list[str]:
     mean = _known(result["mean"], result["standard_error"])
     spread = f"standard deviation between seeds {_known(result['deviation'])}"
     endpoints = f"mean {mean}, worst {worst}, best {best}; {spread}"
-    note = f"± is half of a 95 % interval on {result['paths']:,} common paths, of simulation alone"
+    note = (
+        f"± is half of a 95 % interval on {result['paths']:,} common paths, simulation error only"
+    )
     return [*lines, f"{endpoints}; {note}"]
 
 

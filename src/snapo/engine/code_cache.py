@@ -55,7 +55,7 @@ def keep_programs() -> None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder is the user's, and nobody else may write into it."""
+    """Whether a folder is the user's, and no other user may write into it."""
     if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
         return True
     state = folder.stat()
@@ -63,7 +63,7 @@ def _is_private(folder: Path) -> bool:
 
 
 def contents() -> list[CodeFolder]:
-    """Both folders as they are."""
+    """Both folders at present."""
     result = []
     for name in (KERNELS, PROGRAMS):
         sizes = [file.stat().st_size for file in _files(code_folder(name))]

@@ -1,4 +1,4 @@
-"""The value as its domain shows it: a fund's certainty equivalent in place of a utility."""
+"""The value as its domain shows it: a fund's certainty equivalent and not its utility."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""`snapo open RUN`: the page of a run, until it is ended; and the same beside a Python session."""
+"""`snapo open RUN`: the page of a run, until it is ended; and the same for a Python session."""
 
 import asyncio
 import sys
@@ -48,7 +48,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         "follows": bool(headline),
         "folder": str(run),
         "restart": f'Start it again with "snapo open {run}": the page that it opens offers the '
-        "inputs that stand here.",
+        "inputs of this page.",
         "result": {key: result.get(key) for key in keys},
     }
 
@@ -125,7 +125,7 @@ def open_page(
 
 
 class LivePage:
-    """The live page of a solution, beside the Python session that opened it, and no longer.
+    """The live page of a solution, as long as the Python session that opened it.
 
     - `address`: for a browser of this machine; a notebook shows it as a link.
     """

@@ -96,7 +96,7 @@ def with_verdicts(first: Section, run: RunFiles) -> Section:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """Whether training could still improve the policy, as its gradient tells; none where that is
+    """Whether training could still improve the policy, by its gradient; none where that is
     not known."""
     norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None or noise is None:

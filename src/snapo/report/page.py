@@ -94,7 +94,7 @@ class Facts:
 class Headline:
     """The main number of the report, with one sentence on it.
 
-    `context`: what a reader compares it with, such as a bound or the lead over another policy.
+    `context`: for comparison, such as a bound or the gain over another policy.
     """
 
     kind: ClassVar[str] = "headline"

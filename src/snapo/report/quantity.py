@@ -12,7 +12,7 @@ from snapo.solver.statistics import half_width
 
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
-PLUS_MINUS = "± is half of a 95 % interval, of simulation alone"  # where the first one stands
+PLUS_MINUS = "± is half of a 95 % interval, simulation error only"  # where the first one stands
 SPACE = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-12  # relative, of sums in double precision
 TINY, MAXIMUM = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better

@@ -189,7 +189,7 @@ class Solution:
     ) -> Any:
         """Opens the live page: every input can be moved, and the value is computed again.
 
-        The page is served until `close()` of what is returned, or until this session ends.
+        The page is served until `close()` of the returned page, or until this session ends.
 
         - `problem`: by default the one solved; `simulator`: "MODULE:CLASS", for a run of
           `snapo solve` with a simulator of yours.

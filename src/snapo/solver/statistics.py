@@ -6,8 +6,8 @@ estimate and whose spread is its error: sums and ratios by the linearised ratio 
 Techniques, 1977, section 6.3), other statistics by their influence function. Results computed block
 by block become an `Estimate`, by a jackknife over the blocks (`by_block`). Intervals are Student's.
 
-After ± stands half of a 95 % interval, of simulation alone, wherever a number is shown to people;
-files and attributes hold the `standard_error`.
+Wherever a number is shown to people, ± is followed by half of a 95 % interval, from simulation
+error only; files and attributes hold the `standard_error`.
 """
 
 from decimal import Decimal

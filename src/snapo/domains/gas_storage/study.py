@@ -147,8 +147,8 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)
         | dict.fromkeys(("cash_flow", "costs"), case.currency),
         "names": {
-            "action.0": "injection, share of what is possible",
-            "action.1": "withdrawal, share of what is possible",
+            "action.0": "injection, share of the possible flow",
+            "action.1": "withdrawal, share of the possible flow",
             "value_surprise": "innovation of the value",
         },
         "notes": [*notes, *case.notes],

@@ -191,7 +191,7 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
 
 
 def _carry_out(solution: Solution, domain: PythonDomain, out: Path, *, every: bool) -> None:
-    """A run of the solution in the folder `out`: `every` part, or what a live page needs."""
+    """A run of the solution in the folder `out`: `every` part, or those of a live page."""
     problem = domain._solved.problem
     data = {
         "kind": domain.kind,

@@ -85,7 +85,7 @@ def value_bounds(run: RunFiles) -> Section:
 
 
 def optimum(run: RunFiles, cost: bool = False) -> str:
-    """The bound as a sentence for the first screen; empty where there is none, or it says little.
+    """The bound as a sentence for the first screen; empty where there is none, or it is too wide.
 
     `cost`: whether the value is less a cost, of which the bound is the least possible one.
     """

@@ -173,7 +173,7 @@ def quantity_of(value: float | None, unit: str) -> str:
 
 
 def _nearest(rows: Sequence[BumpRow]) -> BumpRow | None:
-    """The row that is the largest part of what is allowed."""
+    """The row with the largest share of its tolerance."""
 
     def share(row: BumpRow) -> float:
         return (row.worst_error or 0.0) / (row.allowed or np.inf)

@@ -93,7 +93,7 @@ class Estimated(NamedTuple):
 
 
 class ValuationMethod(NamedTuple):
-    """A method: its name, its meaning, and what computes it: [N] by path, or one value.
+    """A method: its name, its meaning, and a function: [N] by path, or one value.
 
     It raises `ValueError` with the reason where it has no value.
     """

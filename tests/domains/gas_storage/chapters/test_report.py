@@ -106,7 +106,7 @@ def test_the_drawings_are_named_for_every_reader_and_their_references_resolve(fu
 def test_the_headline_says_value_error_and_what_to_do(full):
     text = text_of(full)
     assert "EUR 78,242 ± 75" in text  # of a standard error of 38.4
-    assert "± is half of a 95 % interval, of simulation alone" in text
+    assert "± is half of a 95 % interval, simulation error only" in text
     assert "Withdraw 187.5 MWh" in text
     assert "inject below 16.10 EUR/MWh, withdraw above 16.16 EUR/MWh and hold between" in text
     assert "all 9 checks of the certificate hold" in text

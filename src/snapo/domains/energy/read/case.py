@@ -100,7 +100,7 @@ class EnergyCase:
     - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
-    - `products`: what trades; None where the case does not name it.
+    - `products`: the traded products; None where the case names none.
     """
 
     kind: str

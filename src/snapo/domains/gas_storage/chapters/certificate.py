@@ -165,7 +165,7 @@ def _glossary(run: StorageRun) -> Table:
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
         _volatility(run),
-        ("±", "", "half of the 95 % interval of an estimate, of simulation alone"),
+        ("±", "", "half of the 95 % interval of an estimate, simulation error only"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

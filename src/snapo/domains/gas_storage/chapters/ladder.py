@@ -47,7 +47,7 @@ class ContractMethods(abc.ABC):
     @cached_property
     @abc.abstractmethod
     def desk(self) -> DeskMethods:
-        """The methods that read what trades."""
+        """The methods that read [products]."""
 
     @abc.abstractmethod
     def by_day(self) -> Estimated:
@@ -102,7 +102,7 @@ class ContractMethods(abc.ABC):
             ValuationMethod(ladder.BY_DAY, "all flows fixed today", self.by_day),
             ValuationMethod(
                 ladder.IN_PRODUCTS,
-                "the same, flat over what trades, less the spread",
+                "the same, flat over each product, less the spread",
                 lambda: Estimated(self.desk.intrinsic()),
             ),
             ValuationMethod(

@@ -1,4 +1,4 @@
-"""Deltas by traded product: where a case names in [products] what trades."""
+"""Deltas by traded product, where a case has a table [products]."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields

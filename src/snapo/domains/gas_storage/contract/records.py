@@ -229,7 +229,7 @@ class StorageCase:
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
-    - `products`: what trades; None where the case does not name it.
+    - `products`: the traded products; None where the case names none.
     """
 
     file: Path

@@ -20,7 +20,7 @@ NO_CURVE = "its prices have other risks than Gaussian factors, so that no path h
 
 @dataclass(frozen=True, eq=False)
 class DeskMethods:
-    """A contract of one level, what trades, and paths.
+    """A contract of one level, the traded products, and paths.
 
     - `forward` [T + 1]: today's curve, the price of the end last.
     - `factors`: of the prices; None, or not exact: no path has a forward curve.

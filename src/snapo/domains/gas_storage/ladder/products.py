@@ -1,4 +1,4 @@
-"""`[products]`: what trades, until when, and what a trade costs.
+"""`[products]`: the traded products, until when, and what a trade costs.
 
     [products]
     day_ahead = { bid_offer = 0.05 }
@@ -54,7 +54,7 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 
 
 class ProductsTable(CaseTable):
-    """`[products]`: what trades; a family that is left out does not."""
+    """`[products]`: the traded products; a family that is left out does not."""
 
     day_ahead: dict = Field({}, description="a table like { bid_offer = 0.05 }")
     balance_of_month: dict | None = Field(None, description="a table like { lot = 10.0 }")

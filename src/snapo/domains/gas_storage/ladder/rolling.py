@@ -101,7 +101,7 @@ class FlatContract(Protocol):
 
 
 class Link(NamedTuple):
-    """A period of a plan: `nodes` after it; `lost`: what settling takes there."""
+    """A period of a plan: `nodes` after it; `lost`: the cost of settling there."""
 
     block: TradeBlock
     period: FlatPeriod
@@ -115,7 +115,7 @@ class Infeasible(ValueError):
 
 @dataclass(eq=False)
 class Chains:
-    """The periods of a contract for any blocks; those that end alike are made once."""
+    """The periods of a contract for any blocks; those with equal ends are made once."""
 
     contract: FlatContract
     count: int = NODES
@@ -198,7 +198,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
     return found[0], found[1]
 
 
-class Holdings(NamedTuple):
+class ForwardPosition(NamedTuple):
     """Where paths are: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
 
     level: np.ndarray
@@ -207,7 +207,7 @@ class Holdings(NamedTuple):
     traded: np.ndarray
 
     @classmethod
-    def initial(cls, contract: FlatContract, paths: int) -> "Holdings":
+    def initial(cls, contract: FlatContract, paths: int) -> "ForwardPosition":
         zero = np.zeros(paths)
         level, held = np.full(paths, contract.start), np.zeros((contract.horizon, paths))
         return cls(level, held, zero, zero)
@@ -221,7 +221,7 @@ class RollingPlan(NamedTuple):
 
 
 def planned(
-    contract: FlatContract, links: Sequence[Link], curve: np.ndarray, position: Holdings
+    contract: FlatContract, links: Sequence[Link], curve: np.ndarray, position: ForwardPosition
 ) -> RollingPlan:
     """The best plan at the forward prices [steps from the first one, and the end, N]."""
     start = links[0].block.first
@@ -252,9 +252,9 @@ def traded(
     contract: FlatContract,
     links: Sequence[Link],
     curve: np.ndarray,
-    position: Holdings,
+    position: ForwardPosition,
     delivers: bool,
-) -> Holdings:
+) -> ForwardPosition:
     """The positions after the trades of a day; `delivers`: and after the flow of its first step."""
     level, held, money, volume = position
     start, level_after = links[0].block.first, level
@@ -286,7 +286,7 @@ def traded(
             money -= lost if delivered else 0.0
             level = np.zeros_like(level)
         level_after = level if delivered else level_after
-    return Holdings(level_after, held, money, volume)
+    return ForwardPosition(level_after, held, money, volume)
 
 
 class Rolled(NamedTuple):
@@ -311,7 +311,7 @@ def rolling(
       -1 are those of that date.
     """
     contract = chains.contract
-    position = Holdings.initial(contract, paths)
+    position = ForwardPosition.initial(contract, paths)
     if before:
         links = chains.of(blocks(-1))
         position = traded(contract, links, curves(-1), position, delivers=False)
@@ -327,4 +327,6 @@ def intrinsic_in(
 ) -> float:
     """The value of the best plan in products at the forward prices [T + 1] of today."""
     links = Chains(contract, PLAN_NODES).of(blocks)
-    return float(planned(contract, links, curve[:, None], Holdings.initial(contract, 1)).value[0])
+    return float(
+        planned(contract, links, curve[:, None], ForwardPosition.initial(contract, 1)).value[0]
+    )

@@ -144,10 +144,10 @@ class FlatStore:
 
 
 def _furthest(
-    possible: Callable[[np.ndarray], np.ndarray], wish: np.ndarray, sure: np.ndarray
+    possible: Callable[[np.ndarray], np.ndarray], wish: np.ndarray, safe: np.ndarray
 ) -> np.ndarray:
-    """The possible number nearest to `wish`, on the way to `sure`."""
-    bad, good = wish, np.where(possible(wish), wish, sure)
+    """The possible number nearest to `wish`, on the way to `safe`."""
+    bad, good = wish, np.where(possible(wish), wish, safe)
     if np.array_equal(good, wish):
         return good
     for _ in range(HALVINGS):

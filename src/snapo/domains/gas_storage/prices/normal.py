@@ -49,7 +49,7 @@ class SignedPrices(GivenFactors):
         return float(np.mean(np.sqrt(np.sum(loading**2 * left, axis=-1))))
 
 
-class NormalTable(FactorTable):
+class NormalPriceTable(FactorTable):
     """`[model]` of kind "one-factor-normal"."""
 
     kind: Literal["one-factor-normal"]
@@ -57,7 +57,7 @@ class NormalTable(FactorTable):
 
 
 @register
-class Normal(SignedPrices):
+class NormalPrices(SignedPrices):
     """S(T) = F(T) + s(T) f(T), one Ornstein-Uhlenbeck factor; S is normal, so E[S(T)] = F(T).
 
     The variance of S(T) is s^2 (1 - exp(-2 a T)) / (2 a). Source: Bachelier (1900), "Théorie de la
@@ -66,10 +66,10 @@ class Normal(SignedPrices):
     """
 
     kind = "one-factor-normal"
-    table = NormalTable
+    table = NormalPriceTable
 
     @classmethod
-    def read(cls, section: TableContext, table: NormalTable, delivery: Delivery):
+    def read(cls, section: TableContext, table: NormalPriceTable, delivery: Delivery):
         volatility = replace(table.volatility, unit=f"{delivery.curve.unit}/sqrt(year)")
         factor = table.model_copy(update={"volatility": volatility})
         return cls.of(delivery, **read_factors(section, [factor], [], [], delivery))

@@ -17,7 +17,7 @@ PANELS = 48  # of the quadrature, with 4 nodes each
 class Spikes(NamedTuple):
     """Spikes of ln S: log-price + y - compensator.
 
-    - `decay`: what is left of a spike after a day; `size`: the mean of a spike.
+    - `decay`: the share of a spike that is left after a day; `size`: the mean of a spike.
     - `rate`: spikes a day; `poisson`: whether several may come, and die out within the day.
     - `before`: days from the valuation date, when there are none, to the first date.
     - `compensator` [T + 1]: ln E[exp y] on each date.

@@ -204,7 +204,7 @@ def _glossary() -> Table:
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
         (
             "±",
-            "half of the 95 % interval of an estimate, of simulation alone",
+            "half of the 95 % interval of an estimate, simulation error only",
         ),
     ]
     return Table([("Term", ""), ("Meaning", "")], rows, "Terms", 2)
