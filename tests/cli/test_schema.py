@@ -123,7 +123,7 @@ def test_the_command_prints_it(capsys):
     assert main(["schema", "own"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "A case of kind own"
     assert main(["schema", "owl"]) == 2
-    assert "the nearest known key is own" in capsys.readouterr().err
+    assert "the nearest known kind is own" in capsys.readouterr().err
 
 
 def test_a_domain_without_tables_says_so(monkeypatch):

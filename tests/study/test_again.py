@@ -2,7 +2,7 @@
 
 import pytest
 
-from snapo.study.domain import RunsCode
+from snapo.study.domain import Options, RunsCode
 from snapo.study.prepare import options_of_run
 
 ABOUT = {"title": "mine", "notes": []}
@@ -25,7 +25,7 @@ def test_changed_code_is_checked_again(hash, known):
     domain = Coded()
     assert isinstance(domain, RunsCode)
     record = {"decides": {"options": {"engine": "auto", "simulator file": "old"}}, "about": ABOUT}
-    assert options_of_run(domain, hash, record, "xla") == ("xla", False, known)  # pyright: ignore
+    assert options_of_run(domain, hash, record, "xla") == Options("xla", about=known)  # pyright: ignore
 
 
 def test_a_case_without_code_passed_its_checks():

@@ -172,7 +172,7 @@ MISTAKES = {
         "assets.csv", None,
         "name,kind,weight,low,high,maturity,max_sale\nCash,cash,0.2,0,1,,\n"
         "Bonds,bond,0.8,-0.1,1.1,10,0.5\n",
-        ["assets.csv", "max_sale", "'0.5'", "low below 0"],
+        ["assets.csv", "max_sale", "'0.5'", "low is below 0"],
     ),
     "short bounds that leave too much": (
         "assets.csv", None,
