@@ -43,6 +43,7 @@ def trained(policy: bytes, folder) -> list[np.ndarray]:
     return jax.tree.leaves(trainable(load_policy(folder / "p.npz"))[0])
 
 
+@pytest.mark.prove
 def test_the_others_take_the_numbers_of_the_first(valued, tmp_path):
     book, folder, result = valued["shape"]
     one = members(book, folder)
@@ -64,6 +65,7 @@ def test_the_others_take_the_numbers_of_the_first(valued, tmp_path):
     assert "The contracts similar to c1 (6 with it) take its trained policy." in page
 
 
+@pytest.mark.prove
 def test_the_loss_is_that_of_trained_policies_on_common_paths(valued):
     """Of the sixth contract too, which no test of the book has seen."""
     apart, shared = (members(*valued[policy][:2]) for policy in ("contract", "shape"))

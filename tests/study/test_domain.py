@@ -32,7 +32,9 @@ def test_a_domain_is_found_by_its_kind(fake):
 
 
 def test_an_unknown_kind_names_the_nearest(fake):
-    expected = "case.toml, kind: got 'fakes'; allowed is one of \"fake\"; the nearest known kind is "
+    expected = (
+        "case.toml, kind: got 'fakes'; allowed is one of \"fake\"; the nearest known kind is "
+    )
     assert message("fakes", "case.toml").startswith(expected + "fake")
     assert 'this key is missing; it is one of "fake"' in message(None, "case.toml")
     assert "got 3" in message(3, "case.toml")

@@ -214,6 +214,7 @@ def test_years_end_on_their_day():
     assert [case.days[t].isoformat() for t in ends] == ["2027-03-31", "2027-09-30"]
 
 
+@pytest.mark.prove
 def test_a_large_shift_is_the_normal_price():
     """Negative prices in the contract core: the lattice, the rule of the fitted value, the bound."""
     reversion = {"model.mean_reversion": 12.0}

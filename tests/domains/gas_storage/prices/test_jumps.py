@@ -131,6 +131,7 @@ def test_the_nodes_of_the_lattice_have_the_moments_of_the_law(speed, poisson):
         assert_allclose(spikes.moment(0.5), exact, rtol=1e-7)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("kind", KINDS)
 def test_functions_of_factor_and_spikes_have_the_expectations_that_they_say(kind):
     """By quadrature over the law of a day: increments of the basis have mean 0 given the day

@@ -84,6 +84,7 @@ def test_the_lattice_of_a_cavern_with_negative_prices():
     assert_allclose(intrinsic(problem.schedule, "linear").value, 715.605, atol=1e-3)
 
 
+@pytest.mark.prove
 def test_a_large_shift_is_the_normal_price(tmp_path):
     """Shift 10,000 and volatility 70 / (F + 10,000) by delivery month."""
     case = read(folder_with(tmp_path, CURVE))
