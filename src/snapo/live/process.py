@@ -28,11 +28,13 @@ class WorkerProcess:
         self._task = asyncio.create_task(self._live())
 
     async def close(self) -> None:
-        """Ends the worker."""
+        """Ends the worker, and waits for its end."""
         self._closed = True
         self._kill()
         if self._task is not None:
             await self._task
+        if self.process is not None:
+            await self.process.wait()
 
     def _kill(self) -> None:
         if self.process is not None and self.process.returncode is None:
