@@ -22,6 +22,7 @@ SHORT = {
     "evaluation.selection_paths": 0,
     "evaluation.search_paths": 0,
 }
+TASKS = "[tasks]\npaths = 512\njudge = 0\n"
 STRESSES = """
 [[stress]]
 name = "up 10 %"
@@ -44,7 +45,8 @@ def write_book(
     lines = [",".join(columns)]
     lines += [",".join(str((SHORT | row).get(name, "")) for name in columns) for row in rows]
     (folder / "contracts.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    tasks = more or "[tasks]\npaths = 512\njudge = 0\n"
+    # The pictures of exposures take longer than a contract.
+    tasks = more or TASKS + "exposure = false\n"
     text = 'kind = "book"\ntitle = "North"\n[cases]\ntemplate = "store"\ntable = "contracts.csv"\n'
     by = 'by = ["desk"]\n' if "desk" in columns else ""
     (folder / "book.toml").write_text(text + by + stresses + tasks, encoding="utf-8")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from tests.book.books import HERE, write_book
+from tests.book.books import HERE, TASKS, write_book
 
 from snapo.book import work
 from snapo.book.file import Book, read_book
@@ -40,7 +40,7 @@ def compiled_code_stays():
 def valued(tmp_path_factory) -> Valued:
     """The first four contracts: all are in order."""
     folder = tmp_path_factory.mktemp("book")
-    file = write_book(folder, ROWS[:4])
+    file = write_book(folder, ROWS[:4], more=TASKS)
     result = run_book(read_book(file), lambda _: None, HERE, out=folder / "run")
     assert json.loads((folder / "run" / "result.json").read_text()) == result
     return Valued(read_book(file), folder / "run", result)

@@ -21,7 +21,7 @@ from snapo.case.error import CaseError
 from snapo.engine.workers import OTHER
 from snapo.lanes.machine import pipeline
 
-TASKS = "[tasks]\npaths = 512\njudge = 0\n"
+TASKS = "[tasks]\npaths = 512\njudge = 0\nexposure = false\n"
 ONE = ROWS[:1]
 
 
@@ -86,7 +86,9 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
     """Three of five that are alike, whatever the share; the others where one of them was refuted,
     and in no case before that is known."""
     rows = [{"name": f"{i}", "contract.injection_cost": 0.02 + i / 100} for i in range(5)]
-    file = write_book(tmp_path, rows, stresses="", more="[tasks]\npaths = 512\njudge = 0.1\n")
+    file = write_book(
+        tmp_path, rows, stresses="", more="[tasks]\npaths = 512\njudge = 0.1\nexposure = false\n"
+    )
     judged = []
 
     def answer(data):
@@ -106,7 +108,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
 
 
 def test_a_judged_contract_has_verdicts(tmp_path):
-    file = write_book(tmp_path, ONE, stresses="", more="[tasks]\npaths = 512\n")
+    file = write_book(tmp_path, ONE, stresses="", more="[tasks]\npaths = 512\nexposure = false\n")
     deltas = points(file, tmp_path / "run")["first"]["base"].deltas
     assert all(isinstance(x.trusted, bool) for x in deltas if x.blocks.any())
 
