@@ -37,6 +37,17 @@ TAKEN = {
         "total_xla": r"^Xla +smooth.* ([\d.]+)$",
         "held_xla": r"^Xla +held.* ([\d.]+)$",
     },
+    "native": {
+        "flops": r"threads, (\d+) GFLOP/s",
+        "floor": r"multiply-add floor: ([\d.]+)",
+        "storage": r"^storage, float32 .* ([\d.]+) +10 ",
+        "width_64": r"^width 64 .* ([\d.]+) +5 ",
+        "width_128": r"^width 128 .* ([\d.]+) +5 ",
+        "factors": r"^300 correlated factors .* ([\d.]+) +2.5 ",
+        "steps": r"^3650 steps .* ([\d.]+) +5 ",
+        "first": r"first result: ([\d.]+) s",
+        "on_disk": r"kernel on disk: ([\d.]+) s",
+    },
     "pension": {
         "ratio": r"^(?:small|medium|large) .* ([\d.]+) +[\d.]+s +\d+$",
         "small": r"^small .* (\d+)$",
