@@ -152,3 +152,9 @@ def test_examples_of_docstrings_run():
         for test in finder.find(thing, name, module=False, globs={"snapo": snapo, "np": np}):
             seen += runner.run(test).attempted
     assert seen > 20 and not runner.failures
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_large_brackets_have_their_side(page):
+    r"""The site's equations are made by docutils, which knows `\bigl` and `\bigr`, not `\big`."""
+    assert not re.findall(r"\\[bB]igg?[^a-zA-Z]", page.read_text(encoding="utf-8"))
