@@ -101,6 +101,9 @@ def test_an_open_page_ends_with_close(tmp_path):
     assert page.address in repr(page) and f'href="{page.address}"' in page._repr_html_()
     with urlopen(page.address) as answer:
         assert answer.status == 200
+    began = time.monotonic()
+    while server.workers.process is None and time.monotonic() - began < 60:
+        time.sleep(0.01)  # the page is there before its calculation
     process = server.workers.process
     page.close()
     page.close()  # which does nothing more
