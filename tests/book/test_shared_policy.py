@@ -12,7 +12,8 @@ from snapo.book.collect import position, reader
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.plan import BookPlan
-from snapo.book.run import plan_of, run_book
+from snapo.book.run import Driver, plan_of, run_book
+from snapo.book.work import answer
 from snapo.problem.policy import load_policy, trainable
 from snapo.solver import statistics
 
@@ -102,7 +103,7 @@ def test_judged_contracts_come_first(tmp_path):
     more = TASKS.format(judge=0.1, policy="shape")
     plan = BookPlan(read_book(write_book(tmp_path / "few", ROWS, more=more)))
     assert plan.judged == {"c1", "c2", "c3"} and plan.adopting == {"c5", "c6"}
-    assert plan.first == {"c1", "c2", "c3", "c4"}
+    assert plan.awaited == {"c1", "c2", "c3", "c4"}
     (last,) = [x for x in plan.book.contracts if x.name == "c6"]
     assert plan.base(last, reader(BookFolder(tmp_path / "none"), {})) is None
 
@@ -115,3 +116,18 @@ def test_a_first_contract_without_a_policy_leaves_the_others_their_own(tmp_path)
     assert result["cases"] == {"ok": 5, "failed": 1}
     assert [x["is_shared"] for x in result["shared_policies"]] == [False]
     assert json.loads((tmp_path / "run" / "result.json").read_text())["shared_policies"]
+
+
+def test_a_first_contract_without_a_policy_is_no_reason_to_test_it(tmp_path):
+    """Of a book that asks for values alone, the order of a test would be one that is in work."""
+    rows = [row | {"contract.max_inventory": 1000 * i} for i, row in enumerate(ROWS)]
+    tasks = TASKS.format(judge=0, policy="shape") + "deltas = 'none'\nexposure = false\n"
+    plan = plan_of(read_book(write_book(tmp_path, rows, stresses="", more=tasks)))
+    folder = BookFolder(tmp_path / "run")
+    folder.prepare({}, keep=False)
+    driver = Driver(plan, plan.book.contracts, folder)
+    leader, *others = (driver.next_order() for _ in range(4))
+    assert leader is not None and driver.next_order() is None
+    driver.take(leader, answer(leader))
+    assert driver.next_order() not in others and driver.next_order() not in others
+    assert driver.next_order() is None

@@ -88,24 +88,25 @@ class BookPlan:
         return names
 
     @cached_property
-    def tested(self) -> dict[str, BookContract]:
-        """{name of a contract that is valued with the policy of similar ones too: the first of
-        them}."""
-        if self.book.tasks.policy != "shape":
-            return {}
-        return {x.name: group[0] for group in self.similar.values() for x in tested(group)}
+    def tested(self) -> dict[str, Sequence[BookContract]]:
+        """{similarity key: the contracts that are valued with the policy of the first one too}, of
+        those that share a policy."""
+        groups = self.similar.items() if self.book.tasks.policy == "shape" else ()
+        return {kind: some for kind, group in groups if (some := tested(group))}
 
     @cached_property
-    def first(self) -> set[str]:
+    def awaited(self) -> set[str]:
         """The names of the contracts for whose answers similar ones wait."""
-        return self.judged | self.tested.keys() | {x.name for x in self.tested.values()}
+        names = {
+            x.name for kind, some in self.tested.items() for x in (self.similar[kind][0], *some)
+        }
+        return self.judged | names
 
     @cached_property
     def adopting(self) -> set[str]:
         """The names of the contracts that take the policy of a similar one, unless a test of it
         fails or a derivative is refuted."""
-        shared = [x for group in self.similar.values() if tested(group) for x in group]
-        return {x.name for x in shared} - self.first if self.tested else set()
+        return {x.name for kind in self.tested for x in self.similar[kind]} - self.awaited
 
     @property
     def size(self) -> int:
@@ -114,7 +115,8 @@ class BookPlan:
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
             by_contract = 1 + stresses
-        return by_contract * sum(map(len, self.similar.values())) + len(self.tested)
+        tests = sum(map(len, self.tested.values()))
+        return by_contract * sum(map(len, self.similar.values())) + tests
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
         """All whose orders some contracts need, equal cases once: first those for whose answers
@@ -124,8 +126,8 @@ class BookPlan:
         groups = [
             x for kind, similar in sorted(self.similar.items()) if kind in kinds for x in similar
         ]
-        return [x for x in groups if x.name in self.first] + [
-            x for x in groups if x.name in first_of_case and x.name not in self.first
+        return [x for x in groups if x.name in self.awaited] + [
+            x for x in groups if x.name in first_of_case and x.name not in self.awaited
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
@@ -136,7 +138,7 @@ class BookPlan:
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]
-        if first.name in self.first:
+        if first.name in self.awaited:
             return self._first_base(first)
         refuted = self._refuted(kind, read) if self.judged else False
         if refuted is None:
@@ -146,9 +148,6 @@ class BookPlan:
             return order
         shared = self.shared_policy(kind, read)
         return None if shared is None else replace(order, adopted=shared.policy)
-
-    def _is_shared(self, kind: str) -> bool:
-        return any(x.name in self.tested for x in self.similar[kind])
 
     def shared_policy(self, kind: str, read: AnswerReader) -> SharedPolicy | None:
         """The policy of similar contracts; None as long as an answer that it needs is missing."""
@@ -161,17 +160,20 @@ class BookPlan:
 
     def shared_policies(self, read: AnswerReader) -> Iterator[SharedPolicy]:
         """Those whose answers are complete, of all similar contracts that share one."""
-        for kind in filter(self._is_shared, self.similar):
+        for kind in self.tested:
             if (result := self.shared_policy(kind, read)) is not None:
                 yield result
 
-    def test(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The order of a contract with the policy of the first of similar ones, of which it waits
-        for the answer."""
-        leader = read(name_of(self._first_base(self.tested[contract.name]).pack()))
-        return None if leader is None else test_order(self._first_base(contract), leader)
+    def tests(self, leader: BookContract, answer: OrderAnswer) -> Iterator[BookOrder]:
+        """The orders of similar contracts with the policy of the first one; none of another
+        contract, or without a policy. `answer`: to its first order."""
+        kind = self.similarity_keys[leader.name]
+        if leader is self.similar[kind][0] and answer.policy is not None:
+            for contract in self.tested.get(kind, ()):
+                yield test_order(self._first_base(contract), answer.policy)
 
     def _first_base(self, contract: BookContract) -> BookOrder:
+        """That of a contract which waits for no other."""
         return self._base(contract, contract.name in self.judged)
 
     @cached_property

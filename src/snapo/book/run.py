@@ -40,7 +40,6 @@ class Driver:
     def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
         self.plan, self.folder = plan, folder
         self.waiting = deque(plan.needed(contracts))
-        self.tests = deque(x for x in self.waiting if x.name in plan.tested)
         self.further_orders: deque[BookOrder] = deque()
         self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
         self.lost: dict[str, str] = {}
@@ -61,7 +60,7 @@ class Driver:
                 return data
             self.reused += 1
             if contract is not None:
-                self.further_orders.extend(self.plan.further(order, stored[0]))
+                self._follow(contract, order, stored[0])
 
     def _next(self) -> tuple[BookOrder | None, BookContract | None]:
         if self.further_orders:
@@ -71,12 +70,12 @@ class Driver:
             if order is not None:
                 del self.waiting[i]
                 return order, contract
-        for contract in self.tests:
-            order = self.plan.test(contract, self._read)
-            if order is not None:
-                self.tests.remove(contract)
-                return order, None
         return None, None
+
+    def _follow(self, contract: BookContract, order: BookOrder, answer: OrderAnswer) -> None:
+        """The orders that follow the answer to the first one of a contract."""
+        self.further_orders.extend(self.plan.tests(contract, answer))
+        self.further_orders.extend(self.plan.further(order, answer))
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
         """Keeps an answer. **Raises:** `OSError` where the disk is full."""
@@ -94,7 +93,7 @@ class Driver:
         self.folder.write(name, result)
         self.computed += 1
         if contract is not None:
-            self.further_orders.extend(self.plan.further(order, stored))
+            self._follow(contract, order, stored)
 
 
 def run_book(
@@ -185,7 +184,7 @@ def _compute(
 def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
     """Whether every order of the book has an answer."""
     driver = Driver(plan, plan.book.contracts, folder)
-    return driver.next_order() is None and not driver.waiting and not driver.tests
+    return driver.next_order() is None and not driver.waiting
 
 
 def _record(book: Book) -> dict[str, Any]:

@@ -59,10 +59,10 @@ def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
     return similar[1 : 1 + TESTED] if len(similar) > 1 + TESTED else ()
 
 
-def test_order(base: BookOrder, leader: OrderAnswer) -> BookOrder:
+def test_order(base: BookOrder, policy: bytes) -> BookOrder:
     """The order of a tested contract, with the policy of the first one."""
     tasks = base.tasks.model_copy(update={"deltas": "none", "exposure": False})
-    return replace(base, stresses=(), judged=False, tasks=tasks, adopted=leader.policy)
+    return replace(base, stresses=(), judged=False, tasks=tasks, adopted=policy)
 
 
 def shared_policy(
@@ -75,16 +75,18 @@ def shared_policy(
     leader = read(name_of(base(first).pack()))
     if leader is None:
         return None
+    if leader.policy is None:
+        return SharedPolicy(first.name, len(similar), (), None)
     losses = list[PolicyLoss]()
-    for contract in tested(similar) if leader.policy is not None else ():
+    for contract in tested(similar):
         order = base(contract)
-        both = [read(name_of(x.pack())) for x in (order, test_order(order, leader))]
+        both = [read(name_of(x.pack())) for x in (order, test_order(order, leader.policy))]
         if None in both:
             return None
         own, shared = (answer.points[0] for answer in both if answer is not None)
         losses.append(_loss(contract.name, own, shared))
     is_good = all(loss.share <= MAX_LOSS for loss in losses)
-    policy = leader.policy if losses and is_good else None
+    policy = leader.policy if is_good else None
     return SharedPolicy(first.name, len(similar), tuple(losses), policy)
 
 
