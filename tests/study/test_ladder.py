@@ -33,7 +33,7 @@ def compared(tmp_path: Path, printed: list[str] | None = None, **values) -> Meth
     written: dict[str, list] = {}
     run = SimpleNamespace(
         progress=(printed if printed is not None else []).append,
-        write_csv=lambda name, header, rows: written.update({name: [header, *rows]}),
+        write_records=lambda name, kind, records: written.update({name: [kind, *records]}),
     )
     paths = CommonPaths([], EARNED, np.arange(PATHS))
     methods = [method(key, value) for key, value in values.items()]

@@ -46,6 +46,7 @@ class Chapter(Generic[Result]):
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
     - `table`: of the case, without which the part is not among those of the study.
+    - `optional`: whether a run without the part has no section on it; else one with the reason.
 
     No two chapters of a study may write the same key.
     """
@@ -60,6 +61,7 @@ class Chapter(Generic[Result]):
     key: str = ""
     anchor: str = ""
     table: str = ""
+    optional: bool = False
 
     @property
     def part(self) -> Part:
@@ -104,7 +106,7 @@ class Chapter(Generic[Result]):
         """Its section of the report; without a result, the reason."""
         anchor = self.anchor or re.sub(r"\W", "-", self.name)
         short = self.short or self.name.capitalize()
-        if run.left_out(self.name):
+        if run.left_out(self.name) or (self.optional and self.name not in run.parts):
             return Section(anchor, "", "", [])
         result = self.of(run)
         blocks = (

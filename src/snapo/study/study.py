@@ -5,7 +5,7 @@ others, and is not done again when a run is resumed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -285,3 +285,9 @@ class StudyRun:
     def write_csv(self, name: str, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
         """A separate table next to the report, with all digits of its numbers."""
         write_csv(self.folder / name, header, rows)
+
+    def write_records(self, name: str, kind: type, records: Iterable[Any]) -> None:
+        """Dataclasses of one `kind` as such a table; a field that is None is empty."""
+        names = [field.name for field in fields(kind)]
+        rows = ([getattr(record, name) for name in names] for record in records)
+        self.write_csv(name, names, (["" if x is None else x for x in row] for row in rows))

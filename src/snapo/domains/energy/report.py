@@ -7,17 +7,17 @@ from snapo.study.chapters.bound import value_bounds
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline
-from snapo.study.chapters.ladder import methods_section
+from snapo.study.chapters.ladder import METHODS
 from snapo.study.chapters.profile import profile
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-from ..gas_storage.chapters.products import product_deltas
+from ..gas_storage.chapters.products import PRODUCT_DELTAS
 from .chapters.values import VALUES
 
 OVER_TIME = profile()
 SECTIONS = (
-    headline, VALUES, methods_section, value_bounds, OVER_TIME, sensitivities, product_deltas,
+    headline, VALUES, METHODS, value_bounds, OVER_TIME, sensitivities, PRODUCT_DELTAS,
     DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
 MENU = {

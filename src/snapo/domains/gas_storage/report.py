@@ -22,14 +22,14 @@ from snapo.report.quantity import (
 )
 from snapo.study.chapters.bound import optimum, value_bounds
 from snapo.study.chapters.certificate import checks
-from snapo.study.chapters.ladder import methods_section
+from snapo.study.chapters.ladder import METHODS
 from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
 from .chapters.position import POSITION, Cycles, Position, inventory
-from .chapters.products import product_deltas
-from .chapters.quotes import quotes
+from .chapters.products import PRODUCT_DELTAS
+from .chapters.quotes import QUOTE_DELTAS
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
 from .chapters.today import FirstDecision, ladder
@@ -141,8 +141,8 @@ def today(run: StorageRun) -> Section:
 
 
 SECTIONS = (
-    headline, today, VALUES, methods_section, value_bounds, cash_flow, POSITION, inventory, DELTAS,
-    daily, quotes, product_deltas, risk, sliders, history, CERTIFICATE, assumptions, making,
+    headline, today, VALUES, METHODS, value_bounds, cash_flow, POSITION, inventory, DELTAS,
+    daily, QUOTE_DELTAS, PRODUCT_DELTAS, risk, sliders, history, CERTIFICATE, assumptions, making,
 )  # fmt: skip
 MENU = {
     "Today": today,

@@ -8,7 +8,7 @@ standard errors, one of them is wrong, and the run warns of it.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.smooth import Exact
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Section, Text
+from snapo.report.page import Block, Text
 from snapo.report.quantity import number
 from snapo.report.rows import Bar, Column, WithError, ladder, table
 from snapo.solver import statistics
@@ -156,9 +156,7 @@ def side_by_side(
         for method in listed
         if method.name in values
     )
-    names = [field.name for field in fields(MethodRow)]
-    cells = [[getattr(row, name) for name in names] for row in rows]
-    run.write_csv("ladder.csv", names, [["" if x is None else x for x in row] for row in cells])
+    run.write_records("ladder.csv", MethodRow, rows)
     warnings = tuple(_wrong_order(values, paths.groups))
     for warning in warnings:
         run.progress(f"warning: {warning}")
@@ -247,12 +245,5 @@ def _unmeasured(run: StudyRun) -> MethodLadder:
 
 METHODS = Chapter(
     "methods", "Methods side by side", MethodLadder, _unmeasured, show, short="By method",
-    key="methods",
+    key="methods", optional=True,
 )  # fmt: skip
-
-
-def methods_section(run: RunFiles) -> Section:
-    """Its section; nothing in a run without `--ladder`."""
-    if METHODS.name in run.parts:
-        return METHODS(run)
-    return Section(METHODS.name, "", "", [])

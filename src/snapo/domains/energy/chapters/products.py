@@ -1,10 +1,13 @@
 """Deltas by traded product, of a daily contract."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from snapo.study.study import StudyRun
 
-from ...gas_storage.chapters.products import ProductDeltas, chapter, deltas_by_product
+from ...gas_storage.chapters import products
+from ...gas_storage.chapters.products import ProductDeltas, deltas_by_product
 from ..setup import case_of
 
 
@@ -15,4 +18,4 @@ def measure(run: StudyRun) -> ProductDeltas:
     return deltas_by_product(run, case.products, case.market.forward_curve.name, discount)
 
 
-PRODUCT_DELTAS = chapter(measure)
+PRODUCT_DELTAS = replace(products.PRODUCT_DELTAS, measure=measure)

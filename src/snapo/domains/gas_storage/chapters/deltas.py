@@ -12,6 +12,7 @@ from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
+from snapo.solver.derivatives.interval import Reported
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
@@ -103,15 +104,13 @@ def measure(run: StudyRun) -> CurveDeltas:
     smooth = None if table.smooth is None else table.smooth[curve]
     net = plan.net
     sold = -net * np.where(net < 0, 1 - steps.withdrawal_fuel, 1 + steps.injection_fuel)
-    rate = np.ones(delta.value.size)
-    rate[:count] = steps.gas_discount
     numbers = delta.numbers()[:count]
     daily = DailyDeltas(
         delta.value[:count],
         np.array([interval.low for interval in numbers]),
         np.array([interval.high for interval in numbers]),
         table.held[curve].standard_error[:count],
-        (delta.value / rate)[:count],
+        delta.value[:count] / steps.gas_discount,
         moved[:count],
         sold,
     )
@@ -120,16 +119,13 @@ def measure(run: StudyRun) -> CurveDeltas:
     for month in dict.fromkeys(months):
         days = np.zeros(delta.value.size)
         days[:count] = months == month
-        futures = delta.along(days / rate)
         monthly.append(
             MonthDelta(
                 month,
                 *delta.along(days),
                 delta.source,
                 table.held[curve].along(days)[1],
-                futures.value,
-                futures.low,
-                futures.high,
+                *futures_along(delta, days, steps.gas_discount),
                 float(moved @ days),
                 np.nan if smooth is None else smooth.along(days)[0],
                 float(sold @ days[:count]),
@@ -137,6 +133,17 @@ def measure(run: StudyRun) -> CurveDeltas:
         )
     run.write_csv("profile.csv", *_profile(run, daily))
     return CurveDeltas(daily, tuple(monthly))
+
+
+def futures_along(
+    delta: Reported, weights: np.ndarray, discount: np.ndarray
+) -> tuple[float, float, float]:
+    """The derivative along `weights` of the numbers of a curve before discounting, and its 95 %
+    interval: the volume of futures that hedge it. `discount` [T] of the payments of the days."""
+    rate = np.ones(delta.value.size)
+    rate[: len(discount)] = discount
+    futures = delta.along(weights / rate)
+    return futures.value, futures.low, futures.high
 
 
 def _profile(run: StudyRun, daily: DailyDeltas) -> tuple[tuple[str, ...], Iterable[tuple]]:

@@ -1,19 +1,20 @@
 """Deltas by traded product, where a case has a table [products]."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Section, Table, Text
+from snapo.report.page import Block, Table, Text
 from snapo.report.quantity import decimals, number
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
 from ..ladder.products import TradedProducts
 from ..setup import case_of
+from .deltas import futures_along
 
 TEXT = (
     "By how much the value changes where the price of one product changes by 1 on all its days. "
@@ -64,18 +65,16 @@ def deltas_by_product(
     if table is None or products is None:
         return ProductDeltas()
     delta, rows = table.of(curve), []
-    rate = np.ones(delta.value.size)
-    rate[: len(discount)] = discount
     for name, (first, after, *_) in products.named(-1 if products.before else 0):
         days = np.zeros(delta.value.size)
         days[first:after] = 1.0
-        futures = delta.along(days / rate)
-        interval = futures.value, futures.low, futures.high, futures.value / (after - first)
+        interval = futures_along(delta, days, discount)
         dates = [products.days[i].isoformat() for i in (first, after - 1)]
         about = name or "no product yet", dates[0], dates[1], after - first
-        rows.append(ProductDelta(*about, *delta.along(days), *interval))
-    names = [field.name for field in fields(ProductDelta)]
-    run.write_csv("products.csv", names, ([getattr(row, x) for x in names] for row in rows))
+        rows.append(
+            ProductDelta(*about, *delta.along(days), *interval, interval[0] / (after - first))
+        )
+    run.write_records("products.csv", ProductDelta, rows)
     return ProductDeltas(tuple(rows))
 
 
@@ -111,18 +110,5 @@ def show(run: RunFiles, deltas: ProductDeltas) -> Sequence[Block]:
     return [Text(TEXT), Table(head, cells, texts=2)]
 
 
-def chapter(of: Callable[[StudyRun], ProductDeltas]) -> Chapter[ProductDeltas]:
-    """The chapter, of a domain that measures it with this function."""
-    title = "Deltas by traded product"
-    return Chapter("deltas by product", title, ProductDeltas, of, show, "Products",
-                   needs=("training",))  # fmt: skip
-
-
-PRODUCT_DELTAS = chapter(measure)
-
-
-def product_deltas(run: RunFiles) -> Section:
-    """Its section; nothing where the case names no products."""
-    if PRODUCT_DELTAS.name in run.parts:
-        return PRODUCT_DELTAS(run)
-    return Section("deltas-by-product", "", "", [])
+PRODUCT_DELTAS = Chapter("deltas by product", "Deltas by traded product", ProductDeltas, measure,
+                         show, "Products", optional=True)  # fmt: skip

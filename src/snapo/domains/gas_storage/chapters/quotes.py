@@ -1,17 +1,18 @@
 """Deltas by quoted product: of a curve that is made from quotes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Section, Table, Text
+from snapo.report.page import Block, Table, Text
 from snapo.report.quantity import decimals, number
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
 from ..setup import case_of
+from .deltas import futures_along
 from .run import StorageRun
 
 TEXT = (
@@ -56,15 +57,11 @@ def measure(run: StudyRun) -> QuoteDeltas:
     if table is None or quoted is None:
         return QuoteDeltas()
     delta = table.of(case.market.forward_curve.name)
-    rate = np.ones(delta.value.size)
-    rate[: len(case.days)] = run.setup.problem.schedule.steps.gas_discount
-    rows = []
+    discount, rows = run.setup.problem.schedule.steps.gas_discount, []
     for product, price, weights in zip(quoted.products, quoted.prices, quoted.matrix.T):
-        futures = delta.along(weights / rate)
-        interval = futures.value, futures.low, futures.high
+        interval = futures_along(delta, weights, discount)
         rows.append(QuoteDelta(product, float(price), *delta.along(weights), *interval))
-    names = [field.name for field in fields(QuoteDelta)]
-    run.write_csv("quotes.csv", names, ([getattr(row, x) for x in names] for row in rows))
+    run.write_records("quotes.csv", QuoteDelta, rows)
     return QuoteDeltas(tuple(rows))
 
 
@@ -90,11 +87,4 @@ def show(run: StorageRun, deltas: QuoteDeltas) -> Sequence[Block]:
 
 
 QUOTE_DELTAS = Chapter("deltas by quote", "Deltas by quoted product", QuoteDeltas, measure, show,
-                       "Quotes", needs=("training",))  # fmt: skip
-
-
-def quotes(run: StorageRun) -> Section:
-    """Its section; nothing where the curve is not made from quotes."""
-    if QUOTE_DELTAS.name in run.parts:
-        return QUOTE_DELTAS(run)
-    return Section("deltas-by-quote", "", "", [])
+                       "Quotes", optional=True)  # fmt: skip
