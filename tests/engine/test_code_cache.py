@@ -13,10 +13,9 @@ from snapo.lanes.machine import disk
 
 PROGRAM = """
 import jax, jax.numpy as jnp
-from jax._src import monitoring
 from snapo.engine.code_cache import keep_programs
 hits = []
-monitoring.register_event_listener(lambda name, **_: hits.append(name))
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
 keep_programs()
 jax.jit(lambda x: jnp.sin(x) * 2 + 1)(jnp.ones(3))
 print(sum(name.endswith("cache_hits") for name in hits))

@@ -1,21 +1,20 @@
 """The user's folder of compiled code: kernels of the native engine and programs of XLA.
 
-$XDG_CACHE_HOME/snapo/kernels    machine code of kernels, at most 512 MB
-$XDG_CACHE_HOME/snapo/xla        XLA's programs, at most 512 MB
+$XDG_CACHE_HOME/snapo/kernels    machine code of kernels
+$XDG_CACHE_HOME/snapo/xla        XLA's programs
 
-`XDG_CACHE_HOME` is `~/.cache` where it is not set. What has not been used (kernels) or made
-(programs) for 60 days is removed. Code from here is run: it must be the user's own.
+`XDG_CACHE_HOME` is `~/.cache` where it is not set. The oldest files beyond 512 MB in a folder are
+removed, and those not used (kernels) or made (programs) for 60 days: of kernels when one is made,
+of programs when a command begins. Code from here is run: it must be the user's own.
 """
 
-import os
-import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 
-from snapo.lanes.machine.disk import cache_home, evict
+from snapo.lanes.machine.disk import cache_home, evict, is_private
 
 KERNELS, PROGRAMS = "kernels", "xla"
 
@@ -46,20 +45,12 @@ def keep_programs() -> None:
     folder = code_folder(PROGRAMS)
     with suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_private(folder):
+        if not is_private(folder.stat()):
             return
         evict(folder)
         # Small programs too: to read one takes a tenth of the time of compiling it.
         config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         config.update("jax_compilation_cache_dir", str(folder))
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether a folder is the user's, and no other user may write into it."""
-    if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
-        return True
-    state = folder.stat()
-    return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def contents() -> list[CodeFolder]:

@@ -111,7 +111,8 @@ def _read(path: Path, name: str) -> bytes | None:
     """The code in a file that can be trusted; None for any other."""
     try:
         with open(path, "rb") as file:
-            if not _own(os.fstat(file.fileno())):
+            state = os.fstat(file.fileno())
+            if not (stat.S_ISREG(state.st_mode) and is_private(state)):
                 return None
             content = file.read()
     except OSError:
@@ -125,10 +126,8 @@ def _read(path: Path, name: str) -> bytes | None:
     return data
 
 
-def _own(state: os.stat_result) -> bool:
-    """Whether a file is this user's, and not writable by others."""
-    if not stat.S_ISREG(state.st_mode):
-        return False
+def is_private(state: os.stat_result) -> bool:
+    """Whether a file or a folder is this user's, and not writable by others."""
     if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
         return True
     return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
