@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -71,18 +71,13 @@ class SolvedProblem:
 class PythonDomain(Kind):
     """The domain of one problem in Python: its cases are the problem with other numbers.
 
-    - `solved`: the problem with its policy; always there.
+    - `solved`: the problem with its policy.
     """
 
-    solved: SolvedProblem | None = None
-
-    @property
-    def _solved(self) -> SolvedProblem:
-        assert self.solved is not None
-        return self.solved
+    solved: SolvedProblem = field(kw_only=True)
 
     def read(self, file: Path, data: Mapping[str, Any]) -> OwnCase:
-        solved = self._solved
+        solved = self.solved
         problem, kind = solved.problem, type(solved.problem.simulator)
         inputs, positions = read_inputs(data["inputs"], file, [])
         before = problem.inputs_by_name
@@ -108,7 +103,7 @@ class PythonDomain(Kind):
         )
 
     def study(self, case: Any, options: Options) -> Study:
-        solved = self._solved
+        solved = self.solved
         options = options._replace(about={"notes": list(solved.notes)})
         made = study(case, options, lambda case, engine: solved.setup(engine))
 
@@ -192,7 +187,7 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
 
 def _carry_out(solution: Solution, domain: PythonDomain, out: Path, *, every: bool) -> None:
     """A run of the solution in the folder `out`: `every` part, or those of a live page."""
-    problem = domain._solved.problem
+    problem = domain.solved.problem
     data = {
         "kind": domain.kind,
         "title": type(problem.simulator).__name__,

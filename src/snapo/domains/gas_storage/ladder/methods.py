@@ -1,5 +1,6 @@
 """The methods of a desk on given paths: intrinsic in products, rolling intrinsic, least squares."""
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -56,7 +57,7 @@ class DeskMethods:
             curves, before = PathCurves(factors, self.forward, states), self.products.before
             return rolling(chains, blocks.__getitem__, curves, states.shape[2], before).money
 
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
             parts = pool.map(money, range(0, self.states.shape[2], BLOCK))
             return np.concatenate(list(parts))
 
