@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import PyTree
-from scipy.stats import qmc
 
 from . import inputs as inputs_
 from .problem import Problem
@@ -70,6 +69,8 @@ class Family:
         The named inputs are plain numbers there, without derivatives, since they differ between
         members; differentiate at a member.
         """
+        from scipy.stats import qmc  # late: it takes a second to load
+
         unit = qmc.Sobol(len(self._low), rng=np.random.default_rng(0)).random(self._power)
         points = self._low + (self._high - self._low) * unit[: self.members]
         return replace(self.problem, simulator=Members(self._seen, points), inputs=self._others)

@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy import special
-from scipy.stats import qmc
 
 from .noise.counter import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
 from .simulator import Simulator
@@ -164,6 +163,8 @@ class Sobol(Scenarios):
 
     def _points(self, scramble: int, points: np.ndarray, width: int) -> np.ndarray:
         """Normals [points, width]; `points` ascend."""
+        from scipy.stats import qmc  # late: it takes a second to load
+
         sobol = qmc.Sobol(
             min(width, SOBOL_DIMENSIONS), rng=np.random.default_rng([self.seed, scramble])
         )

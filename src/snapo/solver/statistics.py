@@ -15,7 +15,7 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from snapo.problem.objective import CVaR
 
@@ -129,7 +129,7 @@ def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1
     Bonferroni's bound: each has (1 - level) / comparisons to spare.
     """
     spare = (1 - level) / max(1, comparisons)
-    return float(stats.t.isf(spare / 2, degrees)) if degrees > 0 else np.nan
+    return float(-special.stdtrit(degrees, spare / 2)) if degrees > 0 else np.nan
 
 
 def independent(*errors: float | np.ndarray) -> np.ndarray:

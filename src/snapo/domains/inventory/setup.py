@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from snapo.case.objective import make_objective
 from snapo.engine import EngineName
@@ -80,7 +80,7 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
     held = item.cost("holding") * lot
     ratio = 1 - held / (item.cost("shortage") * mean + held)
     periods = item.lead_time + 1
-    below = (safety_factor(case) - float(stats.norm.ppf(ratio))) * np.sqrt(periods) * deviation
+    below = (safety_factor(case) - float(ndtri(ratio))) * np.sqrt(periods) * deviation
     wait = below + half
     return float(lot - wait - half) / deviation, float(wait) / deviation
 

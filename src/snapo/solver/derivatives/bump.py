@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from snapo.engine import Engine
 from snapo.problem.inputs import Input
@@ -88,7 +88,7 @@ class Reaction(NamedTuple):
         if not error:
             return 0.0
         degrees = len(self.reaction) - 1 or np.inf
-        return float(2 * stats.t.sf(abs(value) / error, degrees))
+        return float(2 * special.stdtr(degrees, -abs(value) / error))
 
 
 def one_percent(values: Input) -> np.ndarray:

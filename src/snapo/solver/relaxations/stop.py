@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtri
-from scipy.stats import qmc
 
 from snapo.engine import Rollout
 from snapo.engine.base import cast
@@ -46,6 +45,8 @@ class StopRelaxation:
     description = "the innovations of a fitted value of the rights"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
+        from scipy.stats import qmc  # late: it takes a second to load
+
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
         if not isinstance(problem.sources.training, Pseudo):
             raise NotStopping(NOT_DRAWN)

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.stats import poisson
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
@@ -237,6 +236,8 @@ class OneFactorPoissonJumps(OneFactorJumps):
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput):
+        from scipy.stats import poisson  # late: it takes a second to load
+
         gap, last = delivery.ahead[0], delivery.ahead[-1]
         rate = float(numbers["jump_intensity"].values[0]) / YEAR
         size = 1 + 2 * max(int(poisson.isf(LOST, rate)), 1)

@@ -87,6 +87,8 @@ def count_mean() -> Any:
     return mean_key(LARGEST)
 
 
-def most_of(quantile: Any) -> int:
-    """The largest distinguished demand, by SciPy's quantile function at the largest mean."""
-    return int(np.ceil(quantile(1 - TAIL))) + 1
+def most_of(law: str, *parameters: float) -> int:
+    """The largest distinguished demand, of SciPy's `law` at the largest mean."""
+    from scipy import stats  # late: it takes a second to load
+
+    return int(np.ceil(getattr(stats, law)(*parameters).ppf(1 - TAIL))) + 1

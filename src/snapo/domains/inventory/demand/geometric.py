@@ -3,7 +3,6 @@
 from typing import Literal
 
 import jax.numpy as jnp
-from scipy import stats
 
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
@@ -30,7 +29,7 @@ class GeometricDemand(CountDemand):
     @classmethod
     def read(cls, section: TableContext, table: GeometricTable, maximum: float):
         mean = ROOM * maximum * table.mean.values[0]
-        return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean)
+        return cls(most_of("nbinom", 1, 1 / (1 + mean)), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor

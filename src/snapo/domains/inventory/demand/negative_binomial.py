@@ -4,7 +4,6 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
-from scipy import stats
 
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
@@ -45,7 +44,7 @@ class NegativeBinomialDemand(CountDemand):
             raise section.error("deviation", deviation, message)
         size = mean**2 / (deviation**2 - mean)
         largest = ROOM * maximum * mean
-        result = most_of(stats.nbinom(size, size / (size + largest)).ppf)
+        result = most_of("nbinom", size, size / (size + largest))
         return cls(result, table.mean, table.deviation)
 
     def logarithms(self, parameters, factor, k):

@@ -4,7 +4,6 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
-from scipy import stats
 
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
@@ -31,7 +30,7 @@ class PoissonDemand(CountDemand):
     @classmethod
     def read(cls, section: TableContext, table: PoissonTable, maximum: float):
         mean = ROOM * maximum * table.mean.values[0]
-        return cls(most_of(stats.poisson(mean).ppf), table.mean)
+        return cls(most_of("poisson", mean), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor

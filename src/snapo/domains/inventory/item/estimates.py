@@ -1,7 +1,7 @@
 """Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from .records import InventoryCase
 
@@ -26,7 +26,12 @@ def safety_factor(case: InventoryCase) -> float:
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
     ratio = item.cost("shortage") / (item.cost("shortage") + holding)
-    return float(np.clip(stats.norm.ppf(ratio), -1.0, 4.0))
+    return float(np.clip(ndtri(ratio), -1.0, 4.0))
+
+
+def density_at(share: float) -> float:
+    """The standard normal density at the quantile that this share of demands is below."""
+    return float(np.exp(-(ndtri(share) ** 2) / 2) / np.sqrt(2 * np.pi))
 
 
 def economic_lot(case: InventoryCase) -> float:
@@ -43,8 +48,8 @@ def usual_cost(case: InventoryCase) -> float:
     item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")
     lots = economic_lot(case) * holding * shortage / (holding + shortage)
-    dense = float(stats.norm.pdf(stats.norm.ppf(shortage / (shortage + holding))))
-    safety = (holding + shortage) * dense * np.sqrt(periods) * usual_deviation(case)
+    density = density_at(shortage / (shortage + holding))
+    safety = (holding + shortage) * density * np.sqrt(periods) * usual_deviation(case)
     return float(np.hypot(lots, safety)) + item.cost("purchase") * mean_demand(case)
 
 

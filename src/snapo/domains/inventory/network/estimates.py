@@ -2,9 +2,10 @@
 place."""
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from ..demand.base import MEAN
+from ..item.estimates import density_at
 from .records import NetworkCase
 
 
@@ -20,7 +21,7 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
         up = _above(case, i)
         holding = float(case.holding.values[i])
         ratios = (p + up) / (p + local), (p + up) / (p + max(holding, up))
-        averages.append(np.mean([stats.norm.ppf(min(ratio, 0.9999)) for ratio in ratios]))
+        averages.append(np.mean([ndtri(min(ratio, 0.9999)) for ratio in ratios]))
     return np.clip(averages, -1.0, 4.0)
 
 
@@ -85,7 +86,7 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     for k, i in enumerate(case.network.fixed):
         p = _costs_below(case, i)[0] + _above(case, i)
         held = _echelon_cost(case, i) * lots[i]
-        factor = float(stats.norm.ppf(1 - held / (p * mean[i] + held)))
+        factor = float(ndtri(1 - held / (p * mean[i] + held)))
         below = (safety[i] - factor) * np.sqrt(case.network.cover[i]) * unit[i]
         wait[k] = (below + mean[i] / 2) / unit[i]
         batch[i] = (lots[i] - below - mean[i]) / unit[i]
@@ -111,8 +112,7 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
         selected[i] += cost * mean[i] / lots[i]
     for i in case.network.sellers:
         p, h = _costs_below(case, i)
-        dense = float(stats.norm.pdf(stats.norm.ppf(p / (p + h))))
-        safety = (h + p) * dense * np.sqrt(lead_time[i] + 1) * unit[i]
+        safety = (h + p) * density_at(p / (p + h)) * np.sqrt(lead_time[i] + 1) * unit[i]
         selected[i] = np.hypot(lots[i] * h * p / (h + p), safety)
     return selected
 

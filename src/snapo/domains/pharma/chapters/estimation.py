@@ -5,8 +5,7 @@ from dataclasses import dataclass, fields
 
 import jax
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import chdtrc, stdtrit
 
 from snapo.case.quantity import numbers_in
 from snapo.report.drawing import draw
@@ -82,7 +81,7 @@ def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> V
         error = error * np.sqrt(fit.scale)
     spread = slope @ fit.covariance @ slope.T
     deviation = np.sqrt(np.diag(spread))
-    factor = student.ppf((1 + estimation.level) / 2, max(fit.freedom, 1))
+    factor = stdtrit(max(fit.freedom, 1), (1 + estimation.level) / 2)
     half = factor * np.sqrt(deviation**2 + error**2)
     inside = np.abs(measured - predicted) <= half
     low, high = interval(inside.mean(), inside.size)
@@ -91,7 +90,7 @@ def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> V
         at = slice(start, start + len(item.time))
         off, complete = (measured - predicted)[at], spread[at, at] + np.diag(error[at] ** 2)
         size = float(off @ np.linalg.solve(complete, off))
-        tail = float(chi2.sf(size, len(off)))
+        tail = float(chdtrc(len(off), size))
         batches.append(Agreement(item.name, len(off), int(inside[at].sum()), size, tail))
         start += len(item.time)
     share = float(inside.mean())

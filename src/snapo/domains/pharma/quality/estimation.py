@@ -18,9 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import chi2 as chi_squared
-from scipy.stats import qmc
-from scipy.stats import t as student
+from scipy.special import chdtrc, gammaincinv, stdtrit
 
 from snapo.study.chapter import Floats, Number
 
@@ -90,6 +88,8 @@ def fit(process: "Process", estimation: Estimation) -> ParameterFit:
 
     residual = jax.jit(lambda x: (model(numbers_of(x, log)) - measured) / error)
     slope = jax.jit(jax.jacfwd(residual))
+    from scipy.stats import qmc  # late: it takes a second to load
+
     shares = qmc.Halton(len(local), scramble=False).random(estimation.starts)[1:]
     begins = [variables_of(local, log), *(low + shares * (high - low))]
     searched = []
@@ -135,7 +135,7 @@ def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
     quadratic joins to it is the same, or lies along a direction that the data leave free."""
     count, size = result.jac.shape
     scale = _scale(2 * result.cost, count - size, estimation.errors)
-    room = chi_squared.ppf(estimation.level, size) * scale
+    room = 2 * gammaincinv(size / 2, estimation.level) * scale
     selected = [result]
     for item in sorted(searched, key=lambda one: one.cost):
         valid = item.status > 0 and 2 * (item.cost - result.cost) <= room
@@ -147,7 +147,7 @@ def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
 def _scale(chi2: float, freedom: int, errors: str) -> float:
     """The factor on the covariance of known errors."""
     freedom = max(freedom, 1)
-    if errors == "relative" or chi_squared.sf(chi2, freedom) < DOUBT:
+    if errors == "relative" or chdtrc(freedom, chi2) < DOUBT:
         return chi2 / freedom
     return 1.0
 
@@ -217,11 +217,11 @@ def _judged(result, others, measured, resolved, low, high, names, estimation) ->
             result.jac[:, inside], width[inside]
         )
     deviation = np.sqrt(np.diag(covariance))
-    half = student.ppf((1 + estimation.level) / 2, max(freedom, 1)) * deviation
+    half = stdtrit(max(freedom, 1), (1 + estimation.level) / 2) * deviation
     endpoints = [result.x - half, result.x + half]
     # At a bound chi^2 rises from the start: to where it is larger by t^2, one-sided.
     gradient = np.abs(result.jac.T @ result.fun)
-    maximum = scale * student.ppf(estimation.level, max(freedom, 1)) ** 2
+    maximum = scale * stdtrit(max(freedom, 1), estimation.level) ** 2
     variance = np.maximum(np.diag(complete), 1e-300)
     reach = variance * (np.sqrt(gradient**2 + maximum / variance) - gradient)
     endpoints[0] = np.where(
@@ -236,7 +236,7 @@ def _judged(result, others, measured, resolved, low, high, names, estimation) ->
     correlation = np.where(
         np.outer(available, available), covariance / np.outer(sizes, sizes), np.eye(size)
     )
-    tail = np.nan if estimation.errors == "relative" else chi_squared.sf(chi2, max(freedom, 1))
+    tail = np.nan if estimation.errors == "relative" else chdtrc(max(freedom, 1), chi2)
     return ParameterFit(
         names=names,
         values=_numbers(result.x, log),
