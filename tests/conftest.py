@@ -32,6 +32,7 @@ from hypothesis import settings
 from tests.miniatures import MINIATURES
 
 from snapo.lanes.machine import disk, pipeline
+from snapo.report import drawing
 from snapo.testing.miniature import once
 
 # The same examples every time: a test that fails today failed yesterday.
@@ -50,6 +51,19 @@ def pytest_configure(config):
     gc.set_threshold(20_000, 20, 20)
     if LEVEL == "low" and "not prove" in config.option.markexpr:
         disk.PIPELINE = pipeline.PIPELINE = pipeline.Pipeline(speed_level=0, code_level=0)
+
+
+@pytest.fixture
+def sketched(monkeypatch):
+    """Charts are painted but neither laid out nor written, which is what takes the time."""
+
+    def sketch(paint, size, grid, face="none"):
+        from matplotlib.figure import Figure
+
+        paint(*Figure().subplots(**grid, squeeze=False).ravel())
+        return '<svg viewBox="0 0 1 1"></svg>'
+
+    monkeypatch.setattr(drawing, "_svg", sketch)
 
 
 MOST_MAPS = 30_000

@@ -126,6 +126,7 @@ def test_a_wrong_sweep_is_refused_before_it_is_valued(setting, message, store):
         sweep_book(store, [setting])
 
 
+@pytest.mark.prove
 def test_a_sweep_values_the_policy_of_the_case_at_every_point(store, tmp_path):
     """As stresses of a book do; table, CSV and picture have every point."""
     settings = [*LITTLE, "evaluation.paths=512", f"{COST}=0.02,0.07", f"{LEVEL}=60:80:2"]

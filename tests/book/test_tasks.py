@@ -50,6 +50,7 @@ def test_a_policy_for_each_stress_is_that_of_the_stressed_case(tmp_path):
     assert points(held, tmp_path / "c")["first"]["dear"].value != stressed.value
 
 
+@pytest.mark.prove
 def test_many_stresses_are_further_orders_of_the_same_policy(tmp_path):
     """One stress alone, and as the last of 27, which is in another order: the same bits."""
     last = '[[stress]]\nname = "last"\nscale = { "market.forward_curve" = 1.2 }\n'
@@ -107,6 +108,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
     assert not nobody.judged
 
 
+@pytest.mark.prove
 def test_a_judged_contract_has_verdicts(tmp_path):
     file = write_book(tmp_path, ONE, stresses="", more="[tasks]\npaths = 512\nexposure = false\n")
     deltas = points(file, tmp_path / "run")["first"]["base"].deltas

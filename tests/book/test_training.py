@@ -58,6 +58,7 @@ def equal(one, two) -> None:
         np.testing.assert_array_equal(two.sensitivities.held[name].blocks, held.blocks)
 
 
+@pytest.mark.prove
 def test_a_solution_has_the_same_bits(setup, alone, monkeypatch):
     monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     executors = [Counting(), Counting()]
@@ -67,6 +68,7 @@ def test_a_solution_has_the_same_bits(setup, alone, monkeypatch):
     assert solution.notes == alone.notes
 
 
+@pytest.mark.prove
 def test_small_steps_have_one_note(setup, alone, monkeypatch):
     monkeypatch.setattr(distributed, "MIN_SECONDS", 1e3)
     executor = Counting()

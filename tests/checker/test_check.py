@@ -210,7 +210,8 @@ class SellsOnce(Sells):
         return after | {"right": right}, outputs | {"sold": used * now["price"]}
 
 
-@pytest.mark.parametrize("rights", [pytest.param(1, marks=pytest.mark.prove), 2])
+@pytest.mark.prove
+@pytest.mark.parametrize("rights", [1, 2])
 def test_a_stop_that_is_not_used_up_is_told(rights):
     found = check(Sells(action=Stop(rights)), inputs())
     assert any("more often than its rights" in each.subject for each in found), str(found)

@@ -1,6 +1,7 @@
 """What looks idle or wrong with decisions held, and is neither."""
 
 import jax.numpy as jnp
+import pytest
 
 import snapo
 from snapo.checker.check import check
@@ -61,6 +62,7 @@ class Charging(snapo.Simulator):
         return {"need": need}, {"cost": now["price"] * jnp.sum(power), "missed": missed}
 
 
+@pytest.mark.prove
 def test_rounding_of_an_output_that_is_zero_is_no_derivative():
     given = {"need": snapo.Input([20.0, 15.0]), "limit": snapo.Input(12.0)}
     assert not len(findings := check(Charging(), given)), str(findings)
@@ -96,6 +98,7 @@ class Named(Sold):
         return ("rate",)
 
 
+@pytest.mark.prove
 def test_a_mean_of_whole_numbers_made_in_the_step_is_told_with_its_remedy():
     given = {"rate": snapo.Input(4.0)}
     (found,) = check(Sold(), given)

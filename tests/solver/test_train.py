@@ -329,6 +329,7 @@ class Brittle(Breaks):
         return {"water": water}, {"cash": jax.numpy.where(action[0] > 0.6, -np.inf, action[0])}
 
 
+@pytest.mark.prove
 def test_a_training_that_breaks_late_is_not_said_to_be_converged():
     training = snapo.Training(steps=400, paths=64, validation_paths=64, learning_rate=0.03)
     evaluation = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=0, judge_paths=0)

@@ -104,6 +104,7 @@ def test_files_that_hold_no_policy_are_refused(tmp_path):
 # Whole runs.
 
 
+@pytest.mark.prove
 def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys, request):
     """Into the folder of the earlier run, whose policy is removed there; then resumed."""
     run = Path(shutil.copytree(solved("inventory") / "run", tmp_path / "run"))
@@ -128,6 +129,7 @@ def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys, 
     assert "given policy" in capsys.readouterr().out
 
 
+@pytest.mark.prove
 def test_an_interrupted_run_reports_its_best_policy_and_goes_on(
     solved, tmp_path, capsys, monkeypatch
 ):

@@ -64,6 +64,7 @@ def test_a_plant_has_no_numbers(size):
     assert jax.tree.leaves(plant(size).plant) == []
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("size", ["pendulum", "measured"])
 def test_a_second_plant_compiles_nothing_and_has_its_own_bits(size):
     setup = make_setup(plant(size), "native")

@@ -132,6 +132,7 @@ def lot(cost: float, mean: float):
     return case(law, holding=cost / 10, order=cost, **tables)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("made", [lot, line])
 def test_a_second_inventory_compiles_nothing_and_has_its_own_bits(made):
     setup = make_setup(made(8.0, 5.0), "native")

@@ -56,6 +56,7 @@ def test_what_a_report_needs(solution, tmp_path, monkeypatch):
         solution.report(tmp_path / "x.html")
 
 
+@pytest.mark.prove
 def test_inputs_of_any_shape_and_label_are_written_and_read(tmp_path):
     from snapo.domains.own.in_python import _carry_out, _domain
 
@@ -78,6 +79,7 @@ def test_inputs_of_any_shape_and_label_are_written_and_read(tmp_path):
         assert (case.inputs[name].value == entry.value).all() and case.inputs[name] == entry, name
 
 
+@pytest.mark.prove
 def test_a_run_has_the_report_of_its_run(solved, tmp_path):
     run = solved("inventory") / "run"
     loaded = snapo.Solution.load(run)

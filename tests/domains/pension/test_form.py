@@ -144,6 +144,7 @@ def test_a_second_fund_compiles_nothing_and_has_its_own_bits(kind):
     assert jax.tree.all(jax.tree.map(np.array_equal, after.policy, alone.policy))
 
 
+@pytest.mark.prove
 def test_another_form_is_made_anew():
     first = market_cases.full(3)
     other = replace(first, liability=BASES[2])

@@ -147,6 +147,7 @@ def test_ctrl_c_returns_promptly():
             child.kill()
 
 
+@pytest.mark.prove
 def test_memory_outlives_two_interrupts(monkeypatch):
     """A helper is at work when a second Ctrl-C ends the waiting: its rows must still be there."""
     inputs = _captured(Store())

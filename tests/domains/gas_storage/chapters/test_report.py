@@ -7,12 +7,10 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import pytest
-from matplotlib.figure import Figure
 from tests.domains.gas_storage.chapters.sample_run import RESULT, sample_details, write_run
 
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.report import SECTIONS, readme_picture
-from snapo.report import drawing
 from snapo.study.carry_out import write_report
 
 NAMES = [
@@ -165,7 +163,9 @@ def test_the_change_of_a_delta_in_training_is_folded_and_explained(full):
     assert "not the gas in store" in shown
 
 
-def test_a_parallel_shift_has_its_interval_and_one_around_zero_is_not_significant(tmp_path):
+def test_a_parallel_shift_has_its_interval_and_one_around_zero_is_not_significant(
+    tmp_path, sketched
+):
     rates = {"input": "interest_rate", "value": -13430.0, "low": -14430.0, "high": -12430.0}
     text = text_of(page(tmp_path, parallel_shifts=[rates]))
     assert "continuous zero rate 10 bp, all 3 numbers together −13.4 ± 1.0 " in text
@@ -192,17 +192,6 @@ def test_text_of_the_case_is_escaped(tmp_path):
     assert "<b>" not in html
     assert "&lt;script&gt;alert" in html
     assert Outline(html).sections == NAMES
-
-
-@pytest.fixture
-def sketched(monkeypatch):
-    """Charts are painted but neither laid out nor written, which is what takes the time."""
-
-    def sketch(paint, size, grid, face="none"):
-        paint(*Figure().subplots(**grid, squeeze=False).ravel())
-        return '<svg viewBox="0 0 1 1"></svg>'
-
-    monkeypatch.setattr(drawing, "_svg", sketch)
 
 
 @pytest.mark.prove

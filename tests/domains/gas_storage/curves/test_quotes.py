@@ -131,6 +131,7 @@ def test_mistakes_are_named(tmp_path, quotes, market, words):
     assert words in str(error.value)
 
 
+@pytest.mark.prove
 def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_path):
     dates = {"start": D(2026, 1, 10), "end": D(2026, 3, 20)}
     quotes = {"2026-01": 32.2, "2026-Q1": 31.4, "2026-04": 27.0}

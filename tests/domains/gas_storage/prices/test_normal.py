@@ -101,6 +101,7 @@ def test_a_large_shift_is_the_normal_price(tmp_path):
     assert abs(value - lattice(normal.schedule, factors(normal), "linear").value) < 0.5
 
 
+@pytest.mark.prove
 def test_a_constant_added_to_the_curve_leaves_every_path_as_it_is(tmp_path):
     """Without fuel and interest: the rule of the fitted value earns the same on each path."""
     totals = []

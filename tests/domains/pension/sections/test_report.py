@@ -221,13 +221,19 @@ HISTORY = (
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """A run folder with everything in it."""
+def drawn(tmp_path):
+    """A run folder with everything in it, whose charts are drawn."""
     (tmp_path / "result.json").write_text(json.dumps(RESULT))
     (tmp_path / "history.csv").write_text(HISTORY)
     (tmp_path / "parts").mkdir()
     keep(tmp_path, sample())
     return tmp_path
+
+
+@pytest.fixture
+def folder(drawn, sketched):
+    """The same folder; its charts are sketched."""
+    return drawn
 
 
 def keep(folder, details: dict) -> None:
@@ -314,8 +320,8 @@ def test_a_weight_that_never_leaves_its_bound_is_a_sentence_on_its_class():
         assert in_classes(other, case) == other  # a swap's place; another note; within its range
 
 
-def test_the_page_is_whole_and_needs_nothing(folder):
-    html = write_report(folder).read_text(encoding="utf-8")
+def test_the_page_is_whole_and_needs_nothing(drawn):
+    html = write_report(drawn).read_text(encoding="utf-8")
     parser = Balanced()
     parser.feed(html)
     assert not parser.open
@@ -328,9 +334,9 @@ def test_the_page_is_whole_and_needs_nothing(folder):
 
 
 @pytest.mark.prove
-def test_the_same_files_give_the_same_page(folder):
-    first = write_report(folder).read_bytes()
-    assert write_report(folder).read_bytes() == first
+def test_the_same_files_give_the_same_page(drawn):
+    first = write_report(drawn).read_bytes()
+    assert write_report(drawn).read_bytes() == first
 
 
 def test_numbers_carry_their_units_and_their_measure(folder):

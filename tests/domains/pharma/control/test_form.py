@@ -134,6 +134,7 @@ def test_what_is_compiled_in_is_part_of_the_form(change):
     assert made[0] != made[1] == closed_loop(reactor(1.05, **change)).simulator
 
 
+@pytest.mark.prove
 def test_a_second_process_compiles_nothing_and_has_its_own_bits():
     loop = ClosedLoop(reactor(), "xla")
     first, other = loop.setup(), reactor(1.05)
