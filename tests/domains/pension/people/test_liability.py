@@ -10,7 +10,13 @@ from tests.domains.pension.people_cases import given, lee_carter, people_case, p
 
 from snapo.domains.pension.fund.schedule import basis_log_bond
 from snapo.domains.pension.people.cash_flows import horizon, project
-from snapo.domains.pension.people.liability import forward_discount, nodes, on_nodes, people
+from snapo.domains.pension.people.liability import (
+    _mean,
+    forward_discount,
+    nodes,
+    on_nodes,
+    people,
+)
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability, Reconcile
 from snapo.domains.pension.results.figures.reconcile import check, figures
@@ -193,3 +199,13 @@ def test_an_empty_fund_has_no_value_and_finite_weights():
     with jax.enable_x64(True):
         discount = forward_discount(case, jnp.zeros(horizon(case) + 1))
         assert on_nodes(case, jnp.zeros(horizon(case)), discount).shape == (7, len(nodes(1 / 12)))
+
+
+@pytest.mark.parametrize("weight", [0.0, 1e-320, 1e-200, 1e-100, 2.0])
+def test_a_mean_over_people_who_are_surely_dead_has_a_derivative(weight):
+    """Of an open plan with exact ages and Lee-Carter mortality, twelve inputs had NaN."""
+    with jax.enable_x64(True):
+        by_total, by_weight = jax.grad(lambda t, w: _mean(3 * t, w) + w, (0, 1))(weight, weight)
+    due = weight > 1e-150
+    np.testing.assert_allclose(by_total, 3 / weight if due else 0.0, rtol=1e-14)
+    np.testing.assert_allclose(by_weight, 1 - 3 / weight if due else 1.0, rtol=1e-14)

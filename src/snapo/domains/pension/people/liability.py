@@ -55,8 +55,14 @@ def longevity(
     weight = rights[:, 1:] * ahead[:, 1 : steps + 1]
     total = weight.sum(0)
     fall = jnp.sum(weight * (here[:, 1:] - here[:, :-1]), axis=0)
-    decline = jnp.where(total > 0, fall / jnp.where(total > 0, total, 1.0), 0.0)
-    return Longevity(jnp.append(decline, 0.0), flow)
+    return Longevity(jnp.append(_mean(fall, total), 0.0), flow)
+
+
+def _mean(total: Array, weight: Array) -> Array:
+    """`total` over `weight`; 0, without a gradient, where the weight is zero or so small that its
+    square, by which the derivative divides, is not: what is due to people who are surely dead."""
+    due = weight > np.sqrt(np.finfo(weight.dtype).tiny)
+    return jnp.where(due, total / jnp.where(due, weight, 1.0), 0.0)
 
 
 def _response(
@@ -199,7 +205,7 @@ def _mix(case: PensionModel, by_step: Array, fresh: Array, discount: Array) -> F
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
     local = jnp.sum(due * discount[1:], axis=1)
-    return jnp.where(value > 0, local / jnp.where(value > 0, value, 1.0), 0.0)
+    return _mean(local, value)
 
 
 def _outlook(
@@ -215,4 +221,4 @@ def _outlook(
     flow = projection.accrued + fresh
     value = on_nodes(case, flow, discount)
     weighted = on_nodes(case, deaths.flow, discount)
-    return jnp.where(value > 0, weighted / jnp.where(value > 0, value, 1.0), 0.0)
+    return _mean(weighted, value)
