@@ -152,6 +152,7 @@ def test_a_sweep_values_the_policy_of_the_case_at_every_point(store, tmp_path):
     assert values["set"] == rows["0.07", "60"]["value"]
 
 
+@pytest.mark.prove
 def test_a_sweep_with_training_is_the_contract_at_every_point(store, tmp_path):
     settings = [*LITTLE, "evaluation.paths=512"]
     trained = sweep_book(store, [*settings, f"{COST}=0.02:0.07:2"], train=True)

@@ -83,8 +83,8 @@ def rolled(problem, source=None, paths=8, policy=FORCED, engine=None):
     ("source", "first", "start"),
     [
         (Pseudo(3), 0, 1),
-        (Pseudo(3), 0, 30),
-        (Pseudo(3, antithetic=False), 2, 40),
+        pytest.param(Pseudo(3), 0, 30, marks=pytest.mark.prove),
+        pytest.param(Pseudo(3, antithetic=False), 2, 40, marks=pytest.mark.prove),
         (Sobol(3), 2, 40),
     ],
 )
@@ -119,6 +119,7 @@ def test_the_law_of_the_first_day_is_the_closed_form(store, start):
         assert_allclose(shock @ shock.T, expected, rtol=1e-11, atol=1e-16)
 
 
+@pytest.mark.prove
 def test_derivatives_are_central_differences(store):
     problem, paths, policy = store(30, 40), 64, Constant(np.array([0.3, 0.2]))
     draws = Pseudo(5).draws(np.arange(paths), problem.simulator)

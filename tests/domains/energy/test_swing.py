@@ -235,6 +235,7 @@ def test_a_large_shift_is_the_normal_price():
     assert values[0] - 3 * found.upper.standard_error < found.upper.value < 1.005 * values[0]
 
 
+@pytest.mark.prove
 def test_spikes_in_rule_and_bound():
     """The methods of the core in factor and spike, around the lattice."""
     model = {

@@ -43,6 +43,7 @@ def test_every_case_has_its_words(name, tmp_path):
     assert all("nan" not in line and "None" not in line for line in lines)
 
 
+@pytest.mark.prove
 def test_a_loading_reserves_a_share_of_every_payment_and_pays_none_of_it():
     rate, loading = given("liability_rate", 0.0), given("liability_expense_loading", 0.03)
     bare = people_case(6, liability=Liability("risk-free", rate, "none"))
