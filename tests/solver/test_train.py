@@ -150,6 +150,24 @@ def test_ctrl_c_returns_the_best_policy_so_far():
     assert len(snapo.solve_seeds(PROBLEM, seeds=3, training=SHORT, **values).solutions) == 1
 
 
+@pytest.mark.prove
+@pytest.mark.parametrize("starts", [1, 2])
+def test_a_callback_that_fails_after_an_interrupt_loses_nothing(starts):
+    seen = []
+
+    def write(progress):
+        seen.append(progress)
+        if len(seen) > 1:
+            raise KeyboardInterrupt if len(seen) == 2 else OSError("disk full")
+
+    training = replace(SHORT, starts=starts)
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0)
+    values = {"evaluation": evaluation, "engine": "xla", "callbacks": [write]}
+    solution = snapo.solve(PROBLEM, training=training, **values)
+    assert solution.status == "interrupted" and len(seen) == 3
+    assert "The callback write failed: OSError: disk full." in solution.notes
+
+
 def test_ctrl_c_in_a_race_of_starts_leaves_the_best_of_them():
     first = fresh(SHORT)
     started = [replace(first, best_value=value) for value in (1.0, 3.0, 2.0)]

@@ -122,7 +122,7 @@ def solve(
             except Interrupted as stop:
                 stopped: Progress = stop.result
                 progress = replace(stopped, status=INTERRUPTED)
-                notes += (_interrupted(stopped.step, plan.steps),)
+                notes += (_interrupted(stopped.step, plan.steps), *stop.notes)
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)

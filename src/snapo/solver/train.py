@@ -50,6 +50,7 @@ from .learning.progress import (
     Record,
     begin_again,
     go_slower,
+    last_calls,
     marks,
     may_be_slower,
     stopped,
@@ -132,9 +133,7 @@ def train(
             if due and any([callback(progress) is True for callback in callbacks]):
                 progress = stopped(progress)
     except KeyboardInterrupt:
-        for callback in callbacks:
-            callback(progress)
-        raise Interrupted(progress) from None
+        raise Interrupted(progress, last_calls(callbacks, progress)) from None
     return progress
 
 

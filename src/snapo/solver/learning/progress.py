@@ -1,5 +1,6 @@
 """The state of a training, from which a stopped run can continue."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -28,11 +29,12 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C in work of which a part is done.
 
     - `result`: that part: the `Progress` of a training, a `Solution`, the tables of a run's part.
+    - `notes`: sentences on what failed after the interrupt.
     """
 
-    def __init__(self, result: Any):
+    def __init__(self, result: Any, notes: tuple[str, ...] = ()):
         super().__init__()
-        self.result = result
+        self.result, self.notes = result, notes
 
 
 class Record(NamedTuple):
@@ -229,6 +231,20 @@ def _begun_with(
         dual=Dual(),
         since=step,
     )
+
+
+def last_calls(
+    callbacks: Sequence[Callable[[Progress], object]], progress: Progress
+) -> tuple[str, ...]:
+    """Calls the callbacks after an interrupt. One that fails loses nothing: its error is a note."""
+    notes = []
+    for callback in callbacks:
+        try:
+            callback(progress)
+        except Exception as error:
+            name = getattr(callback, "__name__", type(callback).__name__)
+            notes.append(f"The callback {name} failed: {type(error).__name__}: {error}.")
+    return tuple(notes)
 
 
 def stopped(progress: Progress) -> Progress:

@@ -155,7 +155,8 @@ def race(
                 left[number] = run(item, until)
             except Interrupted as stop:
                 done = [*left.values(), stop.result]
-                raise Interrupted(max(done, key=lambda entry: entry.best_value)) from None
+                best = max(done, key=lambda entry: entry.best_value)
+                raise Interrupted(best, stop.notes) from None
         values = {number: float(entry.best_value) for number, entry in left.items()}
         ranked = sorted(left, key=lambda number: -np.nan_to_num(values[number], nan=-np.inf))
         rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))
