@@ -1,0 +1,1 @@
+"""Simulated profit and loss of a contract and its hedge."""
