@@ -87,7 +87,7 @@ def use_every_core() -> None:
 class Wanted(NamedTuple):
     """The options of `snapo solve` other than the case.
 
-    - `engine`, `reference`, `ladder`, `hedge`: as in `Options`; `resume`: continue the existing run.
+    - `engine`, `reference`, `ladder`, `hedge`: as in `Options`; `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
     - `workers`: compute groups of paths, with the same bits.

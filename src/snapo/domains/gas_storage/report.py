@@ -143,7 +143,8 @@ def today(run: StorageRun) -> Section:
 
 SECTIONS = (
     headline, today, VALUES, METHODS, value_bounds, cash_flow, POSITION, inventory, DELTAS,
-    daily, QUOTE_DELTAS, PRODUCT_DELTAS, HEDGE, risk, sliders, history, CERTIFICATE, assumptions, making,
+    daily, QUOTE_DELTAS, PRODUCT_DELTAS, HEDGE, risk, sliders, history, CERTIFICATE, assumptions,
+    making,
 )  # fmt: skip
 MENU = {
     "Today": today,

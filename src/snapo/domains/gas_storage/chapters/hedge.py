@@ -192,12 +192,18 @@ def row_of(hedge: SimulatedHedge, money: np.ndarray, groups: np.ndarray) -> Hedg
     total = money + sum(gain.gain for gain in hedge.gains.values())
     mean, deviation = statistics.mean(total, groups), statistics.deviation(total, groups)
     risk, shortfall = statistics.shortfall(total, LEVEL, groups)
-    pairs = (x for s in (mean, deviation, risk, shortfall) for x in (s.value, s.standard_error))
     traded, cost = (
         float(sum(np.mean(getattr(gain, name)) for gain in hedge.gains.values()))
         for name in ("traded", "cost")
     )
-    return HedgeRow(*hedge[:2], *pairs, _share(total, money), traded, cost)
+    return HedgeRow(
+        *(hedge.hedge, hedge.products),
+        *(mean.value, mean.standard_error),
+        *(deviation.value, deviation.standard_error),
+        *(risk.value, risk.standard_error),
+        *(shortfall.value, shortfall.standard_error),
+        *(_share(total, money), traded, cost),
+    )
 
 
 def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProduct]:
@@ -206,7 +212,8 @@ def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProd
     for family, (gain, cost, traded) in hedge.gains.items():
         shares = _share(money + gain, money), _share(total - gain, money)
         name = _words([family])
-        yield HedgeProduct(*hedge[:2], name, *shares, float(traded.mean()), float(cost.mean()))
+        about = hedge.hedge, hedge.products, name
+        yield HedgeProduct(*about, *shares, float(traded.mean()), float(cost.mean()))
 
 
 def _share(total: np.ndarray, money: np.ndarray) -> float:

@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -155,7 +156,7 @@ class _Total:
         marks = {x for row, _ in (*before, *now) for x in (row.block.first, row.block.after)}
         marks = sorted({max(x, t + 1) for x in marks})
         nothing = np.zeros(self.part.count)
-        for first, after in zip(marks, marks[1:]):
+        for first, after in pairwise(marks):
             old, new = (_on(positions, first) for positions in (before, now))
             row = new or old
             if row is None:

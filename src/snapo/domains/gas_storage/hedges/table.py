@@ -1,9 +1,9 @@
 """`[hedge]`: the hedges that `snapo solve --hedge` simulates.
 
-    [hedge]
-    deltas = [["months"], ["months", "balance_of_month", "day_ahead"]]
-    least_variance = [["months", "day_ahead"]]
-    paths = 8192
+[hedge]
+deltas = [["months"], ["months", "balance_of_month", "day_ahead"]]
+least_variance = [["months", "day_ahead"]]
+paths = 8192
 """
 
 from collections.abc import Sequence

@@ -124,7 +124,8 @@ class TradedProducts:
     def families(self) -> tuple[str, ...]:
         """The keys of [products] of which something trades, the day-ahead always."""
         there = {DAY_AHEAD, *(product.family for product in self.products)}
-        return tuple(x for x in FAMILIES if x in there or (x == BALANCE and self.balance is not None))
+        there |= set() if self.balance is None else {BALANCE}
+        return tuple(family for family in FAMILIES if family in there)
 
     def only(self, families: Collection[str]) -> Self:
         """Those of these families, and the day itself."""
