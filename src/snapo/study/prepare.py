@@ -149,8 +149,9 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     decides, values = decided(loaded, out, requested)
     before = run_folder.check_same(out, decides) if requested.resume else None
     about = before.get("about") if before else requested.about
-    asked = requested.reference, about, requested.ladder, requested.hedge
-    request = Options(requested.engine, *asked)
+    request = Options(
+        requested.engine, requested.reference, about, requested.ladder, requested.hedge
+    )
     study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
     if requested.ladder:
         from .chapters.ladder import METHODS

@@ -8,7 +8,8 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES, read
 
 from snapo.case.error import CaseError
-from snapo.domains.gas_storage.hedges.held import DELTAS, LEAST, DailyHedge, Overnight, usual_hedges
+from snapo.domains.gas_storage.hedges import DELTAS, MIN_VARIANCE, DailyHedge, usual_hedges
+from snapo.domains.gas_storage.hedges.held import Overnight
 from snapo.domains.gas_storage.ladder.products import TradedProducts, usual_products
 from snapo.study import commands
 from snapo.study.domain import CaseRequest
@@ -79,12 +80,12 @@ def test_hedges_without_a_table():
     assert [hedge.families for hedge in hedges if hedge.rule == DELTAS] == [
         (MONTHS,), (BALANCE, MONTHS), (DAY_AHEAD, BALANCE, MONTHS),
     ]  # fmt: skip
-    assert [hedge.families for hedge in hedges if hedge.rule == LEAST] == [
+    assert [hedge.families for hedge in hedges if hedge.rule == MIN_VARIANCE] == [
         (DAY_AHEAD,), (MONTHS,), (DAY_AHEAD, MONTHS),
     ]  # fmt: skip
     assert usual_hedges((DAY_AHEAD,)) == (
         DailyHedge(DELTAS, (DAY_AHEAD,)),
-        DailyHedge(LEAST, (DAY_AHEAD,)),
+        DailyHedge(MIN_VARIANCE, (DAY_AHEAD,)),
     )
 
 
@@ -111,7 +112,7 @@ def test_a_table_of_hedges():
     [
         ({"delta": []}, "hedge.delta", "nearest known key is deltas"),
         ({"deltas": [["month"]]}, "hedge.deltas", '"months"'),
-        ({"deltas": [["quarters"]]}, "hedge.deltas", "allowed is what trades"),
+        ({"deltas": [["quarters"]]}, "hedge.deltas", "keys of [products] that trade"),
         ({"deltas": [[]]}, "hedge.deltas", "at least one product"),
         ({"deltas": ["months"]}, "hedge.deltas", "list"),
         ({"paths": 10}, "hedge.paths", "256"),
@@ -151,9 +152,9 @@ def test_a_run_simulates_its_hedges(tmp_path):
     rows = {(row["hedge"], row["products"]): row for row in table["hedges"]}
     assert len(rows) == 11 and table["paths"] == 2048 and not table["reason"]
     full = rows["Daily, deltas", "day ahead, balance of month, months"]
-    alone = rows["None", ""]
-    assert full["not_hedged"] < 0.3 and alone["not_hedged"] == 1
-    assert full["deviation"] ** 2 / alone["deviation"] ** 2 == pytest.approx(full["not_hedged"])
+    bare = rows["None", ""]
+    assert full["not_hedged"] < 0.3 and bare["not_hedged"] == 1
+    assert full["deviation"] ** 2 / bare["deviation"] ** 2 == pytest.approx(full["not_hedged"])
     for row in rows.values():
         assert (
             abs(row["mean"] - result["value"])
@@ -162,9 +163,9 @@ def test_a_run_simulates_its_hedges(tmp_path):
         assert 0 < row["value_at_risk"] < row["expected_shortfall"] and row["cost"] == 0
     products = [row for row in table["by_product"] if row["products"] == full["products"]]
     assert [row["product"] for row in products] == ["day ahead", "balance of month", "months"]
-    assert all(np.isfinite([row["alone"], row["without"]]).all() for row in products)
+    assert all(np.isfinite([row["single"], row["without"]]).all() for row in products)
     lines = (out / "hedge.csv").read_text().splitlines()
     assert lines[0].startswith("hedge,products,mean,mean_error") and len(lines) == 12
-    assert (out / "hedge_products.csv").read_text().startswith("hedge,products,product,alone")
+    assert (out / "hedge_products.csv").read_text().startswith("hedge,products,product,single")
     assert "Profit and loss with a hedge" in (out / "report.html").read_text()
     assert any(line.startswith("hedge: None: standard deviation") for line in printed)

@@ -7,9 +7,10 @@ import pytest
 from scipy.special import ndtr
 from tests.domains.gas_storage.hedges.slow_store import DAYS, SlowStore, dates, plan
 
+from snapo.domains.gas_storage.hedges import DELTAS, MIN_VARIANCE, DailyHedge
 from snapo.domains.gas_storage.hedges.exposures import FittedExposures, StorePaths, sensitivities
-from snapo.domains.gas_storage.hedges.held import DELTAS, LEAST, DailyHedge, Overnight, by_day
-from snapo.domains.gas_storage.hedges.simulate import DailyHedges, Gains, static
+from snapo.domains.gas_storage.hedges.held import Overnight, by_day
+from snapo.domains.gas_storage.hedges.simulate import DailyHedges, HedgeGains, static
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.products import TradedProduct, TradedProducts, usual_products
 from snapo.domains.gas_storage.prices.process import GaussianFactors
@@ -21,14 +22,14 @@ DAILY = {
     DailyHedge(DELTAS, MONTHS): (108.53, 86.90),
     DailyHedge(DELTAS, BALANCE + MONTHS): (32.63, 32.03),
     DailyHedge(DELTAS, DAY_AHEAD + BALANCE + MONTHS): (28.85, 28.32),
-    DailyHedge(LEAST, MONTHS): (116.80, None),
-    DailyHedge(LEAST, DAY_AHEAD): (339.34, None),
-    DailyHedge(LEAST, DAY_AHEAD + MONTHS): (24.58, None),
+    DailyHedge(MIN_VARIANCE, MONTHS): (116.80, None),
+    DailyHedge(MIN_VARIANCE, DAY_AHEAD): (339.34, None),
+    DailyHedge(MIN_VARIANCE, DAY_AHEAD + MONTHS): (24.58, None),
 }
 UNHEDGED, VALUE = 371.85, 656.153
 
 
-def gained(gains: Gains) -> np.ndarray:
+def gained(gains: HedgeGains) -> np.ndarray:
     return sum((gain.gain for gain in gains.values()), np.zeros(()))
 
 
@@ -136,7 +137,7 @@ def test_the_mean_falls_by_half_the_spread_times_the_volume_traded():
         days, first, tuple(x._replace(bid_offer=0.4) for x in free.products), 0.4, (0.4, 0.0)
     )
     hedges = [DailyHedge(DELTAS, DAY_AHEAD + BALANCE + MONTHS), DailyHedge(DELTAS, MONTHS)]
-    hedges += [DailyHedge(LEAST, DAY_AHEAD + MONTHS)]
+    hedges += [DailyHedge(MIN_VARIANCE, DAY_AHEAD + MONTHS)]
     without, gains = (DailyHedges(Overnight(x), hedges).simulated(fit, paths) for x in (free, dear))
     without += [static(paths, Overnight(free).to_delivery(), fit.volumes, 0)]
     gains += [static(paths, Overnight(dear).to_delivery(), fit.volumes, 0)]
@@ -153,7 +154,7 @@ def test_one_product_hedges_one_factor():
     prices, forward = one_factor(), forward_curve()
     fit, paths = options(8192, 1, prices, forward), options(8192, 2, prices, forward)
     days = tuple(datetime.date(2026, 3, 10) + datetime.timedelta(n) for n in range(SHORT))
-    hedge = [DailyHedge(LEAST, DAY_AHEAD)]
+    hedge = [DailyHedge(MIN_VARIANCE, DAY_AHEAD)]
     (gains,) = DailyHedges(Overnight(usual_products(days, days[0])), hedge).simulated(fit, paths)
     assert np.std(paths.money + gained(gains)) < 0.25 * np.std(paths.money)
 

@@ -9,7 +9,6 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.smooth import Exact
-from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Text
 from snapo.report.quantity import number
@@ -22,14 +21,16 @@ from snapo.study.study import Setup, StudyRun
 from ..bounds.relaxation import factors_on_paths, path_of, spots_on_paths
 from ..contract.schedule import of_prices
 from ..contract.simulator import simulator_of
+from ..hedges import MIN_VARIANCE, DailyHedge, usual_hedges
 from ..hedges.exposures import BLOCK, StorePaths
-from ..hedges.held import LEAST, DailyHedge, Overnight, by_day, usual_hedges
-from ..hedges.simulate import DailyHedges, Gains, static
+from ..hedges.held import Overnight, by_day
+from ..hedges.simulate import DailyHedges, HedgeGains, static
 from ..hedges.table import Hedges
 from ..ladder.methods import NO_CURVE
 from ..ladder.products import usual_products
 from ..references.intrinsic import intrinsic
 from ..setup import OUTPUT, case_of, factors, policy_of
+from .run import StorageRun
 
 MEASURED, FITTED = 259, 260  # streams of the evaluation: of the table, and of the exposures
 LEVEL = 0.95  # of value at risk
@@ -38,10 +39,10 @@ TEXT = (
     "Money of the contract and of its hedge, both decided without foresight, on the same simulated "
     "paths. Volumes are sold forward after the flow of a day; delivery settles at the spot price, "
     "and each unit traded costs half the bid-offer. The share not hedged is the variance over that "
-    "of the contract alone."
+    "of the contract without a hedge."
 )
 BY_PRODUCT = (
-    "How much of the variance is left with the positions in one product alone, and with all others "
+    "How much of the variance is left with the positions in one product only, and with all others "
     "but these."
 )
 
@@ -52,8 +53,8 @@ class HedgeRow:
 
     - `value_at_risk`, `expected_shortfall`: by how much the 5 % quantile, and the mean of the paths
       below it, are less than the mean.
-    - `not_hedged`: variance over that of the contract alone; `traded`: mean volume of all trades;
-      `cost`: of the bid-offer, a present value.
+    - `not_hedged`: variance over that of the contract without a hedge; `traded`: mean volume of all
+      trades; `cost`: of the bid-offer, a present value.
     """
 
     hedge: str
@@ -73,13 +74,13 @@ class HedgeRow:
 
 @dataclass(frozen=True)
 class HedgeProduct:
-    """One product of a hedge: the share of the variance that is left with it alone, and without it;
+    """One product of a hedge: the share of the variance that is left with it only, and without it;
     volume and cost of its trades."""
 
     hedge: str
     products: str
     product: str
-    alone: Number = np.nan
+    single: Number = np.nan
     without: Number = np.nan
     traded: Number = np.nan
     cost: Number = np.nan
@@ -100,7 +101,7 @@ class SimulatedHedge(NamedTuple):
 
     hedge: str
     products: str
-    gains: Gains
+    gains: HedgeGains
 
 
 def measure(run: StudyRun) -> HedgeTables:
@@ -116,15 +117,15 @@ def measure(run: StudyRun) -> HedgeTables:
     overnight = Overnight(products)
     first, simulated = overnight.first, [SimulatedHedge(UNHEDGED, "", {})]
     for name, volumes in ((PLAN, planned(setup)), (SOLD, fit.volumes)):
-        for words, rows in (
+        for form, rows in (
             ("by day", by_day(fit.horizon, first)),
             ("in products", overnight.to_delivery()),
         ):
             gains = static(paths, rows, volumes, first)
-            simulated.append(SimulatedHedge(name, words, gains))
+            simulated.append(SimulatedHedge(name, form, gains))
     daily = DailyHedges(overnight, hedges.daily).simulated(fit, paths)
     for hedge, gains in zip(hedges.daily, daily, strict=True):
-        simulated.append(SimulatedHedge(_name(hedge), _words(hedge.families), gains))
+        simulated.append(SimulatedHedge(_name(hedge), _names(hedge.families), gains))
     rows = tuple(row_of(hedge, paths.money, groups) for hedge in simulated)
     of_products = tuple(x for hedge in simulated[1:] for x in product_rows(hedge, paths.money))
     for row in rows:
@@ -207,26 +208,26 @@ def row_of(hedge: SimulatedHedge, money: np.ndarray, groups: np.ndarray) -> Hedg
 
 
 def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProduct]:
-    """What each product of a hedge does to the variance."""
+    """The share of each product of a hedge in the variance."""
     total = money + sum(gain.gain for gain in hedge.gains.values())
     for family, (gain, cost, traded) in hedge.gains.items():
         shares = _share(money + gain, money), _share(total - gain, money)
-        name = _words([family])
+        name = _names([family])
         about = hedge.hedge, hedge.products, name
         yield HedgeProduct(*about, *shares, float(traded.mean()), float(cost.mean()))
 
 
 def _share(total: np.ndarray, money: np.ndarray) -> float:
-    """The variance against that of the contract alone."""
-    alone = np.var(money)
-    return float(np.var(total) / alone) if alone > 0 else np.nan
+    """The variance over that of the money without a hedge."""
+    unhedged = np.var(money)
+    return float(np.var(total) / unhedged) if unhedged > 0 else np.nan
 
 
 def _name(hedge: DailyHedge) -> str:
-    return "Daily, least variance" if hedge.rule == LEAST else "Daily, deltas"
+    return "Daily, least variance" if hedge.rule == MIN_VARIANCE else "Daily, deltas"
 
 
-def _words(families: Sequence[str]) -> str:
+def _names(families: Sequence[str]) -> str:
     return ", ".join(family.replace("_", " ") for family in families)
 
 
@@ -234,7 +235,7 @@ def _title(row: HedgeRow) -> str:
     return f"{row.hedge}, {row.products}" if row.products else row.hedge
 
 
-def show(run: RunFiles, result: HedgeTables) -> Sequence[Block]:
+def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
     """Deviations as bars, the table of all hedges, and that of their products."""
     if not result.hedges:
         reason = f"No hedge was simulated, for {result.reason}."
@@ -247,7 +248,7 @@ def show(run: RunFiles, result: HedgeTables) -> Sequence[Block]:
         f"Standard deviation of contract and hedge on {number(result.paths, 0)} paths; whiskers "
         "are 95 % intervals."
     )
-    unit, volume = run.unit, str(run.get("volume_unit", "units"))
+    unit, volume = run.unit, run.volume
     columns = [
         Column("Hedge", "hedge"),
         Column("Products", "products"),
@@ -263,7 +264,7 @@ def show(run: RunFiles, result: HedgeTables) -> Sequence[Block]:
         Column("Hedge", "hedge"),
         Column("Products", "products"),
         Column("Product", "product"),
-        Column("Left with it alone", lambda row: 100 * row.alone, "%", decimal_places=1),
+        Column("Left with it only", lambda row: 100 * row.single, "%", decimal_places=1),
         Column("Left without it", lambda row: 100 * row.without, "%", decimal_places=1),
         Column("Traded", "traded", volume),
         Column("Cost", "cost", unit),

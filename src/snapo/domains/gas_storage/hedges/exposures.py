@@ -121,7 +121,7 @@ class StateFunctions:
 
     @cached_property
     def _powers(self) -> np.ndarray:
-        """[K, 1 + kept]"""
+        """[K, 1 + selected]"""
         count = 1 + self._linear[0].shape[1]
         total = DEGREES.get(count, 3)
         every = product(range(total + 1), repeat=count)
@@ -132,10 +132,10 @@ class StateFunctions:
         first, common, variance = self._linear
         middle, half = (self.high[t] + self.low[t]) / 2, (self.high[t] - self.low[t]) / 2
         share = np.clip((level - middle) / half, -1, 1) if half > 0 else 0 * level
-        kept = np.clip(first[t] @ states, -REACH, REACH)
+        selected = np.clip(first[t] @ states, -REACH, REACH)
         degree = int(self._powers.max())
-        tables = [legvander(share, degree), *(hermevander(row, degree) for row in kept)]
-        sizes = [np.sqrt(2 * np.arange(degree + 1) + 1)] + len(kept) * [_hermite_sizes(degree)]
+        tables = [legvander(share, degree), *(hermevander(row, degree) for row in selected)]
+        sizes = [np.sqrt(2 * np.arange(degree + 1) + 1)] + len(selected) * [_hermite_sizes(degree)]
         columns = np.ones((len(self._powers), level.size))
         for k, powers in enumerate(self._powers):
             for table, size, power in zip(tables, sizes, powers):
@@ -144,8 +144,8 @@ class StateFunctions:
         if not np.any(variance):
             return columns
         deviation = np.sqrt(2 * variance[t]) or 1.0
-        moved = np.clip(common[t] @ states / deviation, -REACH, REACH)
-        return np.concatenate([columns, columns[self._powers.sum(axis=1) <= 1] * moved])
+        parallel = np.clip(common[t] @ states / deviation, -REACH, REACH)
+        return np.concatenate([columns, columns[self._powers.sum(axis=1) <= 1] * parallel])
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,23 +188,23 @@ class FittedExposures:
 
         `moving` [T - t, N]: discounted prices of the dates after the step, as noise moves them.
         """
-        blocks, known = self.products[t], moving * self.volumes[t + 1 :, None]
+        blocks, fixed = self.products[t], moving * self.volumes[t + 1 :, None]
         fit = np.zeros((len(blocks) + len(part.factors.decay[0]), part.count))
         if t >= 0:
             design = self.functions(t, part.levels[t + 1], part.states[t])
             fit += self.coefficients[t].T @ design
         for row, (first, after) in zip(fit, blocks):
             days = slice(first - t - 1, after - t - 1)
-            row += known[days].sum(axis=0) / moving[days].sum(axis=0)
+            row += fixed[days].sum(axis=0) / moving[days].sum(axis=0)
         factors = fit[len(blocks) :] * moving.sum(axis=0)
-        return fit[: len(blocks)], factors + sensitivities(part.factors, t).T @ known
+        return fit[: len(blocks)], factors + sensitivities(part.factors, t).T @ fixed
 
 
 def _targets(part: StorePaths, volumes: np.ndarray, functions: StateFunctions, blocks):
     """Functions and targets of each step, the last one first."""
     factors, horizon = part.factors, part.horizon
-    known = part.paid(0, part.moving(part.curves.spots)) * volumes[:, None]
-    rest = part.exposed - known
+    fixed = part.paid(0, part.moving(part.curves.spots)) * volumes[:, None]
+    rest = part.exposed - fixed
     summed = np.concatenate([np.zeros_like(rest[:1]), np.cumsum(rest, axis=0)])
     weighted = np.zeros((factors.decay.shape[1], part.count))
     for t in reversed(range(horizon)):

@@ -2,7 +2,7 @@
 
 A position is taken after the flow of the day. Each later day belongs to the shortest product of a
 set that contains it and still trades, and tomorrow to the day-ahead, where this is in the set. A
-product is closed on its last trading day, unless another one of the set follows on its days.
+product is closed on its last trading day, unless another one of the set then has its days.
 """
 
 from collections.abc import Collection
@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from ..ladder.products import BALANCE, DAY_AHEAD, ONE, TradedProducts
 from ..ladder.rolling import TradeBlock
-
-DELTAS, LEAST = "deltas", "least variance"
+from . import MIN_VARIANCE, DailyHedge
 
 
 class HeldProduct(NamedTuple):
@@ -23,33 +22,7 @@ class HeldProduct(NamedTuple):
     family: str
 
 
-Held = tuple[HeldProduct, ...]
-
-
-class DailyHedge(NamedTuple):
-    """Rebalanced on each day, in the `families` of [products].
-
-    - `rule`: DELTAS: each product its exposure; LEAST: the first product of each family, so that
-      the variance of the next day is least.
-    """
-
-    rule: str
-    families: tuple[str, ...]
-
-
-def usual_hedges(families: Collection[str]) -> tuple[DailyHedge, ...]:
-    """Deltas in longer products, then with shorter ones; least variance in one family, and in all.
-
-    `families`: that trade, the shortest first.
-    """
-    short = [family for family in families if family in (DAY_AHEAD, BALANCE)]
-    longer = tuple(family for family in families if family not in short)
-    sets = [longer] if longer else []
-    for family in reversed(short):
-        sets.append((family, *(sets[-1] if sets else ())))
-    alone = [family for family in families if family != BALANCE]
-    least = [(family,) for family in alone] + ([tuple(alone)] if len(alone) > 1 else [])
-    return (*(DailyHedge(DELTAS, x) for x in sets), *(DailyHedge(LEAST, x) for x in least))
+HeldProducts = tuple[HeldProduct, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +30,15 @@ class Overnight:
     """The products that hedges hold from step to step."""
 
     products: TradedProducts
-    _known: dict[tuple[int, frozenset[str]], Held] = field(default_factory=dict)
+    _cached: dict[tuple[int, frozenset[str]], HeldProducts] = field(default_factory=dict)
 
-    def of(self, hedge: DailyHedge, t: int) -> Held:
-        """What a hedge holds from step t."""
+    def of(self, hedge: DailyHedge, t: int) -> HeldProducts:
+        """The products that a hedge holds from step t on."""
         families = hedge.families
-        return self.nearest(t, families) if hedge.rule == LEAST else self.held(t, families)
+        return self.nearest(t, families) if hedge.rule == MIN_VARIANCE else self.held(t, families)
 
-    def held(self, t: int, families: Collection[str]) -> Held:
-        """What is held from step t on in a set of families of [products]."""
+    def held(self, t: int, families: Collection[str]) -> HeldProducts:
+        """The products of a set of families of [products] that are held from step t on."""
         next_day = {
             day
             for row in self._rows(t + 1, families)
@@ -77,7 +50,7 @@ class Overnight:
             if next_day.issuperset(range(max(row.block.first, t + 2), row.block.after))
         )
 
-    def nearest(self, t: int, families: Collection[str]) -> Held:
+    def nearest(self, t: int, families: Collection[str]) -> HeldProducts:
         """The first product of each family that is held.
 
         In the last months, where nothing later trades, the balance of the month takes their place.
@@ -91,7 +64,7 @@ class Overnight:
             return tuple(first.values())
         return self.held(t, {*families, BALANCE})[: 1 + (DAY_AHEAD in first)]
 
-    def to_delivery(self) -> Held:
+    def to_delivery(self) -> HeldProducts:
         """The products of the first trading day, in which a static hedge is sold."""
         return self._rows(self.first, set(self.products.families) - {DAY_AHEAD})
 
@@ -100,9 +73,9 @@ class Overnight:
         """The first trading day: step 0, or the valuation date for -1."""
         return -1 if self.products.before else 0
 
-    def _rows(self, t: int, families: Collection[str]) -> Held:
+    def _rows(self, t: int, families: Collection[str]) -> HeldProducts:
         """The products that trade on step t, of days after it."""
-        rows = self._named(t, frozenset(families) - {DAY_AHEAD})
+        rows = self._trading(t, frozenset(families) - {DAY_AHEAD})
         if DAY_AHEAD not in families or not self._tomorrow(t):
             return rows
         first = t + 1
@@ -114,17 +87,17 @@ class Overnight:
         ]
         return HeldProduct("day ahead", block, DAY_AHEAD), *later
 
-    def _named(self, t: int, families: frozenset[str]) -> Held:
+    def _trading(self, t: int, families: frozenset[str]) -> HeldProducts:
         if t >= len(self.products.days):
             return ()
-        if (t, families) not in self._known:
+        if (t, families) not in self._cached:
             rows = self.products.only(families).named(t)
-            self._known[t, families] = tuple(
+            self._cached[t, families] = tuple(
                 HeldProduct(name, block, self.products.family(name))
                 for name, block in rows
                 if block.first > t and block.trades
             )
-        return self._known[t, families]
+        return self._cached[t, families]
 
     def _tomorrow(self, t: int) -> bool:
         """Whether the day after the trading day is a day of delivery."""
@@ -134,7 +107,7 @@ class Overnight:
         return bool(days) and self.products.valuation + ONE == days[0]
 
 
-def by_day(horizon: int, first: int) -> Held:
+def by_day(horizon: int, first: int) -> HeldProducts:
     """Each day after step `first` as if it were a product without a spread."""
     days = range(first + 1, horizon)
     return tuple(HeldProduct("", TradeBlock(t, t + 1), BY_DAY) for t in days)

@@ -19,13 +19,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import MIN_VARIANCE, DailyHedge
 from .exposures import FittedExposures, StorePaths, sensitivities
-from .held import LEAST, DailyHedge, Held, HeldProduct, Overnight
+from .held import HeldProduct, HeldProducts, Overnight
 
-ALONE = 1e-9  # of the largest eigenvalue: moves of products that are not those of others
+SEPARATE = 1e-9  # of the largest eigenvalue: of products that do not move together
 
 
-class Gain(NamedTuple):
+class HedgeGain(NamedTuple):
     """Of one family of products, on paths [N]: gain after costs, cost of the spread, and volume
     traded."""
 
@@ -33,11 +34,11 @@ class Gain(NamedTuple):
     cost: np.ndarray
     traded: np.ndarray
 
-    def joined(self, other: "Gain") -> "Gain":
-        return Gain(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+    def joined(self, other: "HedgeGain") -> "HedgeGain":
+        return HedgeGain(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-Gains = dict[str, Gain]  # by family
+HedgeGains = dict[str, HedgeGain]  # by family
 
 
 class HeldVolume(NamedTuple):
@@ -47,20 +48,20 @@ class HeldVolume(NamedTuple):
     volume: np.ndarray
 
 
-def static(paths: StorePaths, rows: Held, volumes: np.ndarray, first: int) -> Gains:
+def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: int) -> HedgeGains:
     """Volumes [T + 1] a day, sold today after step `first`, flat over each product.
 
     The exposure of a product is the mean of the volumes, weighted with today's discounted prices.
     """
     total = _Total(paths)
     weights = paths.discount * paths.moving(paths.forward)
-    moved = paths.paid(0, paths.curves.spots - paths.forward[:, None])
+    change = paths.paid(0, paths.curves.spots - paths.forward[:, None])
     positions = []
     for row in rows:
         days = slice(max(row.block.first, first + 1), row.block.after)
         mean = np.average(volumes[days], weights=weights[days])
         volume = _in_lots(np.full(paths.count, mean), row.block.lot)
-        total.gain[row.family] -= volume * moved[days].sum(axis=0)
+        total.gain[row.family] -= volume * change[days].sum(axis=0)
         positions.append(HeldVolume(row, volume))
     total.trade([], positions, first)
     return total.gains
@@ -73,7 +74,7 @@ class DailyHedges:
     overnight: Overnight
     hedges: Sequence[DailyHedge]
 
-    def simulated(self, fit: StorePaths, paths: StorePaths) -> list[Gains]:
+    def simulated(self, fit: StorePaths, paths: StorePaths) -> list[HedgeGains]:
         """The gains of each hedge on `paths`, its exposures fitted on other ones."""
         rows = {
             t: [self.overnight.of(hedge, t) for hedge in self.hedges]
@@ -81,7 +82,7 @@ class DailyHedges:
         }
         exposures = FittedExposures.of(fit, {t: _different(row) for t, row in rows.items()})
 
-        def gains(part: StorePaths) -> list[Gains]:
+        def gains(part: StorePaths) -> list[HedgeGains]:
             return self._gains(exposures, rows, part)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -89,22 +90,25 @@ class DailyHedges:
         return [_joined(of) for of in zip(*parts, strict=True)]
 
     def _gains(
-        self, exposures: FittedExposures, rows: Mapping[int, Sequence[Held]], part: StorePaths
-    ) -> list[Gains]:
+        self,
+        exposures: FittedExposures,
+        rows: Mapping[int, Sequence[HeldProducts]],
+        part: StorePaths,
+    ) -> list[HedgeGains]:
         totals = [_Total(part) for _ in self.hedges]
         before: list[list[HeldVolume]] = [[] for _ in self.hedges]
         ahead = part.ahead(self.overnight.first)
         for t, step in rows.items():
-            following = part.curves(t + 1)
-            moved = part.paid(t + 1, following - ahead)
+            next_curve = part.curves(t + 1)
+            change = part.paid(t + 1, next_curve - ahead)
             moving = part.paid(t + 1, part.moving(ahead))
             volumes, factors = exposures.at(t, part, moving)
-            known = dict(zip(exposures.products[t], volumes, strict=True))
+            volume_of = dict(zip(exposures.products[t], volumes, strict=True))
             for i, (hedge, held_rows) in enumerate(zip(self.hedges, step, strict=True)):
-                if hedge.rule == LEAST:
-                    sold = _least_variance(part, t, held_rows, moving, factors)
+                if hedge.rule == MIN_VARIANCE:
+                    sold = _minimum_variance(part, t, held_rows, moving, factors)
                 else:
-                    sold = [known[_days(row)] for row in held_rows]
+                    sold = [volume_of[_days(row)] for row in held_rows]
                 now = [
                     HeldVolume(row, _in_lots(volume, row.block.lot))
                     for row, volume in zip(held_rows, sold, strict=True)
@@ -112,33 +116,33 @@ class DailyHedges:
                 totals[i].trade(before[i], now, t)
                 for row, volume in now:
                     days = slice(row.block.first - t - 1, row.block.after - t - 1)
-                    totals[i].gain[row.family] -= volume * moved[days].sum(axis=0)
+                    totals[i].gain[row.family] -= volume * change[days].sum(axis=0)
                 before[i] = now
-            ahead = following[1:]
+            ahead = next_curve[1:]
         return [total.gains for total in totals]
 
 
-def _least_variance(
-    part: StorePaths, t: int, rows: Held, moving: np.ndarray, exposure: np.ndarray
+def _minimum_variance(
+    part: StorePaths, t: int, rows: HeldProducts, moving: np.ndarray, exposure: np.ndarray
 ) -> Sequence[np.ndarray]:
     """Volumes [products, N] that leave the least variance of the next day's shocks.
 
-    Of products that move alike the volumes with the least sum of squared risks.
+    Products that move together share the volume.
     """
     if not rows:
         return []
     by_factor, shock = sensitivities(part.factors, t), part.factors.shock[t + 1]
-    moves = np.array([
+    changes = np.array([
         by_factor[row.block.first - t - 1 : row.block.after - t - 1].T
         @ moving[row.block.first - t - 1 : row.block.after - t - 1]
         for row in rows
     ])  # fmt: skip
-    risks = np.einsum("pfn,fg->npg", moves, shock)
+    risks = np.einsum("pfn,fg->npg", changes, shock)
     target = np.einsum("fn,fg->ng", exposure, shock)
     sizes = np.sqrt(np.maximum(np.sum(risks**2, axis=2), 1e-300))
     unit = risks / sizes[:, :, None]
     square = unit @ np.swapaxes(unit, 1, 2)
-    inverse = np.linalg.pinv(square, rcond=ALONE, hermitian=True)
+    inverse = np.linalg.pinv(square, rcond=SEPARATE, hermitian=True)
     return (np.einsum("npq,nqg,ng->np", inverse, unit, target) / sizes).T
 
 
@@ -152,7 +156,7 @@ class _Total:
         self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
 
     def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
-        """Trades what differs on the days after step t, at the spread of the product held now."""
+        """Trades the differences on days after step t, at the spread of the product held now."""
         marks = {x for row, _ in (*before, *now) for x in (row.block.first, row.block.after)}
         marks = sorted({max(x, t + 1) for x in marks})
         nothing = np.zeros(self.part.count)
@@ -167,9 +171,9 @@ class _Total:
             self.cost[family] += block.spread * self.part.discount[first:after].sum() * volume
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> HedgeGains:
         return {
-            family: Gain(gain - self.cost[family], self.cost[family], self.traded[family])
+            family: HedgeGain(gain - self.cost[family], self.cost[family], self.traded[family])
             for family, gain in self.gain.items()
         }
 
@@ -187,12 +191,12 @@ def _days(row: HeldProduct) -> tuple[int, int]:
     return row.block.first, row.block.after
 
 
-def _different(rows: Sequence[Held]) -> list[tuple[int, int]]:
+def _different(rows: Sequence[HeldProducts]) -> list[tuple[int, int]]:
     """The days of all products, each once."""
     return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
 
 
-def _joined(parts: Sequence[Gains]) -> Gains:
+def _joined(parts: Sequence[HedgeGains]) -> HedgeGains:
     gains = dict(parts[0])
     for part in parts[1:]:
         gains = {family: gain.joined(part[family]) for family, gain in gains.items()}

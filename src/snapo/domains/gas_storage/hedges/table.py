@@ -15,7 +15,7 @@ from pydantic import Field
 from snapo.case.table import CaseTable, Range, TableContext, parse
 
 from ..ladder.products import FAMILIES, TradedProducts
-from .held import DELTAS, LEAST, DailyHedge, usual_hedges
+from . import DELTAS, MIN_VARIANCE, DailyHedge, usual_hedges
 
 PATHS = 8192
 SETS = 'a list of lists of the keys of [products], like [["months"], ["months", "day_ahead"]]'
@@ -47,7 +47,7 @@ def hedges_of(
 ) -> Hedges | None:
     """The hedges of the table [hedge], None of a case without one.
 
-    **Raises:** `CaseError` where a set names what does not trade.
+    **Raises:** `CaseError` where a set has a product that does not trade.
     """
     if data is None:
         return None
@@ -62,7 +62,7 @@ def hedges_of(
             return [hedge for hedge in usual if hedge.rule == rule]
         return [_hedge(section, key, rule, entry, families) for entry in entries]
 
-    daily = (*sets("deltas", DELTAS), *sets("least_variance", LEAST))
+    daily = (*sets("deltas", DELTAS), *sets("least_variance", MIN_VARIANCE))
     return Hedges(daily, table.paths)
 
 
@@ -72,7 +72,7 @@ def _hedge(
     for name in entry:
         if name not in families:
             allowed = ", ".join(f'"{x}"' for x in families)
-            raise section.error(key, name, f"allowed is what trades: {allowed}")
+            raise section.error(key, name, f"allowed are keys of [products] that trade: {allowed}")
     if not entry:
         raise section.error(key, entry, "a hedge has at least one product")
     return DailyHedge(rule, tuple(x for x in families if x in entry))

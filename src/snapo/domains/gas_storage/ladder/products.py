@@ -129,9 +129,9 @@ class TradedProducts:
 
     def only(self, families: Collection[str]) -> Self:
         """Those of these families, and the day itself."""
-        kept = tuple(product for product in self.products if product.family in families)
+        products = tuple(product for product in self.products if product.family in families)
         balance = self.balance if BALANCE in families else None
-        return replace(self, products=kept, balance=balance)
+        return replace(self, products=products, balance=balance)
 
     def family(self, name: str) -> str:
         """The key of [products] that a product is of."""
