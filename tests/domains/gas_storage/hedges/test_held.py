@@ -2,17 +2,24 @@
 
 import datetime
 import json
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from tests.domains.gas_storage.storage_cases import CASES, read
 
 from snapo.case.error import CaseError
+from snapo.domains.gas_storage.chapters import hedge
+from snapo.domains.gas_storage.chapters.run import StorageRun
 from snapo.domains.gas_storage.hedges import DELTAS, MIN_VARIANCE, DailyHedge, usual_hedges
 from snapo.domains.gas_storage.hedges.held import Overnight
 from snapo.domains.gas_storage.ladder.products import TradedProducts, usual_products
+from snapo.domains.gas_storage.setup import bare_problem
+from snapo.report.page import Text
 from snapo.study import commands
 from snapo.study.domain import CaseRequest
+from snapo.study.study import StudyRun
 
 FIRST = datetime.date(2009, 4, 1)
 DAYS = tuple(FIRST + datetime.timedelta(n) for n in range(365))
@@ -77,10 +84,10 @@ def test_before_delivery_everything_trades_on_the_valuation_date():
 
 def test_hedges_without_a_table():
     hedges = usual_hedges((DAY_AHEAD, BALANCE, MONTHS))
-    assert [hedge.families for hedge in hedges if hedge.rule == DELTAS] == [
+    assert [x.families for x in hedges if x.rule == DELTAS] == [
         (MONTHS,), (BALANCE, MONTHS), (DAY_AHEAD, BALANCE, MONTHS),
     ]  # fmt: skip
-    assert [hedge.families for hedge in hedges if hedge.rule == MIN_VARIANCE] == [
+    assert [x.families for x in hedges if x.rule == MIN_VARIANCE] == [
         (DAY_AHEAD,), (MONTHS,), (DAY_AHEAD, MONTHS),
     ]  # fmt: skip
     assert usual_hedges((DAY_AHEAD,)) == (
@@ -128,6 +135,16 @@ def test_a_kind_without_a_hedge_refuses_it(tmp_path):
     commands.new("control", tmp_path / "case")
     with pytest.raises(CaseError, match="no hedge to simulate"):
         commands.solve(CaseRequest(tmp_path / "case"), lambda _: None, hedge=True)
+
+
+def test_prices_without_a_curve_on_paths_have_no_hedge():
+    """D1 has spikes: the report says why."""
+    case = read("D1")
+    setup = SimpleNamespace(problem=bare_problem(case), case=case)
+    result = hedge.measure(cast(StudyRun, SimpleNamespace(setup=setup)))
+    assert not result.hedges and "no path has a forward curve" in result.reason
+    (block,) = hedge.show(cast(StorageRun, None), result)
+    assert isinstance(block, Text) and result.reason in block.text
 
 
 SMALL = (

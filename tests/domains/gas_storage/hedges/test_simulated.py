@@ -216,3 +216,35 @@ def test_a_product_with_a_name_of_its_own_hedges_its_days():
     early = paths.money - late
     assert np.var(late + gains["others"].gain) < np.var(late)
     assert np.var(early) > 0
+
+
+def test_certain_volumes_are_hedged_without_a_remainder():
+    """Flows that no price changes, with discounting: any complete set of products leaves nothing."""
+    prices, forward, count = one_factor(), forward_curve(), 64
+    days = tuple(datetime.date(2026, 3, 10) + datetime.timedelta(n) for n in range(SHORT))
+    discount = np.exp(-0.05 * np.arange(SHORT + 1))
+    march = np.arange(SHORT) < 22
+    volumes = np.append(np.where(march, -2.0, 3.0), 0.0)
+    states = drawn_states(prices, count, 5)
+    sold = np.repeat(volumes[:, None], count, axis=1)
+    levels = 50 - np.cumsum(np.concatenate([np.zeros((1, count)), sold[:-1]]), axis=0)
+    spots = PathCurves(prices, forward, states).spots
+    money = np.einsum("t,tn,tn->n", discount, sold, spots)
+    paths = StorePaths(prices, forward, discount, states, levels, sold, money)
+    np.testing.assert_allclose(paths.volumes, volumes * spots.mean(axis=1) / forward, rtol=1e-12)
+    exact = float(np.sum(discount * volumes * forward))
+    overnight = Overnight(usual_products(days, days[0]))
+    for rows in (by_day(SHORT, 0), overnight.to_delivery()):
+        total = money + gained(static(paths, rows, volumes, 0))
+        np.testing.assert_allclose(total, exact, rtol=1e-12)
+    hedges = [
+        DailyHedge(DELTAS, DAY_AHEAD + BALANCE + MONTHS),
+        DailyHedge(DELTAS, BALANCE + MONTHS),
+    ]
+    many = options(4096, 1, prices, forward)
+    fit = StorePaths(
+        prices, forward, discount, many.states, np.full((SHORT + 1, 4096), 50.0),
+        np.repeat(volumes[:, None], 4096, axis=1), np.zeros(4096),
+    )  # fmt: skip
+    for gains in DailyHedges(overnight, hedges).simulated(fit, paths):
+        assert np.std(money + gained(gains)) < 0.01 * np.std(money)

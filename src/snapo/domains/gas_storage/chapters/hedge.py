@@ -141,12 +141,12 @@ def paths_of(run: StudyRun, number: int, count: int) -> tuple[StorePaths, np.nda
 
     **Raises:** `ValueError` where paths have no forward curve.
     """
-    setup, policy = run.setup, policy_of(run.solution)
+    setup = run.setup
     problem, prices = setup.problem, factors(setup.problem)
     process = simulator_of(problem).process
     if prices is None or not prices.exact or prices.spikes is not None:
         raise ValueError(NO_CURVE)
-    schedule = problem.schedule
+    policy, schedule = policy_of(run.solution), problem.schedule
     forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
     discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
     source = Pseudo(setup.training.seed, stream=stream(EVALUATE, number))
