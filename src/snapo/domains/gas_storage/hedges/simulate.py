@@ -23,7 +23,7 @@ from . import MIN_VARIANCE, DailyHedge
 from .exposures import FittedExposures, StorePaths, sensitivities
 from .held import HeldProduct, HeldProducts, Overnight
 
-SEPARATE = 1e-9  # of the largest eigenvalue: of products that do not move together
+SEPARATE = 1e-9  # of the squared risk of a product, added: products that move together share
 
 
 class HedgeGain(NamedTuple):
@@ -141,9 +141,8 @@ def _minimum_variance(
     target = np.einsum("fn,fg->ng", exposure, shock)
     sizes = np.sqrt(np.maximum(np.sum(risks**2, axis=2), 1e-300))
     unit = risks / sizes[:, :, None]
-    square = unit @ np.swapaxes(unit, 1, 2)
-    inverse = np.linalg.pinv(square, rcond=SEPARATE, hermitian=True)
-    return (np.einsum("npq,nqg,ng->np", inverse, unit, target) / sizes).T
+    square = unit @ np.swapaxes(unit, 1, 2) + SEPARATE * np.eye(len(rows))
+    return (np.linalg.solve(square, unit @ target[:, :, None])[:, :, 0] / sizes).T
 
 
 class _Total:
