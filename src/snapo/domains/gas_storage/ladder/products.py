@@ -262,14 +262,14 @@ def _product(row: Row) -> TradedProduct:
     first, last = row.day("first"), row.day("last")
     if last < first:
         raise row.error("last", f"the last day of delivery is not before the first, {first}")
-    ends = row.day("last_trading_day")
-    if ends > last:
+    last_trading = row.day("last_trading_day")
+    if last_trading > last:
         raise row.error("last_trading_day", f"it is not after the last day of delivery, {last}")
     name = row.cells["name"].strip()
     if not name:
         raise row.error("name", "a product has a name")
     bid_offer, lot = row.number("bid_offer", 0.0), row.number("lot", 0.0)
-    return TradedProduct(name, first, last, bid_offer, lot, ends)
+    return TradedProduct(name, first, last, bid_offer, lot, last_trading)
 
 
 def _check_nested(section: TableContext, products: TradedProducts) -> None:
