@@ -143,7 +143,7 @@ def asked(monkeypatch):
 
 def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
     options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
-    options += ["--policy", "before", "--seeds", "0,3", "--ladder"]
+    options += ["--policy", "before", "--seeds", "0,3", "--ladder", "--hedge"]
     assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
@@ -152,6 +152,7 @@ def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
         "engine": "xla",
         "reference": True,
         "ladder": True,
+        "hedge": True,
         "resume": True,
         "policy": Path("before"),
         "seeds": (0, 3),
@@ -165,7 +166,7 @@ def test_solve_has_defaults(asked):
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
     bare = {"out": None, "engine": "auto", "reference": False, "ladder": False, "resume": False}
-    assert given == {**bare, "policy": None, "seeds": None, "workers": None}
+    assert given == {**bare, "hedge": False, "policy": None, "seeds": None, "workers": None}
 
 
 def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):

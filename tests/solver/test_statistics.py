@@ -191,3 +191,30 @@ def test_the_interval_of_a_mean_without_a_tail_is_that_of_blocks():
 def test_a_mean_of_equal_numbers_has_no_interval():
     found = statistics.skewed_mean(np.full(100, 3.0))
     assert found == (3.0, 0.0, 3.0, 3.0, False)
+
+
+def test_deviation_and_shortfall_of_a_normal_sample():
+    """sd / sqrt(2 n); z sd and phi(z) / 0.05 sd below the mean (Jorion, Value at Risk, 2006)."""
+    values = 5 + 3 * np.random.default_rng(3).normal(size=40_000)
+    result = statistics.deviation(values)
+    assert abs(result.value - 3) < 3 * result.standard_error
+    assert result.standard_error == pytest.approx(3 / np.sqrt(80_000), rel=0.05)
+    z = float(stats.norm.ppf(0.95))
+    risk, mean_below = statistics.shortfall(values, 0.95)
+    assert abs(risk.value - 3 * z) < 3 * risk.standard_error
+    assert abs(mean_below.value - 3 * stats.norm.pdf(z) / 0.05) < 3 * mean_below.standard_error
+
+
+def test_errors_of_deviation_and_shortfall_are_their_scatter():
+    """Also of antithetic pairs, whose squares are one draw each."""
+    tries = []
+    for seed in range(300):
+        half = np.random.default_rng(seed).normal(size=1000)
+        values = np.exp(0.3 * np.concatenate([half, -half]))
+        groups = np.tile(np.arange(1000), 2)
+        tries.append(
+            (statistics.deviation(values, groups), *statistics.shortfall(values, 0.9, groups))
+        )
+    for results in zip(*tries, strict=True):
+        scatter = np.std([result.value for result in results])
+        assert np.mean([x.standard_error for x in results]) == pytest.approx(scatter, rel=0.15)

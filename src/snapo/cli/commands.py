@@ -136,6 +136,7 @@ def _solve(options: argparse.Namespace) -> Answer:
             engine=options.engine,
             reference=options.reference,
             ladder=options.ladder,
+            hedge=options.hedge,
             resume=options.resume,
             policy=options.policy,
             seeds=options.seeds,

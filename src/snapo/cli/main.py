@@ -125,6 +125,11 @@ def _add_solve(commands) -> None:
         action="store_true",
         help="value the contract by all methods, on common paths",
     )
+    solve.add_argument(
+        "--hedge",
+        action="store_true",
+        help="simulate profit and loss of the contract with hedges in traded products",
+    )
     solve.add_argument("--resume", action="store_true", help="continue an interrupted run")
     solve.add_argument(
         "--policy",

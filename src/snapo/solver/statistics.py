@@ -241,6 +241,33 @@ def tail(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> 
     return mean(CVaR("", level).influence({"": np.asarray(values)}), groups)
 
 
+def deviation(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
+    """The standard deviation of the paths; its error by linearising the square root."""
+    values = np.asarray(values, np.float64)
+    square = mean((values - values.mean()) ** 2, groups)
+    result = float(np.sqrt(square.value))
+    return Sampled(result, square.standard_error / (2 * max(result, 1e-300)), square.degrees)
+
+
+def shortfall(
+    values: np.ndarray, level: float, groups: np.ndarray | None = None
+) -> tuple[Sampled, Sampled]:
+    """By how much a quantile, and the mean of the paths below it, are less than the mean.
+
+    `level`: 0.95 of the worst 5 %. Errors by influence functions, the density at the quantile from
+    the quantiles at both ends of the interval of the share below it.
+    """
+    values = np.asarray(values, np.float64)
+    share = 1 - level
+    result = float(np.quantile(values, share))
+    below = values <= result
+    half = critical() * float(np.sqrt(share * level / len(values)))
+    low, high = np.quantile(values, np.clip([share - half, share + half], 0.0, 1.0))
+    at_risk = result + (high - low) / (2 * half) * (share - below)
+    risk = mean(values - at_risk, groups)._replace(value=float(values.mean()) - result)
+    return risk, mean(values - CVaR("", level).influence({"": values}), groups)
+
+
 def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
     """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
     result = float(np.quantile(values, level))

@@ -111,6 +111,7 @@ def solve(
     seeds: int | Sequence[int] | None = None,
     workers: "Workers | None" = None,
     ladder: bool = False,
+    hedge: bool = False,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
     to the case; `run` points to the latest of them.
@@ -118,7 +119,7 @@ def solve(
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
     `workers`: compute groups of the paths of a large problem, with the same bits. `ladder`: value
-    the contract by all methods too.
+    the contract by all methods too. `hedge`: simulate its hedges.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
@@ -127,7 +128,9 @@ def solve(
     from .prepare import Wanted, carried_out, is_same, made_ready
     from .runs.reserve import reserved
 
-    requested = Wanted(engine, reference, resume, policy, workers=workers, ladder=ladder)
+    requested = Wanted(
+        engine, reference, resume, policy, workers=workers, ladder=ladder, hedge=hedge
+    )
     began = time.perf_counter()
     if seeds is not None:
         from .seeds import solve_seeds

@@ -32,13 +32,14 @@ class Options(NamedTuple):
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
     - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
-    - `ladder`: value the contract by all methods, on common paths.
+    - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges.
     """
 
     engine: str = "auto"
     reference: bool = False
     about: Mapping[str, Any] | None = None
     ladder: bool = False
+    hedge: bool = False
 
 
 class Case(Protocol):

@@ -87,7 +87,7 @@ def use_every_core() -> None:
 class Wanted(NamedTuple):
     """The options of `snapo solve` other than the case.
 
-    - `engine`, `reference`, `ladder`: as in `Options`; `resume`: continue the existing run.
+    - `engine`, `reference`, `ladder`, `hedge`: as in `Options`; `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
     - `workers`: compute groups of paths, with the same bits.
@@ -100,6 +100,7 @@ class Wanted(NamedTuple):
     about: Mapping[str, Any] | None = None
     workers: "Workers | None" = None
     ladder: bool = False
+    hedge: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,9 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     decides, values = decided(loaded, out, requested)
     before = run_folder.check_same(out, decides) if requested.resume else None
     about = before.get("about") if before else requested.about
-    request = Options(requested.engine, requested.reference, about, requested.ladder)
+    request = Options(
+        requested.engine, requested.reference, about, requested.ladder, requested.hedge
+    )
     study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
     if requested.ladder:
         from .chapters.ladder import METHODS
@@ -156,6 +159,9 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
         if METHODS.name not in (part.name for part in study.parts):
             message = f'a case of kind "{loaded.domain.kind}" has no methods to compare'
             raise CaseError("--ladder", "", None, message)
+    if requested.hedge and "hedge" not in (part.name for part in study.parts):
+        message = f'a case of kind "{loaded.domain.kind}" has no hedge to simulate'
+        raise CaseError("--hedge", "", None, message)
     if values is not None:
         from .initial_policy import begun_with
 

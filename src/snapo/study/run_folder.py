@@ -55,7 +55,7 @@ SEEDS = "seeds.csv"  # one row for each seed, where several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,
     SENSITIVITIES, VERDICTS, GROWTH, ONNX, PYTHON, DECIDED, START, SEEDS, "profile.csv",
-    "decisions.csv", "ladder.csv", "products.csv",
+    "decisions.csv", "ladder.csv", "products.csv", "hedge.csv", "hedge_products.csv",
 )  # fmt: skip
 LAYOUT = 4  # of the folder; it grows when older runs can no longer be read
 APART = ("parts", *TEXTS)  # keys of [report] on which no number depends

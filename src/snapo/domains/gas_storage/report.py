@@ -27,6 +27,7 @@ from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, daily, month_painter
+from .chapters.hedge import HEDGE
 from .chapters.position import POSITION, Cycles, Position, inventory
 from .chapters.products import PRODUCT_DELTAS
 from .chapters.quotes import QUOTE_DELTAS
@@ -142,7 +143,8 @@ def today(run: StorageRun) -> Section:
 
 SECTIONS = (
     headline, today, VALUES, METHODS, value_bounds, cash_flow, POSITION, inventory, DELTAS,
-    daily, QUOTE_DELTAS, PRODUCT_DELTAS, risk, sliders, history, CERTIFICATE, assumptions, making,
+    daily, QUOTE_DELTAS, PRODUCT_DELTAS, HEDGE, risk, sliders, history, CERTIFICATE, assumptions,
+    making,
 )  # fmt: skip
 MENU = {
     "Today": today,

@@ -16,6 +16,7 @@ from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
 from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
+from .chapters.hedge import HEDGE
 from .chapters.ladder import METHODS
 from .chapters.position import POSITION
 from .chapters.products import PRODUCT_DELTAS
@@ -93,6 +94,8 @@ def study(case: StorageCase, options: Options) -> Study:
         parts.append(REFERENCE.part)
     if options.ladder:
         parts.append(METHODS.part)
+    if options.hedge:
+        parts.append(HEDGE.part)
     parts.append(VALUES.part)
     return Study(
         KIND,

@@ -10,6 +10,7 @@ import numpy as np
 from snapo.case.load import load
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.hedges.table import HedgeTable
 from snapo.domains.gas_storage.ladder.products import ProductsTable
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
@@ -20,7 +21,7 @@ G1 = Path(__file__).parents[1] / "cases" / "G1"
 EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
 EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
 EXAMPLES |= {"patience", "window", "clip", "keep", "validation_every", "quotes", "curve"}
-EXAMPLES |= set(ProductsTable.model_fields)
+EXAMPLES |= {*ProductsTable.model_fields, "deltas", "least_variance"}
 
 
 def test_commented_keys_of_the_new_case_are_right():
@@ -32,6 +33,7 @@ def test_commented_keys_of_the_new_case_are_right():
         "model": {key: field for fields in models for key, field in fields.items()},
         "objective": ObjectiveTable.model_fields,
         "products": ProductsTable.model_fields,
+        "hedge": HedgeTable.model_fields,
         "training": TrainingTable.model_fields,
         "evaluation": EvaluationTable.model_fields,
     }

@@ -16,6 +16,7 @@ from snapo.problem.problem import Problem
 
 from ..contract.schedule import of_prices
 from ..contract.simulator import simulator_of
+from ..prices.process import PriceProcess
 from ..references.day_terms import Interpolation, end_value, unit_prices
 from .day_grid import DayGrid, best_value, day_grids
 from .regression import product
@@ -138,38 +139,43 @@ class StoreRelaxation:
         return "the innovations of a fitted value of the store"
 
     def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
-        states = self._path(rollout, "price")
-        return self.inner.best(self._spots(states), self._factors(states), self._scales(scale))
+        return self.inner.best(*self.on_paths(rollout), self._scales(scale))
 
     def charged(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
-        states, inventory = self._path(rollout, "price"), self._path(rollout, "inventory")
-        return self.inner.charged(inventory, self._factors(states), self._scales(scale))
+        states = factors_on_paths(self.process, rollout)
+        return self.inner.charged(path_of(rollout, "inventory"), states, self._scales(scale))
 
     def on_paths(self, rollout) -> tuple[np.ndarray, np.ndarray]:
         """[T + 1, N] spot prices of a rollout, and [T + 1, F, N] its price factors."""
-        states = self._path(rollout, "price")
-        return self._spots(states), self._factors(states)
-
-    def _path(self, rollout, name: str):
-        """A part of the state on the T days and on the end date, leaves [T + 1, N, …]."""
-        days, end = getattr(rollout.record["state"], name), getattr(rollout.state, name)
-        return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
-
-    def _spots(self, states) -> np.ndarray:
-        """[T + 1, N] spot prices; NaN-free also where the end date needs none."""
-        with jax.enable_x64(True):
-            level = jax.vmap(self.process.level, in_axes=(None, None, 0))
-            daily = jax.vmap(level, in_axes=(None, 0, 0))
-            return np.asarray(daily(self.prices.constants, self.prices.steps, states))
-
-    def _factors(self, states) -> np.ndarray:
-        """[T + 1, F, N] the price factors of the penalty."""
-        with jax.enable_x64(True):
-            result = jax.vmap(jax.vmap(self.process.gaussian))(states)
-        return np.ascontiguousarray(np.moveaxis(np.asarray(result), 1, 2))
+        spots = spots_on_paths(self.process, self.prices, rollout)
+        return spots, factors_on_paths(self.process, rollout)
 
     def _scales(self, scale: np.ndarray) -> PenaltyScale:
         """The scale of each function of the basis, from those of the penalty's parts."""
         if self.fitted_value is None or not len(scale):
             return 1.0
         return scale[self.fitted_value.basis.parts]
+
+
+def path_of(rollout, name: str):
+    """A part of the state on the T days and on the end date, leaves [T + 1, N, …]."""
+    days, end = getattr(rollout.record["state"], name), getattr(rollout.state, name)
+    return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
+
+
+def spots_on_paths(process: PriceProcess, prices, rollout) -> np.ndarray:
+    """[T + 1, N] spot prices of a rollout; NaN-free also where the end date needs none.
+
+    `prices`: the prepared schedule of the process.
+    """
+    with jax.enable_x64(True):
+        level = jax.vmap(process.level, in_axes=(None, None, 0))
+        daily = jax.vmap(level, in_axes=(None, 0, 0))
+        return np.asarray(daily(prices.constants, prices.steps, path_of(rollout, "price")))
+
+
+def factors_on_paths(process: PriceProcess, rollout) -> np.ndarray:
+    """[T + 1, F, N] the price factors of a rollout."""
+    with jax.enable_x64(True):
+        result = jax.vmap(jax.vmap(process.gaussian))(path_of(rollout, "price"))
+    return np.ascontiguousarray(np.moveaxis(np.asarray(result), 1, 2))

@@ -25,6 +25,7 @@ from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.problem.inputs import Input
 
 from ..curves.quotes import QuotedCurve
+from ..hedges.table import Hedges
 from ..ladder.products import TradedProducts
 from ..prices.process import PriceProcess, use
 
@@ -229,7 +230,7 @@ class StorageCase:
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
-    - `products`: the traded products; None where the case names none.
+    - `products`: the traded products; None where the case names none. `hedges`: of its [hedge].
     """
 
     file: Path
@@ -252,6 +253,7 @@ class StorageCase:
     notes: tuple[str, ...] = ()
     quotes: QuotedCurve | None = None
     products: TradedProducts | None = None
+    hedges: Hedges | None = None
 
     kind = "gas-storage"
 

@@ -11,11 +11,11 @@ still trades. The day itself is traded at its spot price, which is the day-ahead
 """
 
 import datetime
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 from pydantic import Field
 
@@ -76,12 +76,14 @@ FORMATS = {
 }
 Inner = TypeVar("Inner", bound=CaseTable)
 PERIODS = {"months": (1, 1), "quarters": (3, 1), "seasons": (6, 4)}  # length, first month
+DAY_AHEAD, BALANCE = "day_ahead", "balance_of_month"
+FAMILIES = (DAY_AHEAD, BALANCE, *PERIODS, "others")  # the keys of [products]
 
 
 class TradedProduct(NamedTuple):
     """A product with its first and last day of delivery, and its last trading day.
 
-    - `opens`: the first trading day, None for any.
+    - `opens`: the first trading day, None for any; `family`: the key of [products] that it is of.
     """
 
     name: str
@@ -91,6 +93,7 @@ class TradedProduct(NamedTuple):
     lot: float = 0.0
     last_trading: datetime.date = datetime.date.max
     opens: datetime.date | None = None
+    family: str = "others"
 
     def trades(self, day: datetime.date) -> bool:
         return day <= self.last_trading and (self.opens is None or self.opens <= day)
@@ -116,6 +119,23 @@ class TradedProducts:
     products: tuple[TradedProduct, ...]
     day_ahead: float = 0.0
     balance: tuple[float, float] | None = (0.0, 0.0)
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """The keys of [products] of which something trades, the day-ahead always."""
+        there = {DAY_AHEAD, *(product.family for product in self.products)}
+        there |= set() if self.balance is None else {BALANCE}
+        return tuple(family for family in FAMILIES if family in there)
+
+    def only(self, families: Collection[str]) -> Self:
+        """Those of these families, and the day itself."""
+        products = tuple(product for product in self.products if product.family in families)
+        balance = self.balance if BALANCE in families else None
+        return replace(self, products=products, balance=balance)
+
+    def family(self, name: str) -> str:
+        """The key of [products] that a product is of."""
+        return next((x.family for x in self.products if x.name == name), BALANCE)
 
     @property
     def before(self) -> bool:
@@ -222,7 +242,9 @@ def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> lis
             opens = datetime.date(earlier // 12, earlier % 12 + 1, 1)
         ends = first - table.last_trading * ONE
         products.append(
-            TradedProduct(_label(name, first), first, last, table.bid_offer, table.lot, ends, opens)
+            TradedProduct(
+                _label(name, first), first, last, table.bid_offer, table.lot, ends, opens, name
+            )
         )
     return products
 
@@ -240,14 +262,14 @@ def _product(row: Row) -> TradedProduct:
     first, last = row.day("first"), row.day("last")
     if last < first:
         raise row.error("last", f"the last day of delivery is not before the first, {first}")
-    ends = row.day("last_trading_day")
-    if ends > last:
+    last_trading = row.day("last_trading_day")
+    if last_trading > last:
         raise row.error("last_trading_day", f"it is not after the last day of delivery, {last}")
     name = row.cells["name"].strip()
     if not name:
         raise row.error("name", "a product has a name")
     bid_offer, lot = row.number("bid_offer", 0.0), row.number("lot", 0.0)
-    return TradedProduct(name, first, last, bid_offer, lot, ends)
+    return TradedProduct(name, first, last, bid_offer, lot, last_trading)
 
 
 def _check_nested(section: TableContext, products: TradedProducts) -> None:

@@ -30,6 +30,7 @@ from snapo.case.table import TableContext, parse
 from ..contract.feasibility import check_feasible
 from ..contract.records import GasMarket, StorageCase, numbers_of
 from ..curves.quotes import QuotedCurve, QuotedCurveTable, read_quotes
+from ..hedges.table import HedgeTable, hedges_of
 from ..ladder.products import FORMATS as PRODUCTS
 from ..ladder.products import products_of
 from ..prices.process import Delivery
@@ -229,6 +230,7 @@ FORMATS = {
     "market": MarketTable,
     "model": [process.table for process in kinds().values()],
     **PRODUCTS,
+    "hedge": HedgeTable,
     "report": ReportTable,
     "objective": ObjectiveTable,
     "training": TrainingTable,
@@ -263,6 +265,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     delivery = Delivery(days, price_days, end, valuation, market.forward_curve)
     model = read_prices(section, top.model, delivery)
     check_curve(market_table.forward_curve or str(market_table.quotes), model, delivery)
+    products = products_of(file, top.products, notes, days, valuation)
     case = StorageCase(
         file=file,
         title=top.title,
@@ -278,7 +281,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         contract=contract,
         market=market,
         quotes=quoted,
-        products=products_of(file, top.products, notes, days, valuation),
+        products=products,
+        hedges=hedges_of(file, top.hedge, notes, products),
         model=model,
         objective=read_objective(top.objective, str(file)),
         training=read_training(top.training, str(file)),

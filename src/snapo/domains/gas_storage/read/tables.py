@@ -165,6 +165,7 @@ class StorageTable(CaseTable):
     market: dict = Field(description="the table [market]")
     model: dict = Field(description="the table [model]")
     products: dict | None = Field(None, description="the table [products]")
+    hedge: dict | None = Field(None, description="the table [hedge]")
     report: dict = Field({}, description="the table [report]")
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")

@@ -1,0 +1,285 @@
+"""Simulated profit and loss of the contract and its hedge: `snapo solve --hedge`."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, stream
+from snapo.problem.smooth import Exact
+from snapo.report.missing import why_missing
+from snapo.report.page import Block, Text
+from snapo.report.quantity import number
+from snapo.report.rows import Bar, Column, WithError, ladder, table
+from snapo.solver import statistics
+from snapo.solver.adjoint import float64
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..bounds.relaxation import factors_on_paths, path_of, spots_on_paths
+from ..contract.schedule import of_prices
+from ..contract.simulator import simulator_of
+from ..hedges import MIN_VARIANCE, DailyHedge, usual_hedges
+from ..hedges.exposures import BLOCK, StorePaths
+from ..hedges.held import Overnight, by_day
+from ..hedges.simulate import DailyHedges, HedgeGains, static
+from ..hedges.table import Hedges
+from ..ladder.methods import NO_CURVE
+from ..ladder.products import usual_products
+from ..references.intrinsic import intrinsic
+from ..setup import OUTPUT, case_of, factors, policy_of
+from .run import StorageRun
+
+MEASURED, FITTED = 259, 260  # streams of the evaluation: of the table, and of the exposures
+LEVEL = 0.95  # of value at risk
+UNHEDGED, PLAN, SOLD = "None", "Today's plan", "Today's deltas"
+TEXT = (
+    "Money of the contract and of its hedge, both decided without foresight, on the same simulated "
+    "paths. Volumes are sold forward after the flow of a day; delivery settles at the spot price, "
+    "and each unit traded costs half the bid-offer. The share not hedged is the variance over that "
+    "of the contract without a hedge."
+)
+BY_PRODUCT = (
+    "How much of the variance is left with the positions in one product only, and with all others "
+    "but these."
+)
+
+
+@dataclass(frozen=True)
+class HedgeRow:
+    """The money of the contract with one hedge; every number with its standard error.
+
+    - `value_at_risk`, `expected_shortfall`: by how much the 5 % quantile, and the mean of the paths
+      below it, are less than the mean.
+    - `not_hedged`: variance over that of the contract without a hedge; `traded`: mean volume of all
+      trades; `cost`: of the bid-offer, a present value.
+    """
+
+    hedge: str
+    products: str
+    mean: Number = np.nan
+    mean_error: Number = np.nan
+    deviation: Number = np.nan
+    deviation_error: Number = np.nan
+    value_at_risk: Number = np.nan
+    value_at_risk_error: Number = np.nan
+    expected_shortfall: Number = np.nan
+    expected_shortfall_error: Number = np.nan
+    not_hedged: Number = np.nan
+    traded: Number = np.nan
+    cost: Number = np.nan
+
+
+@dataclass(frozen=True)
+class HedgeProduct:
+    """One product of a hedge: the share of the variance that is left with it only, and without it;
+    volume and cost of its trades."""
+
+    hedge: str
+    products: str
+    product: str
+    single: Number = np.nan
+    without: Number = np.nan
+    traded: Number = np.nan
+    cost: Number = np.nan
+
+
+@dataclass(frozen=True)
+class HedgeTables:
+    """All hedges on `paths` paths; `reason`: why there is none."""
+
+    hedges: tuple[HedgeRow, ...] = ()
+    by_product: tuple[HedgeProduct, ...] = ()
+    paths: int = 0
+    reason: str = ""
+
+
+class SimulatedHedge(NamedTuple):
+    """A hedge with its gains by product."""
+
+    hedge: str
+    products: str
+    gains: HedgeGains
+
+
+def measure(run: StudyRun) -> HedgeTables:
+    """All hedges of a store on fresh paths; writes hedge.csv and hedge_products.csv."""
+    setup, case = run.setup, case_of(run.setup)
+    products = case.products or usual_products(case.days, case.valuation_date)
+    hedges = case.hedges or Hedges(usual_hedges(products.families))
+    try:
+        fit, _ = paths_of(run, FITTED, 2 * hedges.paths)
+        paths, groups = paths_of(run, MEASURED, hedges.paths)
+    except ValueError as reason:
+        return HedgeTables(reason=str(reason))
+    overnight = Overnight(products)
+    first, simulated = overnight.first, [SimulatedHedge(UNHEDGED, "", {})]
+    for name, volumes in ((PLAN, planned(setup)), (SOLD, fit.volumes)):
+        for form, rows in (
+            ("by day", by_day(fit.horizon, first)),
+            ("in products", overnight.to_delivery()),
+        ):
+            gains = static(paths, rows, volumes, first)
+            simulated.append(SimulatedHedge(name, form, gains))
+    daily = DailyHedges(overnight, hedges.daily).simulated(fit, paths)
+    for hedge, gains in zip(hedges.daily, daily, strict=True):
+        simulated.append(SimulatedHedge(_name(hedge), _names(hedge.families), gains))
+    rows = tuple(row_of(hedge, paths.money, groups) for hedge in simulated)
+    of_products = tuple(x for hedge in simulated[1:] for x in product_rows(hedge, paths.money))
+    for row in rows:
+        deviation = statistics.with_error(row.deviation, statistics.half_width(row.deviation_error))
+        run.progress(f"hedge: {_title(row)}: standard deviation {deviation}")
+    run.write_records("hedge.csv", HedgeRow, rows)
+    run.write_records("hedge_products.csv", HedgeProduct, of_products)
+    return HedgeTables(rows, of_products, paths.count)
+
+
+def paths_of(run: StudyRun, number: int, count: int) -> tuple[StorePaths, np.ndarray]:
+    """The trained policy on fresh paths of this stream, and their groups.
+
+    **Raises:** `ValueError` where paths have no forward curve.
+    """
+    setup = run.setup
+    problem, prices = setup.problem, factors(setup.problem)
+    process = simulator_of(problem).process
+    if prices is None or not prices.exact or prices.spikes is not None:
+        raise ValueError(NO_CURVE)
+    policy, schedule = policy_of(run.solution), problem.schedule
+    forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
+    discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
+    source = Pseudo(setup.training.seed, stream=stream(EVALUATE, number))
+    engine = setup.engines.evaluate.bind(problem)
+    blocks = list(source.blocks(count, max(1, -(-count // BLOCK))))
+    parts = []
+    for block in blocks:
+        draws = source.draws(block, problem.simulator)
+        rollout = engine.values(policy, draws, Exact(), record=("state", "outputs"))
+        levels = np.asarray(path_of(rollout, "inventory"), np.float64)
+        sold, money = _sold(problem, rollout, levels), float64(rollout.totals)[OUTPUT]
+        part = factors_on_paths(process, rollout), levels, sold, np.asarray(money)
+        if not parts:  # whether the factors make the spot prices
+            curves = StorePaths(prices, forward, discount, *part).curves
+            spots = spots_on_paths(process, of_prices(schedule), rollout)
+            if not np.allclose(curves.spots[:-1], spots[:-1], rtol=1e-5, atol=1e-5):
+                raise ValueError(NO_CURVE)
+        parts.append(part)
+    joined = [np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)]
+    groups = source.groups(np.concatenate(blocks))
+    return StorePaths(prices, forward, discount, *joined), groups
+
+
+def _sold(problem: Problem, rollout, levels: np.ndarray) -> np.ndarray:
+    """[T + 1, N] volume at the price of each day, and of the end."""
+    steps, constants = problem.schedule.steps, problem.schedule.constants
+    outputs = rollout.record["outputs"]
+    out = (1 - steps.withdrawal_fuel)[:, None] * np.asarray(outputs["withdrawal"], np.float64)
+    into = (1 + steps.injection_fuel)[:, None] * np.asarray(outputs["injection"], np.float64)
+    return np.concatenate([out - into, constants.end_fraction * levels[-1:]])
+
+
+def planned(setup: Setup) -> np.ndarray:
+    """[T + 1] the volumes that the intrinsic plan sells."""
+    schedule = setup.problem.schedule
+    plan = intrinsic(schedule, case_of(setup).contract.ratchets.interpolation)
+    steps, net = schedule.steps, plan.net
+    sold = -net * np.where(net < 0, 1 - steps.withdrawal_fuel, 1 + steps.injection_fuel)
+    return np.append(sold, schedule.constants.end_fraction * plan.inventory[-1])
+
+
+def row_of(hedge: SimulatedHedge, money: np.ndarray, groups: np.ndarray) -> HedgeRow:
+    """The statistics of the money with a hedge."""
+    total = money + sum(gain.gain for gain in hedge.gains.values())
+    mean, deviation = statistics.mean(total, groups), statistics.deviation(total, groups)
+    risk, shortfall = statistics.shortfall(total, LEVEL, groups)
+    traded, cost = (
+        float(sum(np.mean(getattr(gain, name)) for gain in hedge.gains.values()))
+        for name in ("traded", "cost")
+    )
+    return HedgeRow(
+        *(hedge.hedge, hedge.products),
+        *(mean.value, mean.standard_error),
+        *(deviation.value, deviation.standard_error),
+        *(risk.value, risk.standard_error),
+        *(shortfall.value, shortfall.standard_error),
+        *(_share(total, money), traded, cost),
+    )
+
+
+def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProduct]:
+    """The share of each product of a hedge in the variance."""
+    total = money + sum(gain.gain for gain in hedge.gains.values())
+    for family, (gain, cost, traded) in hedge.gains.items():
+        shares = _share(money + gain, money), _share(total - gain, money)
+        name = _names([family])
+        about = hedge.hedge, hedge.products, name
+        yield HedgeProduct(*about, *shares, float(traded.mean()), float(cost.mean()))
+
+
+def _share(total: np.ndarray, money: np.ndarray) -> float:
+    """The variance over that of the money without a hedge."""
+    unhedged = np.var(money)
+    return float(np.var(total) / unhedged) if unhedged > 0 else np.nan
+
+
+def _name(hedge: DailyHedge) -> str:
+    return "Daily, least variance" if hedge.rule == MIN_VARIANCE else "Daily, deltas"
+
+
+def _names(families: Sequence[str]) -> str:
+    return ", ".join(family.replace("_", " ") for family in families)
+
+
+def _title(row: HedgeRow) -> str:
+    return f"{row.hedge}, {row.products}" if row.products else row.hedge
+
+
+def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
+    """Deviations as bars, the table of all hedges, and that of their products."""
+    if not result.hedges:
+        reason = f"No hedge was simulated, for {result.reason}."
+        return [Text(reason)] if result.reason else [why_missing(run, HEDGE.name)]
+    bars = [
+        Bar(_title(x), x.deviation, x.deviation_error, strong=x.hedge == UNHEDGED)
+        for x in result.hedges
+    ]
+    caption = (
+        f"Standard deviation of contract and hedge on {number(result.paths, 0)} paths; whiskers "
+        "are 95 % intervals."
+    )
+    unit, volume = run.unit, run.volume
+    columns = [
+        Column("Hedge", "hedge"),
+        Column("Products", "products"),
+        Column("Mean", _measured("mean"), unit, digits=6),
+        Column("Standard deviation", _measured("deviation"), unit),
+        Column("Value at risk, 95 %", _measured("value_at_risk"), unit),
+        Column("Expected shortfall, 95 %", _measured("expected_shortfall"), unit),
+        Column("Not hedged", lambda row: 100 * row.not_hedged, "%", decimal_places=1),
+        Column("Traded", "traded", volume),
+        Column("Cost", "cost", unit),
+    ]
+    product = [
+        Column("Hedge", "hedge"),
+        Column("Products", "products"),
+        Column("Product", "product"),
+        Column("Left with it only", lambda row: 100 * row.single, "%", decimal_places=1),
+        Column("Left without it", lambda row: 100 * row.without, "%", decimal_places=1),
+        Column("Traded", "traded", volume),
+        Column("Cost", "cost", unit),
+    ]
+    return [
+        Text(TEXT),
+        ladder("hedge-deviation", bars, caption),
+        table(result.hedges, columns),
+        table(result.by_product, product, BY_PRODUCT, folded="By product"),
+    ]
+
+
+def _measured(name: str):
+    return lambda row: WithError(getattr(row, name), getattr(row, f"{name}_error"))
+
+
+HEDGE = Chapter("hedge", "Profit and loss with a hedge", HedgeTables, measure, show, "Hedge",
+                key="hedge", optional=True)  # fmt: skip

@@ -1,0 +1,34 @@
+"""Profit and loss of a contract and its hedge; which hedges there are."""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from ..ladder.products import BALANCE, DAY_AHEAD
+
+DELTAS, MIN_VARIANCE = "deltas", "least variance"
+
+
+class DailyHedge(NamedTuple):
+    """Rebalanced on each day, in the `families` of [products].
+
+    - `rule`: DELTAS: each product its exposure; MIN_VARIANCE: the first product of each family, so
+      that the variance of the next day is least.
+    """
+
+    rule: str
+    families: tuple[str, ...]
+
+
+def usual_hedges(families: Collection[str]) -> tuple[DailyHedge, ...]:
+    """Deltas in longer products, then with shorter ones; least variance in one family, and in all.
+
+    `families`: that trade, the shortest first.
+    """
+    short = [family for family in families if family in (DAY_AHEAD, BALANCE)]
+    longer = tuple(family for family in families if family not in short)
+    sets = [longer] if longer else []
+    for family in reversed(short):
+        sets.append((family, *(sets[-1] if sets else ())))
+    single = [family for family in families if family != BALANCE]
+    minimum = [(family,) for family in single] + ([tuple(single)] if len(single) > 1 else [])
+    return (*(DailyHedge(DELTAS, x) for x in sets), *(DailyHedge(MIN_VARIANCE, x) for x in minimum))

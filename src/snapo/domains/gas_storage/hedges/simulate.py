@@ -1,0 +1,202 @@
+"""Profit and loss of a contract with its hedge, on simulated paths.
+
+After the flow of each day t a hedge holds the volume h(d) sold forward on each later day d, equal
+on all days of a product, until the next day:
+
+    money = contract - sum over t, d of D(d) h_t(d) [F_{t+1}(d) - F_t(d)] - sum of b D(d) |trade|
+
+A trade is the difference of h to the day before, b half the spread of its product. Delivery is
+settled at the spot price, without a spread.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from . import MIN_VARIANCE, DailyHedge
+from .exposures import FittedExposures, StorePaths, sensitivities
+from .held import HeldProduct, HeldProducts, Overnight
+
+SEPARATE = 1e-9  # of the squared risk of a product, added: products that move together share
+
+
+class HedgeGain(NamedTuple):
+    """Of one family of products, on paths [N]: gain after costs, cost of the spread, and volume
+    traded."""
+
+    gain: np.ndarray
+    cost: np.ndarray
+    traded: np.ndarray
+
+    def joined(self, other: "HedgeGain") -> "HedgeGain":
+        return HedgeGain(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+HedgeGains = dict[str, HedgeGain]  # by family
+
+
+class HeldVolume(NamedTuple):
+    """A product with the volume a day that is sold of it, [N]."""
+
+    row: HeldProduct
+    volume: np.ndarray
+
+
+def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: int) -> HedgeGains:
+    """Volumes [T + 1] a day, sold today after step `first`, flat over each product.
+
+    The exposure of a product is the mean of the volumes, weighted with today's discounted prices.
+    """
+    total = _Total(paths)
+    weights = paths.discount * paths.moving(paths.forward)
+    change = paths.paid(0, paths.curves.spots - paths.forward[:, None])
+    positions = []
+    for row in rows:
+        days = slice(max(row.block.first, first + 1), row.block.after)
+        mean = np.average(volumes[days], weights=weights[days])
+        volume = _in_lots(np.full(paths.count, mean), row.block.lot)
+        total.gain[row.family] -= volume * change[days].sum(axis=0)
+        positions.append(HeldVolume(row, volume))
+    total.trade([], positions, first)
+    return total.gains
+
+
+@dataclass(frozen=True, eq=False)
+class DailyHedges:
+    """Daily hedges in traded products."""
+
+    overnight: Overnight
+    hedges: Sequence[DailyHedge]
+
+    def simulated(self, fit: StorePaths, paths: StorePaths) -> list[HedgeGains]:
+        """The gains of each hedge on `paths`, its exposures fitted on other ones."""
+        rows = {
+            t: [self.overnight.of(hedge, t) for hedge in self.hedges]
+            for t in range(self.overnight.first, fit.horizon)
+        }
+        exposures = FittedExposures.of(fit, {t: _different(row) for t, row in rows.items()})
+
+        def gains(part: StorePaths) -> list[HedgeGains]:
+            return self._gains(exposures, rows, part)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts = list(pool.map(gains, paths.blocks))
+        return [_joined(of) for of in zip(*parts, strict=True)]
+
+    def _gains(
+        self,
+        exposures: FittedExposures,
+        rows: Mapping[int, Sequence[HeldProducts]],
+        part: StorePaths,
+    ) -> list[HedgeGains]:
+        totals = [_Total(part) for _ in self.hedges]
+        before: list[list[HeldVolume]] = [[] for _ in self.hedges]
+        ahead = part.ahead(self.overnight.first)
+        for t, step in rows.items():
+            next_curve = part.curves(t + 1)
+            change = part.paid(t + 1, next_curve - ahead)
+            moving = part.paid(t + 1, part.moving(ahead))
+            volumes, factors = exposures.at(t, part, moving)
+            volume_of = dict(zip(exposures.products[t], volumes, strict=True))
+            for i, (hedge, held_rows) in enumerate(zip(self.hedges, step, strict=True)):
+                if hedge.rule == MIN_VARIANCE:
+                    sold = _minimum_variance(part, t, held_rows, moving, factors)
+                else:
+                    sold = [volume_of[_days(row)] for row in held_rows]
+                now = [
+                    HeldVolume(row, _in_lots(volume, row.block.lot))
+                    for row, volume in zip(held_rows, sold, strict=True)
+                ]
+                totals[i].trade(before[i], now, t)
+                for row, volume in now:
+                    days = slice(row.block.first - t - 1, row.block.after - t - 1)
+                    totals[i].gain[row.family] -= volume * change[days].sum(axis=0)
+                before[i] = now
+            ahead = next_curve[1:]
+        return [total.gains for total in totals]
+
+
+def _minimum_variance(
+    part: StorePaths, t: int, rows: HeldProducts, moving: np.ndarray, exposure: np.ndarray
+) -> Sequence[np.ndarray]:
+    """Volumes [products, N] that leave the least variance of the next day's shocks.
+
+    Products that move together share the volume.
+    """
+    if not rows:
+        return []
+    by_factor, shock = sensitivities(part.factors, t), part.factors.shock[t + 1]
+    changes = np.array([
+        by_factor[row.block.first - t - 1 : row.block.after - t - 1].T
+        @ moving[row.block.first - t - 1 : row.block.after - t - 1]
+        for row in rows
+    ])  # fmt: skip
+    risks = np.einsum("pfn,fg->npg", changes, shock)
+    target = np.einsum("fn,fg->ng", exposure, shock)
+    sizes = np.sqrt(np.maximum(np.sum(risks**2, axis=2), 1e-300))
+    unit = risks / sizes[:, :, None]
+    square = unit @ np.swapaxes(unit, 1, 2) + SEPARATE * np.eye(len(rows))
+    return (np.linalg.solve(square, unit @ target[:, :, None])[:, :, 0] / sizes).T
+
+
+class _Total:
+    """Sums of a hedge by family."""
+
+    def __init__(self, part: StorePaths):
+        self.part = part
+        self.gain: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
+        self.cost: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
+        self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
+
+    def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
+        """Trades the differences on days after step t, at the spread of the product held now."""
+        marks = {x for row, _ in (*before, *now) for x in (row.block.first, row.block.after)}
+        marks = sorted({max(x, t + 1) for x in marks})
+        nothing = np.zeros(self.part.count)
+        for first, after in pairwise(marks):
+            old, new = (_on(positions, first) for positions in (before, now))
+            row = new or old
+            if row is None:
+                continue
+            (_, block, family), _ = row
+            volume = np.abs((new.volume if new else nothing) - (old.volume if old else nothing))
+            self.traded[family] += (after - first) * volume
+            self.cost[family] += block.spread * self.part.discount[first:after].sum() * volume
+
+    @property
+    def gains(self) -> HedgeGains:
+        return {
+            family: HedgeGain(gain - self.cost[family], self.cost[family], self.traded[family])
+            for family, gain in self.gain.items()
+        }
+
+
+def _on(positions: Sequence[HeldVolume], day: int) -> HeldVolume | None:
+    return next((x for x in positions if x.row.block.first <= day < x.row.block.after), None)
+
+
+def _in_lots(volume: np.ndarray, lot: float) -> np.ndarray:
+    """The nearest multiples of a lot, 0 for any volume."""
+    return np.round(volume / lot) * lot if lot > 0 else volume
+
+
+def _days(row: HeldProduct) -> tuple[int, int]:
+    return row.block.first, row.block.after
+
+
+def _different(rows: Sequence[HeldProducts]) -> list[tuple[int, int]]:
+    """The days of all products, each once."""
+    return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
+
+
+def _joined(parts: Sequence[HedgeGains]) -> HedgeGains:
+    gains = dict(parts[0])
+    for part in parts[1:]:
+        gains = {family: gain.joined(part[family]) for family, gain in gains.items()}
+    return gains
