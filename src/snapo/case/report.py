@@ -25,9 +25,13 @@ def _checked(name: str, info: ValidationInfo) -> str:
     table: Any = info.context
     try:
         logo(table.file.parent, name)
-    except (OSError, ValueError) as error:
-        raise table.error("logo", name, f"{error}; allowed is {ALLOWED}") from None
-    return name
+    except OSError as error:
+        reason = f"the file cannot be read ({error.strerror})"
+    except ValueError as error:
+        reason = str(error)
+    else:
+        return name
+    raise table.error("logo", name, f"{reason}; allowed is {ALLOWED}")
 
 
 class ReportTable(CaseTable):
