@@ -14,7 +14,6 @@ from pydantic import Field
 from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError, nearest
 from snapo.case.load import load
-from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, parse
 
 from ..curves.products import delivery
@@ -280,9 +279,4 @@ def _history(
     return History(gap, value, present, years, phase, column, np.asarray(value[0, 0]))  # pyright: ignore
 
 
-FORMATS = {
-    "": CalibrationTable,
-    "history": HistoryTable,
-    "model": GaussianTable,
-    "report": ReportTable,
-}
+FORMATS = {"": CalibrationTable, "history": HistoryTable, "model": GaussianTable}
