@@ -1,7 +1,7 @@
 """`snapo calibrate`: estimates a model from price history, and writes what a case can use."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ FOLDER = "calibration"  # next to the file, where nothing else is named
 TABLE, PARAMETERS = "model.toml", "parameters.csv"
 COVARIANCE, STATES = "covariance.csv", "states.csv"
 DIGITS = 8
+PERFECT = 0.9999  # a case has no factors that move as one
 # {(input, label) of a run: the parameter of the history}.
 INPUTS = {
     ("mean_reversion", ""): "mean_reversion",
@@ -77,8 +78,8 @@ def _answer(calibration: Calibration, result: HistoryFit) -> dict[str, Any]:
     return {
         "status": "ok" if estimate.converged else "not converged",
         "kind": calibration.model.kind,
-        "first": calibration.days[0],
-        "last": calibration.days[-1],
+        "first": calibration.days[0].isoformat(),
+        "last": calibration.days[-1].isoformat(),
         "dates": len(calibration.days),
         "prices": calibration.prices,
         "log_likelihood": estimate.log_likelihood,
@@ -98,7 +99,7 @@ def model_table(result: HistoryFit) -> dict[str, Any]:
         shift = {"shift": result.model.shift} if result.model.shift else {}
         return table | short | shift
     long = {"mean_reversion": 0.0, "volatility": p["long_volatility"]}
-    both = p["correlation"]
+    both = min(max(p["correlation"], -PERFECT), PERFECT)
     return table | {"factors": [short, long], "correlation": [[1.0, both], [both, 1.0]]}
 
 
@@ -120,10 +121,8 @@ def _write(folder: Path, calibration: Calibration, result: HistoryFit) -> None:
         matrix = ((name, *row) for name, row in zip(estimate.names, estimate.covariance))
         write_csv(folder / COVARIANCE, ("parameter", *estimate.names), matrix)
         head = ("date", *factors, *(f"{name}_error" for name in factors))
-        lines = (
-            (day, *mean, *error) for day, mean, error in zip(calibration.days, states.mean, deviations)
-        )
-        write_csv(folder / STATES, head, lines)
+        lines = zip(calibration.days, states.mean, deviations)
+        write_csv(folder / STATES, head, ((day, *mean, *error) for day, mean, error in lines))
     except OSError as error:
         message = f"the folder cannot be written ({error.strerror})"
         raise CaseError(str(folder), "", None, message) from None
@@ -199,13 +198,9 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         end = "   unknown: the history does not determine it" if row["unknown"] else ""
         yield f"{row['parameter']:<20}{numbers}   {interval}{end}"
     if answer["exact"]:
-        end = f", {_listed(answer['vanished'])} as estimated" if answer["vanished"] else ""
-        yield f"without an error of measurement: {_listed(answer['exact'])}{end}"
+        end = ", as estimated" if answer["vanished"] else ""
+        yield f"without an error of measurement: {', '.join(answer['exact'])}{end}"
     if "value" in answer:
         value = answer["value"]
         yield f"value of the run: ± {value['half_width']:,.4g} (95 %) from these parameters"
     yield f"table for a case: {answer['folder'] / TABLE}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)

@@ -116,7 +116,8 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
     covariance = (axes * variance) @ axes.T
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
     slope = np.asarray(jax.jacfwd(model.numbers)(jnp.asarray(x)))
-    numbers, low, high = (np.asarray(model.numbers(jnp.asarray(y))) for y in (x, x - half, x + half))
+    endpoints = (x, x - half, x + half)
+    numbers, low, high = (np.asarray(model.numbers(jnp.asarray(point))) for point in endpoints)
     natural = slope @ covariance @ slope.T
     return HistoryEstimate(
         model.names,

@@ -1,4 +1,4 @@
-"""Gaussian price models of `[model]` as a hidden state that moves, and prices that are linear in it.
+"""Gaussian price models of `[model]` as a hidden state, and prices that are linear in it.
 
 With X = ln(S + h), or S itself for normal prices, X(T) = chi + xi + g(T):
 

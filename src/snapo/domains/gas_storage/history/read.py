@@ -155,7 +155,9 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
                 raise row.error("product", f"it has a price of {day} already, further up")
             known.add((day, first, last))
             if first < day:
-                message = f"its first day is {first}; quotes are of what begins on the date or later"
+                message = (
+                    f"its first day is {first}; quotes are of what begins on the date or later"
+                )
                 raise row.error("product", message)
             yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
 
