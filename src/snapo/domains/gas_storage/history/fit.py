@@ -49,7 +49,7 @@ def fit(calibration: Calibration) -> HistoryFit:
             vanished.append(series)
         estimate = estimate_of(model, maximum)
         states = jax.jit(partial(filtered, model))(estimate.numbers, calibration.history)
-        states = Filtered(*map(np.asarray, states))
+        states = jax.tree.map(np.asarray, states)
     return HistoryFit(model, estimate, states, tuple(vanished))
 
 

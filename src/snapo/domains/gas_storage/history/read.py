@@ -196,7 +196,7 @@ def _observed(
     """The price of a cell, delivered in so many years or on a day; nothing for an empty cell."""
     if row.cells[column] == "":
         return
-    years = ahead if isinstance(ahead, float) else (ahead - day).days / YEAR
+    years = (ahead - day).days / YEAR if isinstance(ahead, datetime.date) else ahead
     length = 366 if calendar.isleap(day.year) else 365
     start = (day.timetuple().tm_yday - 1) / length
     number = row.number(column)
