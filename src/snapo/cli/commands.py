@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
         "sweep": _sweep,
         "certify": _certify,
         "calibrate": _calibrate,
+        "backtest": _backtest,
         "report": _report,
         "export": _export,
         "open": _open,
@@ -235,6 +236,18 @@ def _calibrate(options: argparse.Namespace) -> Answer:
     run = None if options.run is None else located(options.run)
     result = calibrate(options.case, say, out=options.out, run=run)
     return result, estimates(result), OK if result["status"] == "ok" else FAILED
+
+
+def _backtest(options: argparse.Namespace) -> Answer:
+    from snapo.domains.gas_storage.history.backtest import backtest
+    from snapo.domains.gas_storage.history.backtest import summary as realised
+    from snapo.study.runs.store import located
+
+    policy = None if options.policy is None else located(options.policy)
+    result = backtest(
+        options.case, options.history, say, every=options.every, policy=policy, out=options.out
+    )
+    return result, realised(result), OK
 
 
 def _report(options: argparse.Namespace) -> Answer:

@@ -9,6 +9,7 @@ from pathlib import Path
 from snapo import __version__
 
 from .arguments import even_number, port, seed, seeds, shard, simulator_class, whole_number
+from .past import add_backtest, add_calibrate
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
@@ -65,7 +66,8 @@ def _parser() -> argparse.ArgumentParser:
         _add_book,
         _add_sweep,
         _add_certify,
-        _add_calibrate,
+        add_calibrate,
+        add_backtest,
         _add_report,
         _add_export,
         _add_open,
@@ -242,27 +244,6 @@ def _add_certify(commands) -> None:
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(certify)
-
-
-def _add_calibrate(commands) -> None:
-    calibrate = commands.add_parser(
-        "calibrate", help="estimate a price model from history, with intervals"
-    )
-    calibrate.add_argument(
-        "case", metavar="FILE", type=Path, help="a TOML file of kind calibration, or its folder"
-    )
-    calibrate.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        help="folder of the results (default: calibration, next to the file)",
-    )
-    calibrate.add_argument(
-        "--run",
-        metavar="RUN",
-        type=Path,
-        help="a run with this model, whose value gets the interval due to the estimates",
-    )
 
 
 def _add_report(commands) -> None:
