@@ -1,7 +1,9 @@
 """`snapo backtest`: no decision sees the future, and the mean over drawn histories is the value."""
 
 import datetime
+import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -16,8 +18,13 @@ from snapo.domains.gas_storage.history.backtest import StoreBacktest, run_backte
 from snapo.domains.gas_storage.history.observed import ForwardQuote as Quote
 from snapo.domains.gas_storage.history.observed import ObservedMarket, read_observed
 from snapo.domains.gas_storage.history.rule import drawn_spots, followed, solved_on
+from snapo.domains.gas_storage.ladder.forwards import PathCurves
+from snapo.domains.gas_storage.ladder.products import usual_products
+from snapo.domains.gas_storage.ladder.rolling import Chains, rolling
+from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.references.lattice import refined
-from snapo.domains.gas_storage.setup import factors
+from snapo.domains.gas_storage.setup import factorsfrom snapo.problem.carry.save import load as load_policy
+from snapo.problem.policy import Policy
 
 FILE, DATA = load(CASES / "quick")
 FIRST = datetime.date(2025, 1, 1)
@@ -108,6 +115,23 @@ def test_curves_of_the_model_change_no_decision(ledger, runs, paths):
 
 
 @pytest.mark.prove
+def test_rolling_intrinsic_is_that_of_the_ladder(ledger, runs, paths):
+    """On the curves of a path of the factor, which the ladder makes by another formula."""
+    schedule = jax.tree.map(np.asarray, ledger.problem.schedule)
+    prices = factors(ledger.problem)
+    assert prices is not None
+    forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
+    years = np.arange(31) / 365
+    variance = 0.9**2 * (1 - np.exp(-40.0 * years)) / 40.0
+    state = (np.log(paths[:, 3] / forward) + variance / 2) / 0.9
+    curves = PathCurves(prices, forward, state[:, None, None])
+    products = usual_products(ledger.case.days, ledger.case.valuation_date)
+    chains = Chains(FlatStore(schedule, ledger.case.contract.ratchets.interpolation))
+    money = rolling(chains, products.blocks, curves, 1, products.before).money[0]
+    assert runs[0].rolling == pytest.approx(money, rel=1e-9)
+
+
+@pytest.mark.prove
 def test_the_command_writes_its_tables(tmp_path, ledger, paths, capsys):
     case = Path(shutil.copytree(CASES / "quick", tmp_path / "case"))
     prices, days = paths[:30, 3], ledger.case.days
@@ -122,6 +146,23 @@ def test_the_command_writes_its_tables(tmp_path, ledger, paths, capsys):
     np.testing.assert_allclose(np.cumsum(table["cash"]), table["cash_so_far"])
     realised = f"{table['cash_so_far'][-1]:,.2f}"
     assert realised in next(x for x in printed.splitlines() if x.startswith("realised"))
+
+
+@pytest.mark.prove
+def test_a_trained_policy_decides(solved, tmp_path, ledger, paths, capsys):
+    """The policy of a run; a folder without one is named."""
+    folder, days = solved("gas-storage"), ledger.case.days
+    rows = [f"{day},{price!r}" for day, price in zip(days, paths[:30, 3].tolist())]
+    (tmp_path / "spot.csv").write_text("\n".join(["date,price", *rows]) + "\n")
+    more = ["--history", str(tmp_path), "--out", str(tmp_path / "out"), "--json", "--policy"]
+    assert main(["backtest", str(folder / "case"), *more, str(folder / "run")]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    policy = load_policy(folder / "run" / "policy.npz", Policy, ledger.policy)
+    followed_by = followed(replace(ledger, policy=policy), paths[:, 3:4])
+    assert answer["realised"] == pytest.approx(followed_by.money[0], rel=1e-9)
+    assert not np.array_equal(policy.network.weights[-1], ledger.policy.network.weights[-1])
+    assert main(["backtest", str(folder / "case"), *more, str(tmp_path)]) == 2
+    assert "policy.npz" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.cli.main import main
 from snapo.domains.gas_storage import DOMAIN
-from snapo.domains.gas_storage.history.calibrate import model_table, value_interval
+from snapo.domains.gas_storage.history.calibrate import derivatives_of, model_table, value_interval
 from snapo.domains.gas_storage.history.fit import HistoryFit
 from snapo.domains.gas_storage.history.kalman import Filtered
 from snapo.domains.gas_storage.history.maximum import HistoryEstimate, unknown
@@ -53,6 +53,9 @@ def days(count: int, price: str = "20.5", **others: str) -> str:
         (SPOT, ONE, days(12), ["history.spot", "12 prices", "at least 20 dates"]),
         ("[history]\n", ONE, days(30), ["history.spot", "spot, quotes or maturities"]),
         (SPOT + 'exact = ["sport"]\n', ONE, days(30), ["history.exact", "'sport'", "spot"]),
+        (SPOT + "first = 2025-01-01\n", ONE, days(30), ["history.first", "no price from 2025"]),
+        (SPOT + "first = 2024-02-01\nlast = 2024-01-01\n", ONE, days(30), ["history.last"]),
+        (SPOT + "first = 2024-01-15\n", ONE, days(30), ["16 prices on 16 dates"]),
         (SPOT + "season = 5\n", ONE, days(30), ["history.season", "5", "0, 1 or 2"]),
         (SPOT + "step = 0.0\n", ONE, days(30), ["history.step", "above 0"]),
         (SPOT, '[model]\nkind = "regimes"\n', days(30), ["model.kind", "'regimes'", "one-factor"]),
@@ -166,6 +169,14 @@ def test_wide_intervals_are_unknown():
     wide = np.array([1.0, 0.01, -0.1, 0.01, -0.6]), np.array([14.0, 0.7, 0.02, 0.2, 0.5])
     assert not unknown(model, *narrow).any()
     assert unknown(model, *wide).all()
+
+
+@pytest.mark.prove
+def test_the_derivatives_of_a_run_are_found(solved, tmp_path):
+    table = derivatives_of(solved("gas-storage") / "run")
+    assert set(table) == {"mean_reversion", "volatility"} and table["volatility"] > 0
+    with pytest.raises(CaseError, match="no derivative"):
+        derivatives_of(tmp_path)
 
 
 EXACT = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 2000}

@@ -19,7 +19,7 @@ from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv
 
 from ..ladder.products import usual_products
-from ..ladder.rolling import Chains, rolling
+from ..ladder.rolling import Chains, TradeBlock, rolling
 from ..ladder.store import FlatStore
 from ..policy.network import StoragePolicy
 from ..references.intrinsic import intrinsic
@@ -28,7 +28,7 @@ from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_o
 
 FOLDER, DAYS, SOLUTIONS = "backtest", "days.csv", "solutions.csv"
 EVERY = 30  # days from one solution to the next one
-PATHS = 1024  # of the model, for expectations
+PATHS = 2048  # of the model, for expectations
 KIND = "gas-storage"
 
 
@@ -212,25 +212,36 @@ def _mark(
 
 
 def _rolling(ledger: DatedRule, observed: ObservedMarket, spots: np.ndarray, end: float) -> float:
-    """Rolling intrinsic on the curves of the folder, less fixed costs."""
+    """Rolling intrinsic on the curves of the folder, less fixed costs.
+
+    Forwards trade on the dates of a curve; on others only the day itself, at its spot price.
+    """
     case, schedule = ledger.case, jax.tree.map(np.asarray, ledger.problem.schedule)
     dates = (*case.days, case.end)
     priced = len(dates) if case.has_end_price else len(case.days)
+    products = case.products or usual_products(case.days, case.valuation_date)
+
+    def day(t: int) -> datetime.date:
+        return case.valuation_date if t < 0 else case.days[t]
 
     def curves(t: int) -> np.ndarray:
         if t == len(case.days):
             return np.array([[end]])
-        day = case.valuation_date if t < 0 else case.days[t]
-        curve = observed.curve(day, dates[max(t, 0) : priced])
+        curve = observed.curve(day(t), dates[max(t, 0) : priced])
         curve = curve if priced == len(dates) else np.append(curve, curve[-1])
         if t >= 0:
             curve[0] = spots[t]
         return curve[:, None]
 
-    products = case.products or usual_products(case.days, case.valuation_date)
+    def blocks(t: int) -> tuple[TradeBlock, ...]:
+        first, *others = products.blocks(t)
+        if day(t) in observed.curves:
+            return (first, *others)
+        return (first, *(block._replace(trades=False) for block in others))
+
     store = FlatStore(schedule, case.contract.ratchets.interpolation)
     try:
-        money = rolling(Chains(store), products.blocks, curves, 1, products.before).money
+        money = rolling(Chains(store), blocks, curves, 1, products.before).money
     except ValueError as error:
         raise CaseError(str(case.file), "products", None, f"rolling intrinsic: {error}") from None
     return float(money[0]) - float(schedule.constants.fixed_costs)

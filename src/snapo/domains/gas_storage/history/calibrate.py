@@ -47,7 +47,7 @@ def calibrate(
     calibration = read_calibration(path)
     for note in calibration.notes:
         progress(f"note: {note}")
-    derivatives = None if run is None else _derivatives(run)
+    derivatives = None if run is None else derivatives_of(run)
     progress(
         f"{calibration.prices:,} prices on {len(calibration.days):,} dates; estimating "
         f"{len(calibration.model.names)} parameters of {calibration.model.kind}"
@@ -145,7 +145,7 @@ def _toml(calibration: Calibration, result: HistoryFit) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _derivatives(run: Path) -> dict[str, float]:
+def derivatives_of(run: Path) -> dict[str, float]:
     """{parameter: derivative of the value of a run with respect to it}.
 
     **Raises:** `CaseError` where the run has no derivative with respect to any of them.

@@ -17,6 +17,7 @@ from snapo.case.load import load
 from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, parse
 
 from ..curves.products import delivery
+from ..read.tables import DATE, DateKey
 from .kalman import History
 from .model import HistoryModel
 
@@ -45,6 +46,8 @@ class HistoryTable(CaseTable):
     maturities: str | None = Field(
         None, description="a CSV file with a column date, and one for each number of months ahead"
     )
+    first: DateKey | None = Field(None, description=f"{DATE}: earlier prices are left out")
+    last: DateKey | None = Field(None, description=f"{DATE}: later prices are left out")
     step: Positive | None = Field(
         None, description="a number above 0: years between two dates, instead of their days / 365"
     )
@@ -104,10 +107,15 @@ def read_calibration(path: Path) -> Calibration:
     if (model.kind == "one-factor-shifted") != (model.shift is not None):
         message = 'kind "one-factor-shifted" has a shift, a number above 0, and no other kind has'
         raise TableContext(file, "model", notes).error("shift", model.shift, message)
-    prices = list(_prices(section, table))
-    if not prices:
+    first, last = table.first or datetime.date.min, table.last or datetime.date.max
+    if first > last:
+        raise section.error("last", table.last, f"allowed is a date that is not before {first}")
+    if table.spot is None and table.quotes is None and table.maturities is None:
         message = "[history] names at least one file: spot, quotes or maturities"
         raise section.error("spot", None, message)
+    prices = [price for price in _prices(section, table) if first <= price.day <= last]
+    if not prices:
+        raise section.error("first", table.first, f"there is no price from {first} to {last}")
     normal, shift = model.kind == "one-factor-normal", model.shift or 0.0
     if not normal:
         _check_sign(prices, shift)
