@@ -23,7 +23,8 @@ from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import Chains, rolling
 from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.references.lattice import refined
-from snapo.domains.gas_storage.setup import factorsfrom snapo.problem.carry.save import load as load_policy
+from snapo.domains.gas_storage.setup import factors
+from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
 
 FILE, DATA = load(CASES / "quick")
