@@ -29,7 +29,7 @@ def add_calibrate(commands) -> None:
 def add_backtest(commands) -> None:
     backtest = commands.add_parser(
         "backtest",
-        help="decide a gas store on past prices, with what was known on each day",
+        help="decide a gas store on past prices, with the prices until each day",
         epilog="snapo backtest mystore --history prices",
     )
     backtest.add_argument(

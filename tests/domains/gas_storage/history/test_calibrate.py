@@ -173,10 +173,13 @@ def test_wide_intervals_are_unknown():
 
 @pytest.mark.prove
 def test_the_derivatives_of_a_run_are_found(solved, tmp_path):
-    table = derivatives_of(solved("gas-storage") / "run")
+    run = solved("gas-storage") / "run"
+    table = derivatives_of(run, "one-factor")
     assert set(table) == {"mean_reversion", "volatility"} and table["volatility"] > 0
-    with pytest.raises(CaseError, match="no derivative"):
-        derivatives_of(tmp_path)
+    with pytest.raises(CaseError, match=r"model\.kind: got 'one-factor'.*\"multi-factor\""):
+        derivatives_of(run, "multi-factor")
+    with pytest.raises(CaseError, match="run"):
+        derivatives_of(tmp_path, "one-factor")
 
 
 EXACT = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 2000}

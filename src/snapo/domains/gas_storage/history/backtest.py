@@ -1,4 +1,4 @@
-"""`snapo backtest`: a gas store decided on past prices, each day with what was known then."""
+"""`snapo backtest`: a gas store decided on past prices, each day with the prices until then."""
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,8 +37,8 @@ class MarkedPosition:
     """A solution, and the position marked to the curve of its date.
 
     - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
-    - `expected`, `error`: what the rest of the contract brings on paths of the model around the
-      curve of the date; `intrinsic`: by the best fixed plan; both discounted to the same date.
+    - `expected`, `error`: of the money of the rest of the contract, on paths of the model
+      around the curve of the date; `intrinsic`: by the best fixed plan; both discounted to the same date.
     """
 
     date: datetime.date
@@ -142,16 +142,16 @@ def run_backtest(
     rule = _on(file, data, ledger, observed, valuation, None) if curved else ledger
     drawn = followed(rule, drawn_spots(rule.problem, PATHS, ledger.case.training.seed))
     schedule = ledger.problem.schedule
-    level, rows, marks, begun = np.full(1, float(schedule.constants.inventory)), [], [], 0
+    level, rows, marks, started = np.full(1, float(schedule.constants.inventory)), [], [], 0
     discount = np.asarray(schedule.steps.flow_discount)
     cash = 0.0
     for t, day in enumerate(days):
-        if t and curved and t - begun >= every:
+        if t and curved and t - started >= every:
             progress(f"{day}: solving again")
-            rule, begun = _on(file, data, ledger, observed, day, float(level[0])), t
-        if t == begun:
+            rule, started = _on(file, data, ledger, observed, day, float(level[0])), t
+        if t == started:
             marks.append(_mark(rule, day, float(level[0]), cash, float(discount[t]) if t else 1.0))
-        row = decided(rule, t - begun, ledger.problem, t, level, spots[t : t + 1])
+        row = decided(rule, t - started, ledger.problem, t, level, spots[t : t + 1])
         level = row.inventory
         cash += float(row.cash[0])
         rows.append(np.concatenate(row))
@@ -187,16 +187,11 @@ def _on(
 ) -> DatedRule:
     """The rule on a date, with the curve known then."""
     case = ledger.case
-    if inventory is None:
-        needed, own = case.days, None
-    else:
-        needed = tuple(item for item in case.days if item >= day)
-        own = ledger.policy
+    needed = tuple(item for item in case.days if item >= day)
     if case.has_end_price:
         needed = (*needed, case.end)
     curve = observed.curve(day, needed)
-    policy = ledger.policy if own is None else own
-    return solved_on(file, data, day, inventory, curve, policy)
+    return solved_on(file, data, day, inventory, curve, ledger.policy)
 
 
 def _mark(

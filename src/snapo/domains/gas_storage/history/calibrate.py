@@ -1,4 +1,4 @@
-"""`snapo calibrate`: estimates a model from price history, and writes what a case can use."""
+"""`snapo calibrate`: estimates a model from price history, and writes a table for a case."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -11,6 +11,7 @@ from snapo.case.error import CaseError
 from snapo.case.toml import one_value
 from snapo.report.folder import RunFiles
 from snapo.solver.tables import write_csv, write_text
+from snapo.study.run_folder import read as read_run
 
 from .fit import HistoryFit, fit
 from .maximum import NORMAL_95
@@ -47,7 +48,7 @@ def calibrate(
     calibration = read_calibration(path)
     for note in calibration.notes:
         progress(f"note: {note}")
-    derivatives = None if run is None else derivatives_of(run)
+    derivatives = None if run is None else derivatives_of(run, calibration.model.kind)
     progress(
         f"{calibration.prices:,} prices on {len(calibration.days):,} dates; estimating "
         f"{len(calibration.model.names)} parameters of {calibration.model.kind}"
@@ -145,11 +146,16 @@ def _toml(calibration: Calibration, result: HistoryFit) -> str:
     return "\n".join(lines) + "\n"
 
 
-def derivatives_of(run: Path) -> dict[str, float]:
+def derivatives_of(run: Path, kind: str) -> dict[str, float]:
     """{parameter: derivative of the value of a run with respect to it}.
 
-    **Raises:** `CaseError` where the run has no derivative with respect to any of them.
+    **Raises:** `CaseError` where the run has a model of another kind, or no derivative with respect
+    to any parameter.
     """
+    model = read_run(run)["decides"]["case"].get("model")
+    other = model.get("kind") if isinstance(model, Mapping) else None
+    if other != kind:
+        raise CaseError(str(run), "model.kind", other, f'the calibration is of kind "{kind}"')
     table: dict[str, float] = {}
     for row in RunFiles.read(run).sensitivities:
         name = INPUTS.get((row.input, row.label))
@@ -168,7 +174,7 @@ def value_interval(result: HistoryFit, derivatives: Mapping[str, float]) -> dict
     """The standard error of a run's value that the errors of the parameters cause.
 
     With the derivatives d of the value and the covariance C of the estimates it is sqrt(d C d), to
-    first order (the delta method). `shares`: the same with one parameter's error alone.
+    first order (the delta method). `shares`: the same with the error of one parameter only.
     """
     names = result.estimate.names
     slope = np.array([derivatives.get(name, 0.0) for name in names])
@@ -199,7 +205,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         yield f"{row['parameter']:<20}{numbers}   {interval}{end}"
     if answer["exact"]:
         end = ", as estimated" if answer["vanished"] else ""
-        yield f"without an error of measurement: {', '.join(answer['exact'])}{end}"
+        yield f"without a measurement error: {', '.join(answer['exact'])}{end}"
     if "value" in answer:
         value = answer["value"]
         yield f"value of the run: ± {value['half_width']:,.4g} (95 %) from these parameters"

@@ -13,8 +13,8 @@ from .model import HistoryModel
 from .read import Calibration
 
 SPEEDS = {1: (1.0, 8.0, 60.0), 2: (0.7, 3.0, 15.0)}  # per year, of the starts, by factors
-ERROR = 0.3  # of a series' movement between two dates: its error of measurement at the start
-VANISHING = 1e-3  # of the same: an error of measurement that runs to zero
+ERROR = 0.3  # of a series' movement between two dates: its measurement error at the start
+VANISHING = 1e-3  # of the same: a measurement error that runs to zero
 SAME = 1e-3  # of the log-likelihood
 
 
@@ -22,7 +22,7 @@ SAME = 1e-3  # of the log-likelihood
 class HistoryFit:
     """The estimates of a calibration.
 
-    - `model`: with the series that turned out to have no error of measurement among its `exact`.
+    - `model`: `exact` also has the series without a measurement error at the maximum.
     - `estimate`; `states`: the filtered factors of each date at the estimates, as NumPy arrays.
     - `vanished`: those series.
     """
@@ -93,9 +93,9 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
     Of several prices of a date the first counts.
     """
     history = calibration.history
-    own = np.asarray(history.present) & (np.asarray(history.column) == column)
-    dates = np.flatnonzero(own.any(axis=1))
-    value = np.asarray(history.value)[dates, own[dates].argmax(axis=1)]
+    mask = np.asarray(history.present) & (np.asarray(history.column) == column)
+    dates = np.flatnonzero(mask.any(axis=1))
+    value = np.asarray(history.value)[dates, mask[dates].argmax(axis=1)]
     time = np.cumsum(np.asarray(history.gap))[dates]
     smallest = 1e-4 * calibration.model.unit
     if len(dates) < 3:
@@ -105,7 +105,7 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
 
 
 def _vanishing(model: HistoryModel, maximum: Maximum, calibration: Calibration) -> str | None:
-    """The series whose error of measurement runs to zero, if one more may be exact."""
+    """The series whose measurement error runs to zero, if one more may be exact."""
     numbers = dict(zip(model.names, np.asarray(model.numbers(maximum.variables))))
     for i, name in enumerate(model.columns):
         deviation = numbers.get(f"deviation_{name}")

@@ -1,7 +1,7 @@
 """The Kalman filter of a Gaussian price model, one scalar price at a time, in plain JAX.
 
 The prices of a date are conditionally independent, so that each updates the state in turn. Nothing
-is inverted but a variance: an error of measurement may be exactly zero, and a missing price is no
+is inverted but a variance: a measurement error may be exactly zero, and a missing price is no
 update. Source: Durbin and Koopman (2012), "Time Series Analysis by State Space Methods", 6.4.
 """
 
@@ -20,7 +20,7 @@ class History(NamedTuple):
     - `gap` [N]: years since the date before, 0 for the first.
     - `value` [N, M]: X of each price; `present` [N, M]: whether there is one.
     - `years` [N, M]: to delivery; `phase` [N, M]: time of delivery as a share of its year.
-    - `column` [N, M]: the series of each price, which determines the error of measurement.
+    - `column` [N, M]: the series of each price, which determines the measurement error.
     - `first` []: X around which the long-term level begins.
     """
 

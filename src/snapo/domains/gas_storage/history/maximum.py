@@ -22,7 +22,7 @@ LONGEST = 1.0  # change of any variable in one step
 SHORTEST, ROUNDING = 1e-12, 1e-13  # share of a step at which the search ends; of the value
 FLAT = 1e-9  # of the largest eigenvalue: less is no curvature
 NORMAL_95 = 1.959963984540054
-# When an interval says nothing: see `unknown`.
+# When an interval is too wide to be of use: see `unknown`.
 DECADE, HALF_RANGE, SMALL_RATE, WIDE_LEVEL = 10.0, 1.0, 0.01, 0.5
 
 
@@ -36,7 +36,7 @@ class Maximum(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The best point so far, the next one, and the share of a full step that leads there."""
+    """The best point so far, the next one, and the share of a full step to it."""
 
     x: Array
     value: Array
@@ -72,8 +72,8 @@ def maximise(function: Callable[[Array], Array], start: Float[Array, " P"]) -> M
         capped = LONGEST / jnp.maximum(jnp.max(jnp.abs(direction)), LONGEST)
         close = jnp.sum(along**2 / curvature) / 2 < CLOSE
         done = (rises & close) | (length < SHORTEST)
-        following = x + length * capped * direction
-        return _Search(x, value, gradient, hessian, following, length, at.count + 1, done)
+        candidate = x + length * capped * direction
+        return _Search(x, value, gradient, hessian, candidate, length, at.count + 1, done)
 
     size = len(start)
     none = -jnp.inf * jnp.ones(()), jnp.zeros(size), jnp.zeros((size, size))
@@ -133,7 +133,7 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
 
 
 def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[P] whether an interval says nothing about its parameter.
+    """[P] whether an interval is too wide to be of use.
 
     A positive one: the upper end is over ten times the lower. A correlation: the interval is over
     half of the range from -1 to 1. A rate: not even its sign is certain, and it may be over 1 % a

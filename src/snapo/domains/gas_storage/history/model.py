@@ -45,8 +45,8 @@ class HistoryModel:
 
     - `kind`: as in `[model]`; `factors`: 1 or 2; `normal`: X is the price itself.
     - `shift`: h; `harmonics`: of the season.
-    - `quoted`: whether there are forward prices, which alone depend on the pricing measure.
-    - `columns`: names of the observed series; `exact`: those without an error of measurement.
+    - `quoted`: whether there are forward prices, the only ones that depend on the pricing measure.
+    - `columns`: names of the observed series; `exact`: those without a measurement error.
     - `unit`: typical size of X's movement: 1 for logarithms, money for normal prices.
     """
 

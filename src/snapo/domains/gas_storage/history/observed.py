@@ -1,4 +1,4 @@
-"""What a back-test may know: spot prices and forward curves by the date on which they were seen."""
+"""The prices of a back-test: spot prices and forward curves by the date of their publication."""
 
 import datetime
 from bisect import bisect_right
@@ -66,8 +66,8 @@ class ObservedMarket:
 
         **Raises:** `CaseError` where a later day is in no product.
         """
-        seen = self.curve_days[bisect_right(self.curve_days, day) - 1]
-        quotes = sorted(self.curves[seen], key=lambda x: (x.last - x.first, x.first))
+        latest = self.curve_days[bisect_right(self.curve_days, day) - 1]
+        quotes = sorted(self.curves[latest], key=lambda x: (x.last - x.first, x.first))
         first = min(quote.first for quote in quotes)
         prices = []
         for item in days:
@@ -77,9 +77,9 @@ class ObservedMarket:
             price = next((x.price for x in quotes if x.first <= item <= x.last), None)
             if price is None:
                 message = (
-                    f"no product of {seen} has delivery on {item}; the contract needs all days"
+                    f"no product of {latest} has delivery on {item}; the contract needs all days"
                 )
-                raise CaseError(str(self.folder / CURVES), seen.isoformat(), None, message)
+                raise CaseError(str(self.folder / CURVES), latest.isoformat(), None, message)
             prices.append(price)
         return np.array(prices)
 

@@ -14,7 +14,7 @@ from pydantic import Field
 from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError, nearest
 from snapo.case.load import load
-from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, parse
+from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, optional, parse
 
 from ..curves.products import delivery
 from ..read.tables import DATE, DateKey
@@ -24,7 +24,7 @@ from .model import HistoryModel
 KIND = "calibration"
 YEAR = 365.0
 FEWEST = 20  # dates
-LONGEST = 92  # days of a product that stands for its middle
+LONGEST = 92  # days of a product, whose price is taken as that of its middle
 MONTHS = re.compile(r"[a-z_ ]*(\d{1,3})", re.ASCII)
 LATEST = 1200  # months to delivery
 
@@ -38,6 +38,7 @@ class CalibrationTable(CaseTable):
     model: Any = Field(description="a table, [model]")
 
 
+@optional("step", note=": years between two dates, instead of their days / 365")
 class HistoryTable(CaseTable):
     """`[history]`"""
 
@@ -48,20 +49,19 @@ class HistoryTable(CaseTable):
     )
     first: DateKey | None = Field(None, description=f"{DATE}: earlier prices are left out")
     last: DateKey | None = Field(None, description=f"{DATE}: later prices are left out")
-    step: Positive | None = Field(
-        None, description="a number above 0: years between two dates, instead of their days / 365"
-    )
+    step: Positive
     exact: list[str] | None = Field(
-        None, description='names of series without an error of measurement, such as ["spot"]'
+        None, description='names of series without a measurement error, such as ["spot"]'
     )
     season: Literal[0, 1, 2] = Field(0, description="0, 1 or 2: waves of the year")
 
 
+@optional("shift", note=": prices are above minus it")
 class GaussianTable(CaseTable):
     """`[model]` of a calibration."""
 
     kind: Literal["one-factor", "one-factor-normal", "one-factor-shifted", "multi-factor"]
-    shift: Positive | None = Field(None, description="a number above 0: prices are above minus it")
+    shift: Positive
 
 
 class ObservedPrice(NamedTuple):
@@ -155,17 +155,15 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
     if table.quotes is not None:
         columns = ("date", "product", "price")
         rows = read_rows(FileReference(section, "quotes", table.quotes), columns)
-        known: set[tuple[datetime.date, datetime.date, datetime.date]] = set()
+        visited: set[tuple[datetime.date, datetime.date, datetime.date]] = set()
         for row in rows:
             first, last = _product(row)
             day = row.day("date")
-            if (day, first, last) in known:
+            if (day, first, last) in visited:
                 raise row.error("product", f"it has a price of {day} already, further up")
-            known.add((day, first, last))
+            visited.add((day, first, last))
             if first < day:
-                message = (
-                    f"its first day is {first}; quotes are of what begins on the date or later"
-                )
+                message = f"its first day is {first}; allowed is a product that has not begun"
                 raise row.error("product", message)
             yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
 
@@ -193,7 +191,7 @@ def _product(row: Row) -> tuple[datetime.date, datetime.date]:
     except ValueError as error:
         raise row.error("product", str(error)) from None
     if (last - first).days >= LONGEST:
-        message = f"allowed is a product of at most {LONGEST} days, which stands for its middle"
+        message = f"allowed is a product of at most {LONGEST} days"
         raise row.error("product", message)
     return first, last
 

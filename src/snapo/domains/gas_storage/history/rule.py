@@ -51,7 +51,7 @@ def solved_on(
     curve: np.ndarray | None,
     policy: StoragePolicy | None = None,
 ) -> DatedRule:
-    """The rule of the fitted value of a case on a date, with what is known then.
+    """The rule of the fitted value of a case on a date, with the prices until then.
 
     - `day`, `inventory`: valuation date, and gas in store then; None: those of the case.
     - `curve`: the forward price of each day that
@@ -131,13 +131,13 @@ def drawn_spots(problem: Problem, count: int, seed: int) -> np.ndarray:
         process = simulator.on_paths().process
         rows, terms = schedule.steps.price, schedule.constants
         first, later = jax.random.split(jax.random.key(seed))
-        begin = jax.random.normal(first, (count, process.initial_noise_size))
+        origin = jax.random.normal(first, (count, process.initial_noise_size))
         steps = jax.random.normal(later, (simulator.horizon, count, process.noise_size))
-        return np.asarray(_spots(process, terms.price, rows, terms.end_price, begin, steps))
+        return np.asarray(_spots(process, terms.price, rows, terms.end_price, origin, steps))
 
 
 @compiled_sooner
-def _spots(process, constants, rows, end, begin, steps):
+def _spots(process, constants, rows, end, origin, steps):
     level = jax.vmap(process.level, (None, None, 0))
     move = jax.vmap(process.step, (None, None, 0, 0))
 
@@ -145,19 +145,19 @@ def _spots(process, constants, rows, end, begin, steps):
         now, noise = row
         return move(constants, now, state, noise), level(constants, now, state)
 
-    state = jax.vmap(process.initial, (None, 0))(constants, begin)
+    state = jax.vmap(process.initial, (None, 0))(constants, origin)
     state, spots = jax.lax.scan(step, state, (rows, steps))
     return jnp.concatenate([spots, level(constants, end, state)[None]])
 
 
-class Followed(NamedTuple):
+class RuleCash(NamedTuple):
     """[N] the money of each path; `cash` [T, N] by day, discounted."""
 
     money: np.ndarray
     cash: np.ndarray
 
 
-def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> Followed:
+def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> RuleCash:
     """The rule on given spot prices [T + 1, N], from its first day to the end."""
     problem = rule.problem
     start = float(problem.schedule.constants.inventory) if inventory is None else inventory
@@ -168,4 +168,4 @@ def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None)
         rows.append(result.cash)
     cash = np.array(rows)
     fixed = float(problem.schedule.constants.fixed_costs)
-    return Followed(cash.sum(axis=0) + end_money(problem, level, spots[-1]) - fixed, cash)
+    return RuleCash(cash.sum(axis=0) + end_money(problem, level, spots[-1]) - fixed, cash)
