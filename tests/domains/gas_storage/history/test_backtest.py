@@ -18,7 +18,7 @@ from snapo.domains.gas_storage.history.backtest import StoreBacktest, run_backte
 from snapo.domains.gas_storage.history.observed import ForwardQuote as Quote
 from snapo.domains.gas_storage.history.observed import ObservedMarket, read_observed
 from snapo.domains.gas_storage.history.rule import drawn_spots, followed, solved_on
-from snapo.domains.gas_storage.ladder.forwards import PathCurves
+from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import Chains, rolling
 from snapo.domains.gas_storage.ladder.store import FlatStore
@@ -113,6 +113,39 @@ def test_curves_of_the_model_change_no_decision(ledger, runs, paths):
         assert mark.expected + 3 * mark.error > mark.intrinsic
     assert often.cash.sum() == pytest.approx(often.realised, abs=1e-9)  # nothing is left
     assert often.rolling is not None and often.marks[0].intrinsic <= often.expected
+
+
+@pytest.mark.prove
+def test_factors_are_their_mean_given_the_spot_prices():
+    """Two factors, against the regression of the factors on all prices until the day."""
+    two = {"mean_reversion": 20.0, "volatility": 0.9}, {"mean_reversion": 0.5, "volatility": 0.4}
+    model = {"kind": "multi-factor", "factors": list(two), "correlation": [[1.0, 0.3], [0.3, 1.0]]}
+    rule = solved_on(FILE, DATA | {"model": model}, None, None, None)
+    prices, count, t = factors(rule.problem), 64, 8
+    assert rule.filter is not None and prices is not None
+    states = drawn_states(prices, count, 4)
+    moved = np.einsum("tf,tfn->tn", prices.loading, states)
+    mean = rule.initial_factors(count).T
+    for gain, decay, loading, y in zip(*rule.filter, prices.loading[: t + 1], moved):
+        mean = decay[:, None] * mean
+        mean = mean + gain[:, None] * (y - loading @ mean)
+    # Cov(f(t), y(s)) and Cov(y(s), y(u)) for days 1 to t; on the valuation date all is zero.
+    a, rho = np.array([20.0, 0.5]), np.array([[1.0, 0.3], [0.3, 1.0]])
+    s = np.array([0.9, 0.4])
+
+    def covariance(early: int, late: int) -> np.ndarray:
+        """Of f(late) with f(early)."""
+        pair = a[:, None] + a[None]
+        now = rho * (1 - np.exp(-pair * early / 365)) / pair
+        return np.exp(-a * (late - early) / 365)[:, None] * now
+
+    days = range(1, t + 1)
+    between = np.array([[s @ covariance(min(u, v), max(u, v)) @ s for u in days] for v in days])
+    with_state = np.array([covariance(u, t) @ s for u in days])
+    exact = with_state.T @ np.linalg.solve(between, moved[1 : t + 1])
+    np.testing.assert_allclose(mean, exact, atol=1e-5)
+    # The price of the day is met exactly.
+    np.testing.assert_allclose(s @ mean, moved[t], atol=1e-9)
 
 
 @pytest.mark.prove

@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,8 @@ class MarkedPosition:
 
     - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
     - `expected`, `error`: of the money of the rest of the contract, on paths of the model
-      around the curve of the date; `intrinsic`: by the best fixed plan; both discounted to the same date.
+      around the curve of the date; `intrinsic`: by the best fixed plan; all discounted to the
+      same date.
     """
 
     date: datetime.date
@@ -106,7 +107,7 @@ def backtest(
     first = solved_on(file, data, None, None, None)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
-        first = DatedRule(first.case, first.problem, _trained(policy, first.policy))
+        first = replace(first, policy=_trained(policy, first.policy))
     for note in notes:
         progress(f"note: {note}")
     result = run_backtest(file, data, observed, first, every, progress)
@@ -144,17 +145,18 @@ def run_backtest(
     schedule = ledger.problem.schedule
     level, rows, marks, started = np.full(1, float(schedule.constants.inventory)), [], [], 0
     discount = np.asarray(schedule.steps.flow_discount)
-    cash = 0.0
+    cash, state = 0.0, rule.initial_factors(1)
     for t, day in enumerate(days):
         if t and curved and t - started >= every:
             progress(f"{day}: solving again")
             rule, started = _on(file, data, ledger, observed, day, float(level[0])), t
+            state = rule.initial_factors(1)
         if t == started:
             marks.append(_mark(rule, day, float(level[0]), cash, float(discount[t]) if t else 1.0))
-        row = decided(rule, t - started, ledger.problem, t, level, spots[t : t + 1])
-        level = row.inventory
+        row = decided(rule, t - started, ledger.problem, t, level, state, spots[t : t + 1])
+        level, state = row.inventory, row.factors
         cash += float(row.cash[0])
-        rows.append(np.concatenate(row))
+        rows.append(np.concatenate(row[:4]))
     inventory, injection, withdrawal, money = np.array(rows).T
     end = observed.spot(min(ledger.case.end, observed.spot_days[-1]))
     left = float(end_money(ledger.problem, level, np.array([end]))[0])

@@ -21,26 +21,40 @@ from ..contract.simulator import StorageSimulator, simulator_of
 from ..policy.network import StoragePolicy
 from ..read.case import read_case
 from ..setup import bare_problem, rebuilt
+from .factors import SpotFilter, spot_filter
 
 CURVE = "forward_curve"  # the input
 
 
 @dataclass(frozen=True, eq=False)
 class DatedRule:
-    """A policy solved on a date: its problem, whose first day is the first that it decides."""
+    """A policy solved on a date: its problem, whose first day is the first that it decides.
+
+    `filter`: of the price factors; without it a spot price moves the fast factor only.
+    """
 
     case: StorageCase
     problem: Problem
     policy: StoragePolicy
+    filter: SpotFilter | None
+
+    def initial_factors(self, count: int) -> np.ndarray:
+        """[count, F] the factors before the first day's price: zero."""
+        size = 1 if self.filter is None else self.filter.gain.shape[1]
+        return np.zeros((count, size))
 
 
 class DayResult(NamedTuple):
-    """[N] the inventory after a day, volumes, and the cash, discounted as in the ledger."""
+    """[N] the inventory after a day, volumes, and the cash, discounted as in the ledger.
+
+    `factors` [N, F]: their mean, given the prices until the day.
+    """
 
     inventory: np.ndarray
     injection: np.ndarray
     withdrawal: np.ndarray
     cash: np.ndarray
+    factors: np.ndarray
 
 
 def solved_on(
@@ -54,8 +68,7 @@ def solved_on(
     """The rule of the fitted value of a case on a date, with the prices until then.
 
     - `day`, `inventory`: valuation date, and gas in store then; None: those of the case.
-    - `curve`: the forward price of each day that
-      the case needs; None: that of the case.
+    - `curve`: the forward price of each day that the case needs; None: that of the case.
     - `policy`: decides instead, with the fitted value of this problem.
     """
     tables = dict(data)
@@ -75,19 +88,29 @@ def solved_on(
     problem = rebuilt(problem)
     if policy is None:
         policy = StoragePolicy(problem.features, key=jax.random.key(0)).value_rule
-    return DatedRule(case, problem, policy)
+    return DatedRule(case, problem, policy, spot_filter(problem))
 
 
 def decided(
-    rule: DatedRule, t: int, ledger: Problem, day: int, inventory: np.ndarray, spot: np.ndarray
+    rule: DatedRule,
+    t: int,
+    ledger: Problem,
+    day: int,
+    inventory: np.ndarray,
+    factors: np.ndarray,
+    spot: np.ndarray,
 ) -> DayResult:
     """The rule's day `t` at inventories and spot prices [N], which is the ledger's day `day`.
 
-    The cash is that of the exact simulator of `ledger`, with its discount factors.
+    `factors` [N, F]: of the day before. The cash is that of the exact simulator of `ledger`, with
+    its discount factors.
     """
+    gain, prior = None, factors
+    if rule.filter is not None:
+        gain, prior = rule.filter.gain[t], rule.filter.decay[t] * factors
     with jax.enable_x64(True):
         parts = (*_row(rule.problem, t), *_row(ledger, day))
-        result = _day(rule.policy, *parts, np.asarray(inventory), np.asarray(spot))
+        result = _day(rule.policy, *parts, gain, inventory, prior, spot)
         return DayResult(*map(np.asarray, result))
 
 
@@ -99,16 +122,20 @@ def _row(problem: Problem, t: int) -> tuple[StorageSimulator, Any, Any]:
 
 
 @compiled_sooner
-def _day(policy, simulator, constants, now, booked, terms, row, inventories, spots):
-    def one(inventory, spot):
-        state = StoreState(inventory, simulator.process.state_at(constants.price, now.price, spot))
+def _day(policy, simulator, constants, now, booked, terms, row, gain, inventories, priors, spots):
+    def one(inventory, prior, spot):
+        price = simulator.process.state_at(constants.price, now.price, spot)
+        if gain is not None:
+            prior = price = prior + gain * jnp.sum(now.price.loading * (price - prior))
+        state = StoreState(inventory, price)
         action = policy(simulator.observe(constants, now, state), Exact())
         at = StoreState(inventory, booked.process.state_at(terms.price, row.price, spot))
         noise = jnp.zeros(booked.noise_size)
         after, outputs = booked.step(terms, row, at, action, noise, Exact())
-        return after.inventory, outputs["injection"], outputs["withdrawal"], outputs["cash_flow"]
+        names = ("injection", "withdrawal", "cash_flow")
+        return after.inventory, *(outputs[name] for name in names), prior
 
-    return jax.vmap(one)(inventories, spots)
+    return jax.vmap(one)(inventories, priors, spots)
 
 
 def end_money(ledger: Problem, inventory: np.ndarray, spot: np.ndarray) -> np.ndarray:
@@ -162,9 +189,10 @@ def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None)
     problem = rule.problem
     start = float(problem.schedule.constants.inventory) if inventory is None else inventory
     level, rows = np.full(spots.shape[1], start), []
+    state = rule.initial_factors(spots.shape[1])
     for t in range(len(spots) - 1):
-        result = decided(rule, t, problem, t, level, spots[t])
-        level = result.inventory
+        result = decided(rule, t, problem, t, level, state, spots[t])
+        level, state = result.inventory, result.factors
         rows.append(result.cash)
     cash = np.array(rows)
     fixed = float(problem.schedule.constants.fixed_costs)
