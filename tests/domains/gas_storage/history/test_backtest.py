@@ -14,9 +14,11 @@ from tests.domains.gas_storage.storage_cases import CASES
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.cli.main import main
+from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.history.backtest import StoreBacktest, run_backtest
 from snapo.domains.gas_storage.history.observed import ForwardQuote as Quote
 from snapo.domains.gas_storage.history.observed import ObservedMarket, read_observed
+from snapo.domains.gas_storage.history.read import read_calibration
 from snapo.domains.gas_storage.history.rule import drawn_spots, followed, solved_on
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.products import usual_products
@@ -234,6 +236,20 @@ def test_what_is_known_on_a_day():
         seen.curve(FIRST, [datetime.date(2025, 3, 1)])
     with pytest.raises(CaseError, match=r"spot\.csv, 2025-01-07.*2025-01-01 to 2025-01-06"):
         seen.spot(FIRST + 6 * ONE)
+
+
+def test_the_example_can_be_read():
+    """Henry Hub: a calibration that ends before the contract, and prices of all its days."""
+    folder = Path(__file__).parents[4] / "examples" / "henry_hub"
+    calibration = read_calibration(folder / "calibration.toml")
+    case = DOMAIN.read(*load(folder))
+    assert calibration.days[-1] < case.days[0] and calibration.prices == 750
+    seen = read_observed(folder, True, [])
+    for day in (case.days[0], case.days[200], case.days[-1]):
+        assert seen.spot(day) > 0 and (seen.curve(day, case.days[-30:]) > 0).all()
+    np.testing.assert_allclose(
+        seen.curve(case.days[0], case.days), case.market.forward_curve.used()
+    )
 
 
 def test_other_kinds_and_missing_folders_are_refused(tmp_path, capsys):

@@ -1,4 +1,9 @@
-"""A rule that decides on spot prices, day by day, without seeing later ones."""
+"""A rule that decides on spot prices, day by day, without seeing later ones.
+
+A spot price is one number, and a model may have several factors. A Kalman filter finds their mean
+given all prices so far: the prices are exact and linear in the factors, so that its gains depend on
+the model only.
+"""
 
 import datetime
 from collections.abc import Mapping
@@ -20,10 +25,17 @@ from ..contract.schedule import StoreState
 from ..contract.simulator import StorageSimulator, simulator_of
 from ..policy.network import StoragePolicy
 from ..read.case import read_case
-from ..setup import bare_problem, rebuilt
-from .factors import SpotFilter, spot_filter
+from ..setup import bare_problem, factors, rebuilt
 
 CURVE = "forward_curve"  # the input
+ROOM = 1e-10  # variance of the fast factor, for a first price that is not the forward price
+
+
+class SpotFilter(NamedTuple):
+    """`gain` and `decay` [T, F]: of the price of a day, and of the factors since the day before."""
+
+    gain: np.ndarray
+    decay: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +109,17 @@ def decided(
     ledger: Problem,
     day: int,
     inventory: np.ndarray,
-    factors: np.ndarray,
+    before: np.ndarray,
     spot: np.ndarray,
 ) -> DayResult:
     """The rule's day `t` at inventories and spot prices [N], which is the ledger's day `day`.
 
-    `factors` [N, F]: of the day before. The cash is that of the exact simulator of `ledger`, with
-    its discount factors.
+    `before` [N, F]: the factors of the day before. The cash is that of the exact simulator of
+    `ledger`, with its discount factors.
     """
-    gain, prior = None, factors
+    gain, prior = None, before
     if rule.filter is not None:
-        gain, prior = rule.filter.gain[t], rule.filter.decay[t] * factors
+        gain, prior = rule.filter.gain[t], rule.filter.decay[t] * before
     with jax.enable_x64(True):
         parts = (*_row(rule.problem, t), *_row(ledger, day))
         result = _day(rule.policy, *parts, gain, inventory, prior, spot)
@@ -197,3 +209,21 @@ def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None)
     cash = np.array(rows)
     fixed = float(problem.schedule.constants.fixed_costs)
     return RuleCash(cash.sum(axis=0) + end_money(problem, level, spots[-1]) - fixed, cash)
+
+
+def spot_filter(problem: Problem) -> SpotFilter | None:
+    """The filter of a problem; None where prices have other risks than Gaussian factors."""
+    model = factors(problem)
+    if model is None or not model.exact or model.spikes is not None:
+        return None
+    size = model.decay.shape[1]
+    covariance, gains = np.zeros((size, size)), []
+    for loading, decay, shock in zip(model.loading, model.decay, model.shock):
+        covariance = np.outer(decay, decay) * covariance + shock @ shock.T
+        covariance[model.fast, model.fast] += ROOM
+        along = covariance @ loading
+        variance = float(loading @ along)
+        gain = along / variance if variance > 0 else np.zeros(size)
+        covariance = covariance - np.outer(gain, along)
+        gains.append(gain)
+    return SpotFilter(np.array(gains), np.asarray(model.decay))
