@@ -33,6 +33,8 @@ def run(options: argparse.Namespace) -> int:
         "book": _book,
         "sweep": _sweep,
         "certify": _certify,
+        "calibrate": _calibrate,
+        "backtest": _backtest,
         "report": _report,
         "export": _export,
         "open": _open,
@@ -225,6 +227,28 @@ def _certify(options: argparse.Namespace) -> Answer:
     failed = (result.get("failures") or {}).get("bound")
     code = FAILED if failed else OK
     return result, bounds(result) if not failed else summary(result), code
+
+
+def _calibrate(options: argparse.Namespace) -> Answer:
+    from snapo.domains.gas_storage.history.calibrate import calibrate
+    from snapo.domains.gas_storage.history.calibrate import summary as estimates
+    from snapo.study.runs.store import located
+
+    run = None if options.run is None else located(options.run)
+    result = calibrate(options.case, say, out=options.out, run=run)
+    return result, estimates(result), OK if result["status"] == "ok" else FAILED
+
+
+def _backtest(options: argparse.Namespace) -> Answer:
+    from snapo.domains.gas_storage.history.backtest import backtest
+    from snapo.domains.gas_storage.history.backtest import summary as realised
+    from snapo.study.runs.store import located
+
+    policy = None if options.policy is None else located(options.policy)
+    result = backtest(
+        options.case, options.history, say, every=options.every, policy=policy, out=options.out
+    )
+    return result, realised(result), OK
 
 
 def _report(options: argparse.Namespace) -> Answer:

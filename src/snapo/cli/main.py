@@ -9,6 +9,7 @@ from pathlib import Path
 from snapo import __version__
 
 from .arguments import even_number, port, seed, seeds, shard, simulator_class, whole_number
+from .past import add_backtest, add_calibrate
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
@@ -65,6 +66,8 @@ def _parser() -> argparse.ArgumentParser:
         _add_book,
         _add_sweep,
         _add_certify,
+        add_calibrate,
+        add_backtest,
         _add_report,
         _add_export,
         _add_open,

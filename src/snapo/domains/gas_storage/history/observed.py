@@ -1,0 +1,118 @@
+"""The prices of a back-test: spot prices and forward curves by the date of their publication."""
+
+import datetime
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.case.csv import FileReference, read_rows, rising_dates
+from snapo.case.error import CaseError
+from snapo.case.table import TableContext
+
+from ..curves.products import delivery
+
+SPOT, CURVES = "spot.csv", "curves.csv"
+
+
+class ForwardQuote(NamedTuple):
+    """The price of delivery from `first` to `last`, both included."""
+
+    first: datetime.date
+    last: datetime.date
+    price: float
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedMarket:
+    """Prices of a folder, by date.
+
+    - `folder`; `spot_days`, `spot_prices`: rising dates, and the spot price of each.
+    - `curve_days`, `curves`: rising dates, and the quotes of each; empty without a file of curves.
+    """
+
+    folder: Path
+    spot_days: tuple[datetime.date, ...]
+    spot_prices: tuple[float, ...]
+    curve_days: tuple[datetime.date, ...]
+    curves: Mapping[datetime.date, Sequence[ForwardQuote]]
+
+    def spot(self, day: datetime.date) -> float:
+        """The spot price of a day, or of the last day before it that has one.
+
+        **Raises:** `CaseError` where there is none, or the file ends before the day.
+        """
+        position = bisect_right(self.spot_days, day) - 1
+        if position < 0 or day > self.spot_days[-1]:
+            first, last = self.spot_days[0], self.spot_days[-1]
+            message = (
+                f"a back-test needs the spot prices of all its days; there are {first} to {last}"
+            )
+            raise CaseError(str(self.folder / SPOT), day.isoformat(), None, message)
+        return self.spot_prices[position]
+
+    def has_curve(self, day: datetime.date) -> bool:
+        """Whether a forward curve was known on a day."""
+        return bool(self.curve_days) and self.curve_days[0] <= day
+
+    def curve(self, day: datetime.date, days: Sequence[datetime.date]) -> np.ndarray:
+        """[n] the forward prices of days, as known on a day: of the last curve until then.
+
+        A day of delivery has the price of the shortest product with it; days before the first
+        product have the spot price.
+
+        **Raises:** `CaseError` where a later day is in no product.
+        """
+        latest = self.curve_days[bisect_right(self.curve_days, day) - 1]
+        quotes = sorted(self.curves[latest], key=lambda x: (x.last - x.first, x.first))
+        first = min(quote.first for quote in quotes)
+        prices = []
+        for item in days:
+            if item < first:
+                prices.append(self.spot(day))
+                continue
+            price = next((x.price for x in quotes if x.first <= item <= x.last), None)
+            if price is None:
+                message = (
+                    f"no product of {latest} has delivery on {item}; the contract needs all days"
+                )
+                raise CaseError(str(self.folder / CURVES), latest.isoformat(), None, message)
+            prices.append(price)
+        return np.array(prices)
+
+
+def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMarket:
+    """Reads `spot.csv` (date,price) and, if it is there, `curves.csv` (date,product,price).
+
+    `positive`: whether prices must be above zero.
+
+    **Raises:** `CaseError` where a file, a date, a product or a price is wrong.
+    """
+    if not folder.is_dir():
+        raise CaseError("--history", "", str(folder), "allowed is a folder with spot.csv")
+    low, allowed = (5e-324, "a number above 0") if positive else (-np.inf, "")
+    section = TableContext(folder / "history", "history", notes)
+    rows = read_rows(FileReference(section, "spot", SPOT), ("date", "price"))
+    days = rising_dates(rows)
+    spot = [
+        (day, row.number("price", low, allowed=allowed))
+        for day, row in zip(days, rows)
+        if row.cells["price"]
+    ]
+    if not spot:
+        raise CaseError(str(folder / SPOT), "", None, "it has no price")
+    curves: dict[datetime.date, list[ForwardQuote]] = {}
+    if (folder / CURVES).exists():
+        columns = ("date", "product", "price")
+        for row in read_rows(FileReference(section, "curves", CURVES), columns):
+            try:
+                first, last = delivery(row.label("product"))
+            except ValueError as error:
+                raise row.error("product", str(error)) from None
+            price = row.number("price", low, allowed=allowed)
+            curves.setdefault(row.day("date"), []).append(ForwardQuote(first, last, price))
+    spot_days, prices = zip(*spot)
+    return ObservedMarket(folder, spot_days, prices, tuple(sorted(curves)), curves)

@@ -1,0 +1,290 @@
+"""Reads a calibration: a TOML file of kind "calibration", and the CSVs of prices next to it."""
+
+import calendar
+import datetime
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.csv import FileReference, Row, read_rows, rising_dates
+from snapo.case.error import CaseError, nearest
+from snapo.case.load import load
+from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, optional, parse
+
+from ..curves.products import delivery
+from ..read.tables import DATE, DateKey
+from .kalman import History
+from .model import HistoryModel
+
+KIND = "calibration"
+YEAR = 365.0
+FEWEST = 20  # dates
+LONGEST = 92  # days of a product, whose price is taken as that of its middle
+MONTHS = re.compile(r"[a-z_ ]*(\d{1,3})", re.ASCII)
+LATEST = 1200  # months to delivery
+
+
+class CalibrationTable(CaseTable):
+    """The whole file."""
+
+    kind: Literal["calibration"]
+    title: Title = Field("", description=TITLE)
+    history: Any = Field(description="a table, [history]")
+    model: Any = Field(description="a table, [model]")
+
+
+@optional("step", note=": years between two dates, instead of their days / 365")
+class HistoryTable(CaseTable):
+    """`[history]`"""
+
+    spot: str | None = Field(None, description="a CSV file with columns date,price")
+    quotes: str | None = Field(None, description="a CSV file with columns date,product,price")
+    maturities: str | None = Field(
+        None, description="a CSV file with a column date, and one for each number of months ahead"
+    )
+    first: DateKey | None = Field(None, description=f"{DATE}: earlier prices are left out")
+    last: DateKey | None = Field(None, description=f"{DATE}: later prices are left out")
+    step: Positive
+    exact: list[str] | None = Field(
+        None, description='names of series without a measurement error, such as ["spot"]'
+    )
+    season: Literal[0, 1, 2] = Field(0, description="0, 1 or 2: waves of the year")
+
+
+@optional("shift", note=": prices are above minus it")
+class GaussianTable(CaseTable):
+    """`[model]` of a calibration."""
+
+    kind: Literal["one-factor", "one-factor-normal", "one-factor-shifted", "multi-factor"]
+    shift: Positive
+
+
+class ObservedPrice(NamedTuple):
+    """A price of a date: its series, years to delivery, time of the year, and its cell."""
+
+    day: datetime.date
+    series: str
+    years: float
+    phase: float
+    price: float
+    row: Row
+    column: str
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibration that was read.
+
+    - `file`, `title`; `days` [N] with prices; `prices`: their number.
+    - `model`, `history`: in the form of the filter. `notes`: for the user.
+    """
+
+    file: Path
+    title: str
+    days: tuple[datetime.date, ...]
+    prices: int
+    model: HistoryModel
+    history: History
+    notes: tuple[str, ...]
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Reads the file of a calibration, or the folder with its case.toml.
+
+    **Raises:** `CaseError` where a key or a price is wrong, with file, line and column.
+    """
+    file, data = load(path)
+    top = parse(CalibrationTable, data, str(file), "")
+    notes: list[str] = []
+    table = parse(HistoryTable, top.history, str(file), "history", notes)
+    model = parse(GaussianTable, top.model, str(file), "model", notes)
+    section = TableContext(file, "history", notes)
+    if (model.kind == "one-factor-shifted") != (model.shift is not None):
+        message = 'kind "one-factor-shifted" has a shift, a number above 0, and no other kind has'
+        raise TableContext(file, "model", notes).error("shift", model.shift, message)
+    first, last = table.first or datetime.date.min, table.last or datetime.date.max
+    if first > last:
+        raise section.error("last", table.last, f"allowed is a date that is not before {first}")
+    if table.spot is None and table.quotes is None and table.maturities is None:
+        message = "[history] names at least one file: spot, quotes or maturities"
+        raise section.error("spot", None, message)
+    prices = [price for price in _prices(section, table) if first <= price.day <= last]
+    if not prices:
+        raise section.error("first", table.first, f"there is no price from {first} to {last}")
+    normal, shift = model.kind == "one-factor-normal", model.shift or 0.0
+    if not normal:
+        _check_sign(prices, shift)
+    days = tuple(sorted({price.day for price in prices}))
+    columns = tuple(dict.fromkeys(price.series for price in prices))
+    exact = _exact(section, table, columns)
+    unit = float(np.std([price.price for price in prices])) if normal else 1.0
+    form = HistoryModel(
+        model.kind,
+        2 if model.kind == "multi-factor" else 1,
+        normal,
+        shift,
+        table.season,
+        quoted=any(price.years > 0 for price in prices),
+        columns=columns,
+        exact=exact,
+        unit=unit,
+    )
+    _check_amount(section, form, days, prices)
+    _check_exact(form, prices)
+    history = _history(form, prices, days, table.step)
+    return Calibration(file, top.title, days, len(prices), form, history, tuple(notes))
+
+
+def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPrice]:
+    """All prices of all files; an empty cell is a missing one."""
+    if table.spot is not None:
+        rows = read_rows(FileReference(section, "spot", table.spot), ("date", "price"))
+        for day, row in zip(rising_dates(rows), rows):
+            yield from _observed(row, "price", "spot", day, day)
+    if table.maturities is not None:
+        rows = read_rows(FileReference(section, "maturities", table.maturities), ("date",))
+        months = _months(rows[0])
+        for day, row in zip(rising_dates(rows), rows):
+            for column, ahead in months.items():
+                yield from _observed(row, column, column, day, ahead / 12)
+    if table.quotes is not None:
+        columns = ("date", "product", "price")
+        rows = read_rows(FileReference(section, "quotes", table.quotes), columns)
+        visited: set[tuple[datetime.date, datetime.date, datetime.date]] = set()
+        for row in rows:
+            first, last = _product(row)
+            day = row.day("date")
+            if (day, first, last) in visited:
+                raise row.error("product", f"it has a price of {day} already, further up")
+            visited.add((day, first, last))
+            if first < day:
+                message = f"its first day is {first}; allowed is a product that has not begun"
+                raise row.error("product", message)
+            yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
+
+
+def _months(row: Row) -> dict[str, int]:
+    """{column: months to delivery} of a table of constant maturities."""
+    months = {}
+    for column in row.cells:
+        if column == "date":
+            continue
+        match = MONTHS.fullmatch(column)
+        if match is None or int(match[1]) > LATEST:
+            message = "a column is named by its months to delivery, such as 1, F5 or month 13"
+            raise CaseError(row.file, "header", column, message)
+        months[column] = int(match[1])
+    if not months:
+        message = "there is no column of prices; one is named by its months to delivery, such as F5"
+        raise CaseError(row.file, "header", "date", message)
+    return months
+
+
+def _product(row: Row) -> tuple[datetime.date, datetime.date]:
+    try:
+        first, last = delivery(row.label("product"))
+    except ValueError as error:
+        raise row.error("product", str(error)) from None
+    if (last - first).days >= LONGEST:
+        message = f"allowed is a product of at most {LONGEST} days"
+        raise row.error("product", message)
+    return first, last
+
+
+def _observed(
+    row: Row, column: str, series: str, day: datetime.date, ahead: float | datetime.date
+) -> Iterator[ObservedPrice]:
+    """The price of a cell, delivered in so many years or on a day; nothing for an empty cell."""
+    if row.cells[column] == "":
+        return
+    years = (ahead - day).days / YEAR if isinstance(ahead, datetime.date) else ahead
+    length = 366 if calendar.isleap(day.year) else 365
+    start = (day.timetuple().tm_yday - 1) / length
+    number = row.number(column)
+    yield ObservedPrice(day, series, years, (start + years) % 1.0, number, row, column)
+
+
+def _check_sign(prices: Sequence[ObservedPrice], shift: float) -> None:
+    for price in prices:
+        if price.price + shift <= 0:
+            message = f"allowed is a number above {-shift:g}, whose logarithm the model needs"
+            if not shift:
+                message += '; kind = "one-factor-normal" has prices of any sign'
+            raise price.row.error(price.column, message)
+
+
+def _exact(section: TableContext, table: HistoryTable, columns: tuple[str, ...]):
+    if table.exact is None:
+        return tuple(name for name in columns if name == "spot")
+    names = tuple(name.lower() for name in table.exact)
+    for name in names:
+        if name not in columns:
+            message = f"there is no such series; {nearest(name, columns, 'series')}"
+            raise section.error("exact", name, message)
+    return names
+
+
+def _check_amount(section: TableContext, model: HistoryModel, days, prices) -> None:
+    if len(days) < FEWEST or len(prices) < 2 * len(model.names):
+        message = (
+            f"there are {len(prices)} prices on {len(days)} dates; {len(model.names)} parameters "
+            f"need at least {FEWEST} dates and {2 * len(model.names)} prices"
+        )
+        key = next(k for k in ("spot", "maturities", "quotes") if section_has(prices, k))
+        raise section.error(key, None, message)
+
+
+def section_has(prices: Sequence[ObservedPrice], key: str) -> bool:
+    """Whether the first price is of the file of a key of `[history]`."""
+    series = prices[0].series
+    return (series if series in ("spot", "quotes") else "maturities") == key
+
+
+def _check_exact(model: HistoryModel, prices: Sequence[ObservedPrice]) -> None:
+    """As many prices of a date as factors may be exact, of different deliveries."""
+    count: dict[datetime.date, set[float]] = {}
+    for price in prices:
+        if price.series not in model.exact:
+            continue
+        times = count.setdefault(price.day, set())
+        if price.years in times or len(times) == model.factors:
+            message = (
+                f"{price.series} is exact, and a model of {model.factors} factor"
+                f"{'s' if model.factors > 1 else ''} cannot meet more prices of {price.day} "
+                "exactly; leave it out of history.exact"
+            )
+            raise price.row.error(price.column, message)
+        times.add(price.years)
+
+
+def _history(
+    model: HistoryModel,
+    prices: Sequence[ObservedPrice],
+    days: Sequence[datetime.date],
+    step: float | None,
+) -> History:
+    """Prices by date, as many columns as the date with the most of them."""
+    index = {day: i for i, day in enumerate(days)}
+    rows: list[list[ObservedPrice]] = [[] for _ in days]
+    for price in prices:
+        rows[index[price.day]].append(price)
+    shape = len(days), max(map(len, rows))
+    value, years, phase = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    present, column = np.zeros(shape, bool), np.zeros(shape, np.int64)
+    for i, row in enumerate(rows):
+        for j, price in enumerate(row):
+            value[i, j] = model.state_of(price.price)
+            years[i, j], phase[i, j], present[i, j] = price.years, price.phase, True
+            column[i, j] = model.columns.index(price.series)
+    elapsed = np.array([(day - days[0]).days / YEAR for day in days])
+    gap = np.diff(elapsed, prepend=0.0) if step is None else np.full(len(days), step)
+    gap[0] = 0.0
+    return History(gap, value, present, years, phase, column, np.asarray(value[0, 0]))  # pyright: ignore
+
+
+FORMATS = {"": CalibrationTable, "history": HistoryTable, "model": GaussianTable}

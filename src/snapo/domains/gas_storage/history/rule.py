@@ -1,0 +1,229 @@
+"""A rule that decides on spot prices, day by day, without seeing later ones.
+
+A spot price is one number, and a model may have several factors. A Kalman filter finds their mean
+given all prices so far: the prices are exact and linear in the factors, so that its gains depend on
+the model only.
+"""
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.problem import Problem
+from snapo.problem.quickly import compiled_sooner
+from snapo.problem.smooth import Exact
+
+from ..contract.records import EndTerms, StorageCase
+from ..contract.schedule import StoreState
+from ..contract.simulator import StorageSimulator, simulator_of
+from ..policy.network import StoragePolicy
+from ..read.case import read_case
+from ..setup import bare_problem, factors, rebuilt
+
+CURVE = "forward_curve"  # the input
+ROOM = 1e-10  # variance of the fast factor, for a first price that is not the forward price
+
+
+class SpotFilter(NamedTuple):
+    """`gain` and `decay` [T, F]: of the price of a day, and of the factors since the day before."""
+
+    gain: np.ndarray
+    decay: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class DatedRule:
+    """A policy solved on a date: its problem, whose first day is the first that it decides.
+
+    `filter`: of the price factors; without it a spot price moves the fast factor only.
+    """
+
+    case: StorageCase
+    problem: Problem
+    policy: StoragePolicy
+    filter: SpotFilter | None
+
+    def initial_factors(self, count: int) -> np.ndarray:
+        """[count, F] the factors before the first day's price: zero."""
+        size = 1 if self.filter is None else self.filter.gain.shape[1]
+        return np.zeros((count, size))
+
+
+class DayResult(NamedTuple):
+    """[N] the inventory after a day, volumes, and the cash, discounted as in the ledger.
+
+    `factors` [N, F]: their mean, given the prices until the day.
+    """
+
+    inventory: np.ndarray
+    injection: np.ndarray
+    withdrawal: np.ndarray
+    cash: np.ndarray
+    factors: np.ndarray
+
+
+def solved_on(
+    file: Path,
+    data: Mapping[str, Any],
+    day: datetime.date | None,
+    inventory: float | None,
+    curve: np.ndarray | None,
+    policy: StoragePolicy | None = None,
+) -> DatedRule:
+    """The rule of the fitted value of a case on a date, with the prices until then.
+
+    - `day`, `inventory`: valuation date, and gas in store then; None: those of the case.
+    - `curve`: the forward price of each day that the case needs; None: that of the case.
+    - `policy`: decides instead, with the fitted value of this problem.
+    """
+    tables = dict(data)
+    if day is not None and inventory is not None:
+        tables["market"] = dict(data["market"]) | {"valuation_date": day}
+        contract = {key: x for key, x in data["contract"].items() if key != "first_decision"}
+        tables["contract"] = contract | {"inventory": inventory}
+    case = read_case(file, tables)
+    if case.model.sources(0) is not None:
+        message = "a back-test needs a model that gives a spot price a state; supplied paths do not"
+        raise CaseError(str(file), "model.kind", case.model.kind, message)
+    problem = bare_problem(case)
+    if curve is not None:
+        inputs: Any = dict(problem.inputs)
+        inputs[CURVE] = replace(inputs[CURVE], value=curve)
+        problem = replace(problem, inputs=inputs)
+    problem = rebuilt(problem)
+    if policy is None:
+        policy = StoragePolicy(problem.features, key=jax.random.key(0)).value_rule
+    return DatedRule(case, problem, policy, spot_filter(problem))
+
+
+def decided(
+    rule: DatedRule,
+    t: int,
+    ledger: Problem,
+    day: int,
+    inventory: np.ndarray,
+    before: np.ndarray,
+    spot: np.ndarray,
+) -> DayResult:
+    """The rule's day `t` at inventories and spot prices [N], which is the ledger's day `day`.
+
+    `before` [N, F]: the factors of the day before. The cash is that of the exact simulator of
+    `ledger`, with its discount factors.
+    """
+    gain, prior = None, before
+    if rule.filter is not None:
+        gain, prior = rule.filter.gain[t], rule.filter.decay[t] * before
+    with jax.enable_x64(True):
+        parts = (*_row(rule.problem, t), *_row(ledger, day))
+        result = _day(rule.policy, *parts, gain, inventory, prior, spot)
+        return DayResult(*map(np.asarray, result))
+
+
+def _row(problem: Problem, t: int) -> tuple[StorageSimulator, Any, Any]:
+    """The simulator without the arrays of the contract, the constants, and the row of a day."""
+    simulator, schedule = simulator_of(problem), problem.schedule
+    light = replace(simulator.on_paths(), day=np.zeros(1, np.int64), hedge=None)
+    return light, schedule.constants, jax.tree.map(lambda leaf: np.asarray(leaf)[t], schedule.steps)
+
+
+@compiled_sooner
+def _day(policy, simulator, constants, now, booked, terms, row, gain, inventories, priors, spots):
+    def one(inventory, prior, spot):
+        price = simulator.process.state_at(constants.price, now.price, spot)
+        if gain is not None:
+            prior = price = prior + gain * jnp.sum(now.price.loading * (price - prior))
+        state = StoreState(inventory, price)
+        action = policy(simulator.observe(constants, now, state), Exact())
+        at = StoreState(inventory, booked.process.state_at(terms.price, row.price, spot))
+        noise = jnp.zeros(booked.noise_size)
+        after, outputs = booked.step(terms, row, at, action, noise, Exact())
+        names = ("injection", "withdrawal", "cash_flow")
+        return after.inventory, *(outputs[name] for name in names), prior
+
+    return jax.vmap(one)(inventories, priors, spots)
+
+
+def end_money(ledger: Problem, inventory: np.ndarray, spot: np.ndarray) -> np.ndarray:
+    """[N] the discounted value of the gas left at spot prices of the end date."""
+    simulator, constants = simulator_of(ledger), ledger.schedule.constants
+    terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
+    with jax.enable_x64(True):
+        rule = simulator.contract.at_end
+
+        def one(level, price):
+            return rule.end_value(terms, level, lambda: price) * constants.end_discount
+
+        return np.asarray(jax.vmap(one)(jnp.asarray(inventory), jnp.asarray(spot)))
+
+
+def drawn_spots(problem: Problem, count: int, seed: int) -> np.ndarray:
+    """[T + 1, count] spot prices of the model, of each day and of the end."""
+    simulator, schedule = simulator_of(problem), problem.schedule
+    with jax.enable_x64(True):
+        process = simulator.on_paths().process
+        rows, terms = schedule.steps.price, schedule.constants
+        first, later = jax.random.split(jax.random.key(seed))
+        origin = jax.random.normal(first, (count, process.initial_noise_size))
+        steps = jax.random.normal(later, (simulator.horizon, count, process.noise_size))
+        return np.asarray(_spots(process, terms.price, rows, terms.end_price, origin, steps))
+
+
+@compiled_sooner
+def _spots(process, constants, rows, end, origin, steps):
+    level = jax.vmap(process.level, (None, None, 0))
+    move = jax.vmap(process.step, (None, None, 0, 0))
+
+    def step(state, row):
+        now, noise = row
+        return move(constants, now, state, noise), level(constants, now, state)
+
+    state = jax.vmap(process.initial, (None, 0))(constants, origin)
+    state, spots = jax.lax.scan(step, state, (rows, steps))
+    return jnp.concatenate([spots, level(constants, end, state)[None]])
+
+
+class RuleCash(NamedTuple):
+    """[N] the money of each path; `cash` [T, N] by day, discounted."""
+
+    money: np.ndarray
+    cash: np.ndarray
+
+
+def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> RuleCash:
+    """The rule on given spot prices [T + 1, N], from its first day to the end."""
+    problem = rule.problem
+    start = float(problem.schedule.constants.inventory) if inventory is None else inventory
+    level, rows = np.full(spots.shape[1], start), []
+    state = rule.initial_factors(spots.shape[1])
+    for t in range(len(spots) - 1):
+        result = decided(rule, t, problem, t, level, state, spots[t])
+        level, state = result.inventory, result.factors
+        rows.append(result.cash)
+    cash = np.array(rows)
+    fixed = float(problem.schedule.constants.fixed_costs)
+    return RuleCash(cash.sum(axis=0) + end_money(problem, level, spots[-1]) - fixed, cash)
+
+
+def spot_filter(problem: Problem) -> SpotFilter | None:
+    """The filter of a problem; None where prices have other risks than Gaussian factors."""
+    model = factors(problem)
+    if model is None or not model.exact or model.spikes is not None:
+        return None
+    size = model.decay.shape[1]
+    covariance, gains = np.zeros((size, size)), []
+    for loading, decay, shock in zip(model.loading, model.decay, model.shock):
+        covariance = np.outer(decay, decay) * covariance + shock @ shock.T
+        covariance[model.fast, model.fast] += ROOM
+        along = covariance @ loading
+        variance = float(loading @ along)
+        gain = along / variance if variance > 0 else np.zeros(size)
+        covariance = covariance - np.outer(gain, along)
+        gains.append(gain)
+    return SpotFilter(np.array(gains), np.asarray(model.decay))
