@@ -113,6 +113,18 @@ def test_mistakes_are_found_before_any_work(more, named, own, monkeypatch, capsy
     assert {name: after[name] for name in after if "__pycache__" not in name} == before
 
 
+LONG = "x" * 300  # more than file systems take
+
+
+@pytest.mark.parametrize(
+    "arguments", [["check", LONG], ["solve", "CASE", "--out", LONG], ["report", LONG]]
+)
+def test_a_name_that_is_no_name_of_a_file_is_one_message(arguments, case, capsys):
+    assert main([str(case) if word == "CASE" else word for word in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("snapo:") == 1 and "File name too long" in error
+
+
 def test_json_prints_one_object_even_for_bad_input(case, capsys):
     (case / "curve.csv").unlink()
     assert main(["solve", str(case), "--json"]) == 2

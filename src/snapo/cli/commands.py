@@ -52,6 +52,12 @@ def run(options: argparse.Namespace) -> int:
     except CaseError as error:
         say(f"snapo: {error}")
         answer, text, code = {"status": "bad-input", "message": str(error)}, "", BAD_INPUT
+    except OSError as error:
+        if error.filename is None:  # no file that somebody named
+            raise
+        message = f"{error.filename}: {error.strerror}"
+        say(f"snapo: {message}")
+        answer, text, code = {"status": "bad-input", "message": message}, "", BAD_INPUT
     except KeyboardInterrupt as stop:
         say("snapo: interrupted")
         result = getattr(stop, "result", None)  # of a run of `snapo solve`, up to here
