@@ -29,7 +29,7 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C in work of which a part is done.
 
     - `result`: that part: the `Progress` of a training, a `Solution`, the tables of a run's part.
-    - `notes`: sentences on what failed after the interrupt.
+    - `notes`: sentences on callbacks that failed after the interrupt.
     """
 
     def __init__(self, result: Any, notes: tuple[str, ...] = ()):

@@ -60,7 +60,7 @@ def longevity(
 
 def _mean(total: Array, weight: Array) -> Array:
     """`total` over `weight`; 0, without a gradient, where the weight is zero or so small that its
-    square, by which the derivative divides, is not: what is due to people who are surely dead."""
+    square, by which the derivative divides, is not: payments to people who are surely dead."""
     due = weight > np.sqrt(np.finfo(weight.dtype).tiny)
     return jnp.where(due, total / jnp.where(due, weight, 1.0), 0.0)
 
