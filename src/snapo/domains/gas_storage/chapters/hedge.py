@@ -125,7 +125,7 @@ def measure(run: StudyRun) -> HedgeTables:
             simulated.append(SimulatedHedge(name, form, gains))
     daily = DailyHedges(overnight, hedges.daily).simulated(fit, paths)
     for hedge, gains in zip(hedges.daily, daily, strict=True):
-        simulated.append(SimulatedHedge(_name(hedge), _names(hedge.families), gains))
+        simulated.append(SimulatedHedge(_name(hedge), _products(hedge), gains))
     rows = tuple(row_of(hedge, paths.money, groups) for hedge in simulated)
     of_products = tuple(x for hedge in simulated[1:] for x in product_rows(hedge, paths.money))
     for row in rows:
@@ -225,6 +225,13 @@ def _share(total: np.ndarray, money: np.ndarray) -> float:
 
 def _name(hedge: DailyHedge) -> str:
     return "Daily, least variance" if hedge.rule == MIN_VARIANCE else "Daily, deltas"
+
+
+def _products(hedge: DailyHedge) -> str:
+    """Least variance takes the first product of a family alone: of "months" the next month."""
+    if hedge.rule != MIN_VARIANCE:
+        return _names(hedge.families)
+    return _names([f"next {x[:-1]}" if x.endswith("s") else x for x in hedge.families])
 
 
 def _names(families: Sequence[str]) -> str:
