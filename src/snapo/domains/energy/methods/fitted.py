@@ -57,26 +57,34 @@ def fit(
     terms, horizon = schedule.steps.terms, len(grid.steps)
     basis = basis_of(factors, priced=False)
     available, size = regression_of(basis), basis.size
-    coefficients = [np.zeros((len(layout.modes), grid.size(horizon), size))]
+    coefficients = _room([(len(layout.modes), grid.size(t), size) for t in range(horizon + 1)])
+    coefficients[horizon][:] = 0.0
     for t in reversed(range(horizon)):
-        step, later = grid.steps[t], coefficients[-1]
+        step, later = grid.steps[t], coefficients[t + 1]
         value = available.expected(t, later.reshape(-1, size))
         after = arrived(step, value.reshape(*later.shape[:2], -1))
         spot = available.spot(t, schedule.steps.forward[t])
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         value = best(step, layout, cash, terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
-        found = available.fitted(t, flat)
-        coefficients.append(found.reshape(*value.shape[:2], size))
-    coefficients.reverse()
+        coefficients[t][:] = available.fitted(t, flat).reshape(*value.shape[:2], size)
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
+
+
+def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
+    """Arrays of these shapes in one: it goes back to the system at once, and many small ones don't.
+    """
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = np.split(np.empty(ends[-1]), ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes)]
 
 
 def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
     """The value of a unit of each volume after each step, and of each move."""
     horizon, basis = len(fitted.grid.steps), fitted.basis
     counts = _row_counts(layout, fitted.grid)
-    lows, spacings, slopes, moves = [], [], [], []
+    lows, spacings, moves = [], [], []
+    slopes = np.zeros(0)  # [T, pairs, rows …, n]
     known: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
     for t in range(horizon):
         step = fitted.grid.steps[t]
@@ -90,7 +98,9 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
         local = [
             x @ after[layout.every_move[m].after] for x, (m, _) in zip(weights.slopes, layout.pairs)
         ]
-        slopes.append(np.stack(local).reshape(len(local), *counts, -1))
+        if not t:
+            slopes = np.empty((horizon, len(local), *counts, after.shape[-1]))
+        slopes[t] = np.reshape(local, slopes.shape[1:])
         if layout.moves:
             values = [x @ after[move.after] for x, move in zip(weights.moves, layout.moves)]
             before = [move.before for move in layout.moves]
@@ -100,7 +110,7 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
         spacings.append(spacing)
     place = LevelRows(np.stack(lows), np.stack(spacings))  # pyright: ignore
     reading = Reading(*(x[:horizon] for x in basis.linear()))  # pyright: ignore
-    table = UnitValues(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
+    table = UnitValues(place, slopes, np.stack(moves) if moves else None, reading)  # pyright: ignore
     return UnitValueTable(table)
 
 
