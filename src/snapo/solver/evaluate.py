@@ -25,7 +25,8 @@ from .adjoint import DROPPED, finite, float64
 from .tables import frame
 
 DECIDED = ("action",)  # recorded where decisions are held
-MAX_BYTES = 2**28  # of decisions that are kept, and of the noise of one call
+MAX_BYTES = 2**28  # of decisions that are kept
+NOISE_BYTES = 2**27  # of the noise of one call
 
 
 class Value(NamedTuple):
@@ -136,7 +137,7 @@ def in_a_row(numbers: np.ndarray) -> slice | np.ndarray:
 def chunks(source: Scenarios, paths: int, simulator: Simulator) -> list[np.ndarray]:
     """Path numbers of one call of an engine each; fewer of long paths, whose noise takes memory."""
     numbers = simulator.horizon * simulator.noise_size + simulator.initial_noise_size
-    most = max(FEWEST, min(CHUNK, MAX_BYTES // (8 * max(numbers, 1))))
+    most = max(FEWEST, min(CHUNK, NOISE_BYTES // (8 * max(numbers, 1))))
     return source.blocks(paths, -(-paths // most))
 
 

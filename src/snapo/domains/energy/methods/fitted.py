@@ -72,7 +72,7 @@ def fit(
 
 
 def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
-    """Arrays of these shapes in one: it goes back to the system at once, and many small ones don't."""
+    """Arrays of these shapes in one, which goes back to the system: many small ones do not."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = np.split(np.empty(ends[-1]), ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes)]
