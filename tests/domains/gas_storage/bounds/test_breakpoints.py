@@ -53,7 +53,7 @@ def test_there_are_no_breakpoints_to_keep_of_ratchets_losses_and_too_many_flows(
     ratchets = cases.dated_ratchets()
     assert breakpoints(ratchets, "linear", *visited(ratchets, "linear")) is None
     limits = visited(OFF, "linear")
-    assert breakpoints(OFF, "linear", *limits, most=10) is None
+    assert breakpoints(OFF, "linear", *limits, maximum=10) is None
     OFF.steps.inventory_loss = OFF.steps.inventory_loss + 1e-3
     try:
         assert breakpoints(OFF, "linear", *limits) is None

@@ -72,7 +72,7 @@ def fit(
 
 
 def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
-    """Arrays of these shapes in one, which goes back to the system: many small ones do not."""
+    """Arrays of these shapes in one: the system regains its memory, not that of many small ones."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = np.split(np.empty(ends[-1]), ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes)]
@@ -84,16 +84,16 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
     counts = _row_counts(layout, fitted.grid)
     lows, spacings, moves = [], [], []
     slopes = np.zeros(0)  # [T, pairs, rows …, n]
-    known: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
+    cache: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
     for t in range(horizon):
         step = fitted.grid.steps[t]
         low, spacing = _rows(step, counts)
         after = _after(layout, fitted, t)
         key = tuple(x.tobytes() for x in (low, spacing, *step.after))
-        if key not in known:
+        if key not in cache:
             rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
-            known[key] = _step_weights(layout, step, rows, spacing)
-        weights = known[key]
+            cache[key] = _step_weights(layout, step, rows, spacing)
+        weights = cache[key]
         local = [
             x @ after[layout.every_move[m].after] for x, (m, _) in zip(weights.slopes, layout.pairs)
         ]
@@ -165,7 +165,7 @@ def _lattice(nodes: np.ndarray) -> tuple[float, float]:
 
 class _StepWeights(NamedTuple):
     """Of the values of the nodes after a step, [rows, nodes] each: in the slope of each pair of a
-    move and a flow, and in the value to which each move leads."""
+    move and a flow, and in the value after each move."""
 
     slopes: list[sparse.csr_array]
     moves: list[sparse.csr_array]
@@ -206,18 +206,18 @@ def _between(nodes, points: np.ndarray) -> sparse.csr_array:
         left = np.minimum(position.astype(int), max(len(x) - 2, 0))
         lefts.append(left)
         shares.append(position - left)
-    entries, places = [], []
+    entries, columns = [], []
     for corner in range(2 ** len(sizes)):
-        weight, place = np.ones(count), np.zeros(count, int)
+        weight, node = np.ones(count), np.zeros(count, int)
         for i, size in enumerate(sizes):
             up = (corner >> i) & 1
             weight = weight * (shares[i] if up else 1 - shares[i])
-            place = place * size + np.minimum(lefts[i] + up, size - 1)
+            node = node * size + np.minimum(lefts[i] + up, size - 1)
         if weight.any():  # few corners, where points are nodes
             entries.append(weight)
-            places.append(place)
+            columns.append(node)
     rows = np.tile(np.arange(count), len(entries))
-    numbers = np.concatenate(entries), (rows, np.concatenate(places))
+    numbers = np.concatenate(entries), (rows, np.concatenate(columns))
     return sparse.csr_array(sparse.coo_array(numbers, shape=(count, math.prod(sizes))))
 
 
@@ -227,7 +227,7 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
     dates, count = len(grid.nodes), SURPRISES[len(layout.levels)]
     counts = (count,) * len(layout.levels)
     lows, spacings, now = [], [], []
-    known: dict[tuple, sparse.csr_array] = {}
+    cache: dict[tuple, sparse.csr_array] = {}
     for t in range(dates):
         nodes = grid.nodes[t]
         low = np.array([x[0] for x in nodes])
@@ -235,9 +235,9 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
         rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
         plain = fitted.coefficients[t] @ available.plain(t)
         key = tuple(x.tobytes() for x in nodes)
-        if key not in known:
-            known[key] = _between(nodes, rows)
-        now.append(np.stack([known[key] @ mode for mode in plain]))
+        if key not in cache:
+            cache[key] = _between(nodes, rows)
+        now.append(np.stack([cache[key] @ mode for mode in plain]))
         lows.append(low)
         spacings.append(spacing)
     values = np.stack(now)  # [T + 1, modes, rows, n]

@@ -2,7 +2,7 @@
 
 The best flow of a day is the least, the greatest or none at all, or it ends where the value after
 the day bends. With rates that do not depend on the inventory, and no losses, the value at its start
-bends only where one of these three flows leads to a bend after it. Backwards from the end date,
+bends only where one of these three flows ends at a bend after it. Backwards from the end date,
 that gives every breakpoint. Values that are linear between them stay so, whatever the prices are.
 """
 
@@ -10,17 +10,21 @@ import numpy as np
 
 from .day_terms import Interpolation, flow_ends, rates, volume_scale
 
-MOST = 1000  # nodes of a day; a contract of more is left to a regular grid
+MAXIMUM = 1000  # nodes of a day; a contract of more is left to a regular grid
 SAME = 1e-9  # of the largest inventory: breakpoints nearer to one another are one
 
 
 def breakpoints(
-    schedule, interpolation: Interpolation, low: np.ndarray, high: np.ndarray, most: int = MOST
+    schedule,
+    interpolation: Interpolation,
+    low: np.ndarray,
+    high: np.ndarray,
+    maximum: int = MAXIMUM,
 ) -> list[np.ndarray] | None:
     """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
 
     `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None where rates depend on
-    the inventory, where gas is lost, and where a day has more than `most`.
+    the inventory, where gas is lost, and where a day has more than `maximum`.
     """
     steps = schedule.steps
     depends = [np.ptp(item, axis=1) > 0 for item in (steps.injection_rate, steps.withdrawal_rate)]
@@ -34,7 +38,7 @@ def breakpoints(
         flows = [down, up, *([keep] if down <= keep <= up else [])]
         before = np.concatenate([nodes[-1] - flow for flow in flows])
         nodes.append(_within(before, low[t], high[t], near))
-        if len(nodes[-1]) > most:
+        if len(nodes[-1]) > maximum:
             return None
     return nodes[::-1]
 
