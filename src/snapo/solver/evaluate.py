@@ -17,6 +17,7 @@ from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from . import statistics
@@ -25,6 +26,7 @@ from .tables import frame
 
 DECIDED = ("action",)  # recorded where decisions are held
 MAX_BYTES = 2**28  # of decisions that are kept
+NOISE_BYTES = 2**27  # of the noise of one call
 
 
 class Value(NamedTuple):
@@ -90,7 +92,7 @@ def path_totals(
     source = source or problem.sources.evaluation
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
-    for block in chunks(source, paths):
+    for block in chunks(source, paths, problem.simulator):
         rollout = bound.values(policy, source.draws(block, problem.simulator), smooth)
         _keep(rollout, block, paths, totals)
     return totals
@@ -107,7 +109,7 @@ def totals_and_decisions(
     shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
     decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MAX_BYTES else None
     totals: dict[str, np.ndarray] = {}
-    for block in chunks(source, paths):
+    for block in chunks(source, paths, problem.simulator):
         local = block < (0 if decisions is None else shape[1])
         record = DECIDED if local.any() else ()
         draws = source.draws(block, problem.simulator)
@@ -132,9 +134,11 @@ def in_a_row(numbers: np.ndarray) -> slice | np.ndarray:
     return slice(first, first + count) if follow else numbers
 
 
-def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:
-    """Path numbers of one call of an engine each."""
-    return source.blocks(paths, -(-paths // CHUNK))
+def chunks(source: Scenarios, paths: int, simulator: Simulator) -> list[np.ndarray]:
+    """Path numbers of one call of an engine each; fewer of long paths, whose noise takes memory."""
+    numbers = simulator.horizon * simulator.noise_size + simulator.initial_noise_size
+    most = max(FEWEST, min(CHUNK, NOISE_BYTES // (8 * max(numbers, 1))))
+    return source.blocks(paths, -(-paths // most))
 
 
 def estimate(
@@ -210,7 +214,7 @@ def of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values
     return statistics.ratio_shares(np.where(valid, values, 0.0), valid, groups)
 
 
-CHUNK = 8192  # paths in one call of an engine
+CHUNK, FEWEST = 8192, 512  # paths in one call of an engine; of long ones at least
 
 
 Series = dict[str, np.ndarray]

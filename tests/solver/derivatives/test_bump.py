@@ -5,11 +5,12 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
-from snapo.solver.derivatives.bump import opposite, reactions
+from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, opposite, reactions
 
 ENGINE = Xla("float64")
 
@@ -86,3 +87,20 @@ def test_a_table_that_is_built_anew_shows_no_reaction_of_an_optimal_policy():
     found = reactions(problem, Reads(), 4096, held, rollouts=0, engine=ENGINE)["target"]
     assert abs(found.estimate[0]) < 1e-6
     assert len(builds) == 1
+
+
+@pytest.mark.parametrize(("value", "moves"), [(5.0, [1.0]), (1e-8, [1.0, WIDE])])
+def test_an_input_without_effect_on_the_value_gets_no_wider_move(monkeypatch, value, moves):
+    """A rate of zero over a week: all of the change is far below the value's precision."""
+    taken, noise = [], np.random.default_rng(0).standard_normal(32)
+
+    def moved(self, name, by, held, count):
+        taken.append(float(by[0]))
+        return Reaction(held, 1e-10 * (2 + noise[:count]), 0.0, 0.0, 0.0, 1e-12, True)
+
+    monkeypatch.setattr(_Bumper, "_moved", moved)
+    bumper = object.__new__(_Bumper)
+    bumper.blocks, bumper.value = [np.arange(4)] * 32, value
+    screened = moved(bumper, "rate", np.zeros(1), np.full(32, 1e-7), 4)
+    bumper.refined("rate", np.ones(1), screened)
+    assert taken[1:] == moves

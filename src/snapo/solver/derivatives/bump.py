@@ -218,13 +218,21 @@ class _Bumper:
         return self._moved(name, by, held, self.few, mirrored=True)
 
     def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
-        """The same with all paths and, where that is not enough, with a wider move."""
+        """The same with all paths and, where that is not enough, with a wider move; of an input
+        that changes the value by next to nothing the first move is enough."""
         held, count = result.held, len(self.blocks)
         if len(result.reaction) < count:
             result = self._moved(name, by, held, count)
-        if settled(result, PRECISE):
+        if settled(result, PRECISE) or self._tiny(result):
             return result
         return _joined(result, self._moved(name, WIDE * by, WIDE * held, count))
+
+    def _tiny(self, reaction: Reaction) -> bool:
+        """Whether all of the change of the value is surely negligible, as that by a rate of zero
+        over a week."""
+        value, error = reaction.estimate
+        size = abs(float(np.mean(reaction.held))) + abs(value) + 2 * error
+        return size <= NEGLIGIBLE * abs(self.value)
 
     def _moved(
         self,

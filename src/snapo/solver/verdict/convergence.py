@@ -242,7 +242,8 @@ def _over(
 ) -> Gain:
     """On the first chunks of the evaluation, whose kernels are there."""
     source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
-    blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])), enough)
+    paths = len(exact[problem.objective.outputs[0]])
+    blocks = _first(chunks(source, paths, problem.simulator), enough)
     totals = [
         bound.values(other, source.draws(block, problem.simulator), Exact()).totals
         for block in blocks

@@ -11,6 +11,7 @@ from tests.domains.gas_storage.references.reference_schedules import (
 )
 
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
+from snapo.domains.gas_storage.bounds.regression import Regression
 from snapo.domains.gas_storage.prices.process import GaussianFactors
 
 DATES = [date(f"2021-05-0{day}") for day in range(2, 8)]
@@ -92,3 +93,26 @@ def test_increments_have_mean_zero():
     error = moved.std(axis=2) / np.sqrt(moved.shape[2])
     # 6 days x 45 functions: the largest of 270 normals is below 4.5.
     assert np.all(np.abs(moved.mean(axis=2)) <= 4.5 * error + 1e-12)
+
+
+def test_days_that_count_as_the_same_have_the_same_regression():
+    """A factor that reverts within hours: its functions differ on the first days only."""
+    dates, decay = 1000, float(np.exp(-0.06))
+    shape = (dates, 1, 1)
+    shock = np.full(shape, 0.1)
+    shock[0] = 0.0
+    of = GaussianFactors(np.ones(shape[:2]), np.ones(dates), np.full(shape[:2], decay), shock)
+    basis = gaussian_basis(of, priced=False)
+    same = basis.same_days()
+    assert np.all(same <= np.arange(dates)) and np.all(same[same] == same)
+    assert len(np.unique(same)) < 400 and same[-1] == dates - 1
+    shared, alone = Regression(basis), Regression(basis)
+    alone._same = np.arange(dates)
+    for t in (0, 1, 2, 50, 500, dates - 2, dates - 1):
+        for one, other in zip(shared.day(t), alone.day(t)):
+            np.testing.assert_allclose(
+                one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max(initial=0.0)
+            )
+    # Where a factor moves all prices in proportion, its deviation grows from day to day.
+    flags = gaussian_basis(flagship().factors, priced=False).same_days()
+    assert np.array_equal(flags, np.arange(len(flags)))

@@ -40,7 +40,10 @@ def build(
     interpolation="linear",
     **daily,
 ):
-    """A schedule; `ratchets(day)` gives (inventories, withdrawal, injection), `daily` overrides."""
+    """A schedule; `ratchets(day)` gives (inventories, withdrawal, injection), `daily` overrides.
+
+    `end_level`: the inventory that is due at the end, or the least and the most.
+    """
     first, last = max(date(valuation), date(start)), date(end)
     dates = [first + datetime.timedelta(n) for n in range((last - first).days)]
     horizon = len(dates)
@@ -86,8 +89,7 @@ def _add_limits(steps, interpolation, limits, end_level):
     """The interval that can still meet the end, by bisection (monotone moves only)."""
     low, high = limits
     lows, highs = (
-        [low if end_level is None else end_level],
-        [high if end_level is None else end_level],
+        [float(item)] for item in np.broadcast_to(limits if end_level is None else end_level, 2)
     )
     for t in reversed(range(len(steps.forward))):
 
@@ -250,6 +252,48 @@ def slow_storage() -> Schedule:
         lambda day: prices[(day.month - 4) % 12],
         [Factor(46.659181, lambda day: 1.0645537)],
         end_level=0.0,
+    )
+
+
+def three_percent(start: str):
+    """Discount factors at a continuous rate of 3 %."""
+    return lambda day: float(np.exp(-0.03 * (day - date(start)).days / 365))
+
+
+def large_store(end: str = "2027-04-01") -> Schedule:
+    """Far larger than a year of its flows can fill."""
+    prices = [27, 26, 25, 24.5, 24.5, 25.5, 28, 31, 33, 34, 33, 30]
+    return build(
+        "2026-04-01",
+        "2026-04-01",
+        end,
+        0.0,
+        lambda day: ([0.0], [230.0], [230.0]),
+        (0.0, 500_000.0),
+        lambda day: prices[(day.month - 4) % 12],
+        [Factor(30.0, lambda day: 1.0)],
+        discount=three_percent("2026-04-01"),
+        costs=(0.1, 0.1),
+        end_level=0.0,
+    )
+
+
+def swing_as_store(least: float, end: str = "2027-10-01", left=(0.0, 100.0), held=300.0):
+    """Case D3 of the desk as a store that is emptied; `least`: of every day."""
+    prices = [28, 31, 34, 36, 35, 31, 27, 25, 24, 24, 25, 26]
+    return build(
+        "2026-10-01",
+        "2026-10-01",
+        end,
+        held,
+        lambda day: ([0.0], [1.0], [0.0]),
+        (0.0, held),
+        lambda day: prices[(day.month - 10) % 12],
+        [Factor(12.0, lambda day: 0.9)],
+        discount=three_percent("2026-10-01"),
+        costs=(0.0, 29.0),
+        end_level=left,
+        min_withdrawal=least,
     )
 
 

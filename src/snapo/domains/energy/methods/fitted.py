@@ -9,9 +9,10 @@ upper bound.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 
 from ...gas_storage.bounds.regression import (
     AnyBasis,
@@ -56,36 +57,51 @@ def fit(
     terms, horizon = schedule.steps.terms, len(grid.steps)
     basis = basis_of(factors, priced=False)
     available, size = regression_of(basis), basis.size
-    coefficients = [np.zeros((len(layout.modes), grid.size(horizon), size))]
+    coefficients = _room([(len(layout.modes), grid.size(t), size) for t in range(horizon + 1)])
+    coefficients[horizon][:] = 0.0
     for t in reversed(range(horizon)):
-        step, later = grid.steps[t], coefficients[-1]
+        step, later = grid.steps[t], coefficients[t + 1]
         value = available.expected(t, later.reshape(-1, size))
         after = arrived(step, value.reshape(*later.shape[:2], -1))
         spot = available.spot(t, schedule.steps.forward[t])
         cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
         value = best(step, layout, cash, terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
-        found = available.fitted(t, flat)
-        coefficients.append(found.reshape(*value.shape[:2], size))
-    coefficients.reverse()
+        coefficients[t][:] = available.fitted(t, flat).reshape(*value.shape[:2], size)
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
+
+
+def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
+    """Arrays of these shapes in one: the system regains its memory, not that of many small ones."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = np.split(np.empty(ends[-1]), ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes)]
 
 
 def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
     """The value of a unit of each volume after each step, and of each move."""
     horizon, basis = len(fitted.grid.steps), fitted.basis
     counts = _row_counts(layout, fitted.grid)
-    lows, spacings, slopes, moves = [], [], [], []
+    lows, spacings, moves = [], [], []
+    slopes = np.zeros(0)  # [T, pairs, rows …, n]
+    cache: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
     for t in range(horizon):
         step = fitted.grid.steps[t]
         low, spacing = _rows(step, counts)
         after = _after(layout, fitted, t)
-        rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
-        local = [_slope(layout, step, after, rows, spacing, m, f) for m, f in layout.pairs]
-        slopes.append(np.stack(local).reshape(len(local), *counts, -1))
+        key = tuple(x.tobytes() for x in (low, spacing, *step.after))
+        if key not in cache:
+            rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
+            cache[key] = _step_weights(layout, step, rows, spacing)
+        weights = cache[key]
+        local = [
+            x @ after[layout.every_move[m].after] for x, (m, _) in zip(weights.slopes, layout.pairs)
+        ]
+        if not t:
+            slopes = np.empty((horizon, len(local), *counts, after.shape[-1]))
+        slopes[t] = np.reshape(local, slopes.shape[1:])
         if layout.moves:
-            values = [_interpolated(step.after, after[move.after], rows + np.array(move.changes))
-                     for move in layout.moves]  # fmt: skip
+            values = [x @ after[move.after] for x, move in zip(weights.moves, layout.moves)]
             before = [move.before for move in layout.moves]
             relative = [x - values[before.index(mode)] for x, mode in zip(values, before)]
             moves.append(np.stack(relative).reshape(len(relative), *counts, -1))
@@ -93,7 +109,7 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
         spacings.append(spacing)
     place = LevelRows(np.stack(lows), np.stack(spacings))  # pyright: ignore
     reading = Reading(*(x[:horizon] for x in basis.linear()))  # pyright: ignore
-    table = UnitValues(place, np.stack(slopes), np.stack(moves) if moves else None, reading)  # pyright: ignore
+    table = UnitValues(place, slopes, np.stack(moves) if moves else None, reading)  # pyright: ignore
     return UnitValueTable(table)
 
 
@@ -147,15 +163,26 @@ def _lattice(nodes: np.ndarray) -> tuple[float, float]:
     return float(nodes[0]), float(gaps.min())
 
 
-def _slope(
-    layout: ContractLayout, step: StepGrid, after, rows, spacing, m: int, f: int
-) -> np.ndarray:
-    """[rows, n] the change of the value by one more unit along a flow from each row."""
+class _StepWeights(NamedTuple):
+    """Of the values of the nodes after a step, [rows, nodes] each: in the slope of each pair of a
+    move and a flow, and in the value after each move."""
+
+    slopes: list[sparse.csr_array]
+    moves: list[sparse.csr_array]
+
+
+def _step_weights(layout: ContractLayout, step: StepGrid, rows, spacing) -> _StepWeights:
+    slopes = [_slope(layout, step, rows, spacing, f) for _, f in layout.pairs]
+    moves = [_between(step.after, rows + np.array(move.changes)) for move in layout.moves]
+    return _StepWeights(slopes, moves)
+
+
+def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> sparse.csr_array:
+    """The weights of the change of the value by one more unit along a flow from each row."""
     effects = np.array(layout.flows[f].effects)
     touched = np.flatnonzero((effects != 0) & (spacing > 0)) if len(effects) else []
-    values = after[layout.every_move[m].after]
     if not len(touched):
-        return np.zeros((len(rows), values.shape[-1]))
+        return sparse.csr_array((len(rows), math.prod(map(len, step.after))))
     unit = min(spacing[i] / abs(effects[i]) for i in touched)
     low, high = (np.array([x[k] for x in step.after]) for k in (0, -1))
     first = np.clip(rows, low, high)
@@ -167,32 +194,31 @@ def _slope(
     share = np.minimum(share, 1.0)[:, None]
     first, last = first - share * unit * effects, last - share * unit * effects
     first, last = np.clip(first, low, high), np.clip(last, low, high)
-    ends = [_interpolated(step.after, values, x) for x in (first, last)]
-    return (ends[1] - ends[0]) / unit
+    return (_between(step.after, last) - _between(step.after, first)) / unit
 
 
-def _interpolated(nodes, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """[n, K] at points [n, levels] of values [nodes, K]: linear between nodes, flat beyond."""
-    count = len(points)
-    if not nodes:
-        return np.broadcast_to(values[0], (count, values.shape[-1]))
-    sizes = [len(x) for x in nodes]
+def _between(nodes, points: np.ndarray) -> sparse.csr_array:
+    """[n, nodes] weights of nodes at points [n, levels]: linear between nodes, flat beyond."""
+    count, sizes = len(points), [len(x) for x in nodes]
     lefts, shares = [], []
     for i, x in enumerate(nodes):
         position = np.interp(points[:, i], x, np.arange(len(x), dtype=float))
         left = np.minimum(position.astype(int), max(len(x) - 2, 0))
         lefts.append(left)
         shares.append(position - left)
-    total = np.zeros((count, values.shape[-1]))
+    entries, columns = [], []
     for corner in range(2 ** len(sizes)):
-        weight, place = np.ones(count), np.zeros(count, int)
+        weight, node = np.ones(count), np.zeros(count, int)
         for i, size in enumerate(sizes):
             up = (corner >> i) & 1
             weight = weight * (shares[i] if up else 1 - shares[i])
-            place = place * size + np.minimum(lefts[i] + up, size - 1)
+            node = node * size + np.minimum(lefts[i] + up, size - 1)
         if weight.any():  # few corners, where points are nodes
-            total += weight[:, None] * values[place]
-    return total
+            entries.append(weight)
+            columns.append(node)
+    rows = np.tile(np.arange(count), len(entries))
+    numbers = np.concatenate(entries), (rows, np.concatenate(columns))
+    return sparse.csr_array(sparse.coo_array(numbers, shape=(count, math.prod(sizes))))
 
 
 def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
@@ -201,13 +227,17 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
     dates, count = len(grid.nodes), SURPRISES[len(layout.levels)]
     counts = (count,) * len(layout.levels)
     lows, spacings, now = [], [], []
+    cache: dict[tuple, sparse.csr_array] = {}
     for t in range(dates):
         nodes = grid.nodes[t]
         low = np.array([x[0] for x in nodes])
         spacing = np.array([np.ptp(x) / (count - 1) for x in nodes]) if nodes else np.zeros(0)
         rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
         plain = fitted.coefficients[t] @ available.plain(t)
-        now.append(np.stack([_interpolated(nodes, mode, rows) for mode in plain]))
+        key = tuple(x.tobytes() for x in nodes)
+        if key not in cache:
+            cache[key] = _between(nodes, rows)
+        now.append(np.stack([cache[key] @ mode for mode in plain]))
         lows.append(low)
         spacings.append(spacing)
     values = np.stack(now)  # [T + 1, modes, rows, n]

@@ -27,6 +27,7 @@ DEGREES = {1: 6, 2: 4, 3: 4}  # total degree by number of factors; of more facto
 ALONE, FEW = np.arange(-3.0, 3.1, 0.25), np.arange(-1.75, 2.0, 0.5)
 REACH = 4.0  # standard deviations of a factor beyond which nothing is fitted
 NOTHING = 1e-14  # a variance below this is none
+SAME = 13  # decimals of days that count as the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +164,22 @@ class PolynomialBasis:
         plain = plain * moves[:, None, :, 0] if moves.shape[-1] == 1 else plain @ moves
         plain = plain * self._alive[:-1, None, :]
         return np.concatenate([plain, after[:, :, size:]], axis=2)
+
+    def same_days(self) -> np.ndarray:
+        """[T + 1] the first date with the same functions, expectations and exponential.
+
+        A factor that reverts soon has the same deviation on all days but the first: a year by the
+        hour has some hundred different ones.
+        """
+        dates = len(self._turn)
+        after = np.minimum(np.arange(dates) + 1, dates - 1)
+        numbers = self._alive, self._moving, self._moving[after], self._turn[after]
+        numbers += self._level_variance * bool(self.common), np.arange(dates) == dates - 1
+        rows = np.hstack([np.reshape(x, (dates, -1)) for x in numbers])
+        first, same = np.unique(rows.round(SAME), axis=0, return_index=True, return_inverse=True)[
+            1:
+        ]
+        return first[same.ravel()]
 
     def key(self) -> tuple:
         """Equal for bases with the same functions of the same factors."""

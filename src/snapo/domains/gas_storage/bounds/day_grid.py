@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..references.breakpoints import breakpoints
 from ..references.day_terms import (
+    POINT,
     DayRates,
     Interpolation,
     UnitPrices,
@@ -84,25 +86,30 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; `inventories` points from 0 to the largest inventory, and others next to them.
+    """All T days; the value of the best flow is linear between nodes where that is possible.
 
     Without `bends` the grids are for values of the best flow, not for values above them.
 
-    Only inventories that the one in store can become. Ratchet rows are nodes, and so are the
-    inventories where the intrinsic value bends most: those that just can be emptied or filled in
-    time keep their bend whatever prices do, and a bend between nodes costs most.
+    Only inventories that the one in store can become. See `breakpoints` of the references for
+    contracts with constant rates. Of others there are `inventories` points from 0 to the largest
+    inventory. Ratchet rows are nodes, and so are the inventories where the intrinsic value bends
+    most: those that just can be emptied or filled in time keep their bend whatever prices do, and
+    a bend between nodes costs most.
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
-    spacing = spacing_of(schedule, inventories)
-    maximum = int(BENDS * inventories)
-    endpoints = [_bent(item, maximum) for item in values_after(schedule, interpolation, low, high)]
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
-    levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
-    nodes = [inventory_nodes(low[0], high[0], spacing, levels[0])]
-    for t in range(horizon):
-        regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
-        nodes.append(_joined(regular, endpoints[t], spacing, levels[t + 1]))
+    nodes = breakpoints(schedule, interpolation, low, high)
+    if nodes is None:
+        spacing = spacing_of(schedule, inventories, float(np.max(high - low)))
+        maximum = int(BENDS * inventories)
+        lines = values_after(schedule, interpolation, low, high)
+        levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
+        nodes = [inventory_nodes(low[0], high[0], spacing, levels[0])]
+        for t in range(horizon):
+            regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
+            bent = _bent(lines[t], maximum)
+            nodes.append(_joined(regular, bent, spacing, levels[t + 1]))
     return [
         one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)
     ]
@@ -114,11 +121,14 @@ def largest_rate(schedule) -> float:
     return float(max(np.max(steps.injection_rate), np.max(steps.withdrawal_rate)))
 
 
-def spacing_of(schedule, inventories: int) -> float:
-    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node."""
-    spacing, rate = volume_scale(schedule) / (inventories - 1), largest_rate(schedule)
-    parts = round(rate / spacing)
-    return float(rate / parts) if parts else spacing
+def spacing_of(schedule, inventories: int, widest: float) -> float:
+    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node.
+
+    `widest`: the widest interval of inventories that the one in store can become.
+    """
+    spacing, rate = widest / (inventories - 1), largest_rate(schedule)
+    parts = round(rate / spacing) if spacing > 0 else 0
+    return float(rate / parts) if parts else max(spacing, POINT * volume_scale(schedule))
 
 
 def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:

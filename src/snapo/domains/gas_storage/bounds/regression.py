@@ -66,7 +66,7 @@ COUNTS = {
 POINTS = 1024
 LEVELS = 2  # nodes of the factor in the exponential
 RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
-MAX_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
+MAX_KEPT = 128 << 20  # bytes; of longer contracts the last day is kept
 LAST = 3  # factors: those of the case, and others that sensitivities move to
 
 
@@ -91,18 +91,21 @@ class Regression:
     def __init__(self, basis: PolynomialBasis):
         self.basis = basis
         self.y, self.level, self.weight = states_of(basis)
+        self._same = basis.same_days()
         self._days: dict[int, RegressionDay] = {}
         self._noises: dict[int, np.ndarray] = {}
-        dates = len(basis.of.decay)
-        self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MAX_KEPT
+        numbers = 2 * basis.size * len(np.unique(self._same)) + len(self._same)
+        self._keeps = numbers * self.level.size * 8 <= MAX_KEPT
 
     def day(self, t: int) -> RegressionDay:
         """The regression on day t."""
-        day = self._days.get(t)
+        same = int(self._same[t])
+        day = self._days.get(same)
         if day is None:
-            day = self._made(t)
-            if self._keeps:
-                self._days[t] = day
+            day = self._made(same)
+            if not self._keeps:
+                self._days = {}  # all but the last: each is asked for several times in turn
+            self._days[same] = day
         return day
 
     def fitted(self, t: int, values: np.ndarray) -> np.ndarray:

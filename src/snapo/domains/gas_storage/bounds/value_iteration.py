@@ -45,7 +45,7 @@ def regular_grids(schedule, interpolation: Interpolation, inventories: int) -> l
 def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
-    spacing = spacing_of(schedule, inventories)
+    spacing = spacing_of(schedule, inventories, float(np.max(high - low)))
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
     nodes = [inventory_nodes(*level[:2], spacing, level[2]) for level in zip(low, high, levels)]

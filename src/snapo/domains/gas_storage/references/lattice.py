@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..prices.process import GaussianFactors
+from .breakpoints import breakpoints
 from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
 from .lattice_day import DayDecisions, Volumes, decide, follow, free_volumes, inventory_nodes
 from .marginal import FactorGrid, common_volume, factor_grid
@@ -48,6 +49,7 @@ def lattice(
     *,
     inventories: int = 201,
     step: float | None = None,
+    nodes: list[np.ndarray] | None = None,
     spacing: float | None = None,
     slow_nodes: int = 17,
     volumes: Volumes = "free",
@@ -58,7 +60,8 @@ def lattice(
 
     - `factors`: of the price process, which must be Gaussian for the value to be exact.
     - `keep`: indices of the one or two to keep; by default `relevant_factors`.
-    - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between.
+    - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between; or
+      `nodes`, [T + 1] inventories of each day and of the end date, see `breakpoints`.
     - `spacing`: of the fast factor's nodes, in standard deviations of its daily shock; by default
       0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more than
       values do.
@@ -79,8 +82,10 @@ def lattice(
         volumes = free_volumes(schedule, interpolation)
     spacing = spacing or SPACINGS[coordinates(factors, selected)]
     grid = factor_grid(factors, selected, spacing, slow_nodes)
-    step = step or volume_scale(schedule) / (inventories - 1)
-    days, value = _backward(schedule, interpolation, grid, step, volumes)
+    if nodes is None:
+        step = step or volume_scale(schedule) / (inventories - 1)
+        nodes = _regular(schedule, interpolation, step)
+    days, value = _backward(schedule, interpolation, grid, nodes, volumes)
     return LatticeResult(value, *_forward(schedule, grid, days), selected, dropped)
 
 
@@ -122,23 +127,29 @@ def coordinates(factors: GaussianFactors, selected: tuple[int, ...]) -> int:
     return len(selected) + (factors.spikes is not None)
 
 
-def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes):
+def _regular(schedule, interpolation, spacing: float) -> list[np.ndarray]:
+    """[T + 1] evenly spaced inventories, the ratchet levels and the ends of each interval."""
+    horizon = len(schedule.steps.forward)
+    low, high = visited(schedule, interpolation)
+    levels = [rates(schedule, interpolation, t).levels for t in range(horizon)]
+    levels.append(schedule.constants.end_levels)
+    return [inventory_nodes(*item[:2], spacing, item[2]) for item in zip(low, high, levels)]
+
+
+def _backward(schedule, interpolation, grid: FactorGrid, nodes: list[np.ndarray], volumes):
     """All days' decisions and the value today."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
-    low, high = visited(schedule, interpolation)
-    nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
     spots = grid.spot(horizon, constants.end_forward)
-    value = end_value(schedule, nodes[:, None], spots)
+    value = end_value(schedule, nodes[horizon][:, None], spots)
     days: list[DayDecisions] = []
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
         day_rates = rates(schedule, interpolation, t)
-        inventory = inventory_nodes(low[t], high[t], spacing, day_rates.levels)
         prices = unit_prices(schedule, t, grid.spot(t, steps.forward[t]))
-        day, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
+        held = nodes[t], nodes[t + 1]
+        day, value = decide(schedule, day_rates, t, prices, *held, after, volumes)
         days.append(day)
-        nodes = inventory
     return days[::-1], float(grid.start().expect(value)[0, 0])
 
 
@@ -181,22 +192,26 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
     """The lattice's value, the grids of volumes and of prices refined until they move it only
     slightly.
 
-    The first grid of volumes holds every daily flow where these have a common measure: a grid that
-    does not makes a store of round volumes cheaper.
+    Where rates are constant the inventories are the breakpoints of the value, which are exact.
+    Otherwise the first grid of volumes holds every daily flow where these have a common measure: a
+    grid that does not makes a store of round volumes cheaper.
     """
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
     selected = relevant_factors(schedule, factors)
     count = coordinates(factors, selected)
     step = _first_step(schedule, NODES[factors.spikes is not None])
+    nodes = breakpoints(schedule, interpolation, *visited(schedule, interpolation), MAX_NODES)
     spacing = SPACINGS[min(count, 2)]
 
     def value(parts: int = 1, finer: int = 1, slow: int = SLOW) -> float:
         grids = {"step": step / parts, "spacing": spacing / finer, "slow_nodes": slow}
-        return lattice(schedule, factors, interpolation, selected, **grids).value
+        return lattice(schedule, factors, interpolation, selected, nodes=nodes, **grids).value
 
     first = value()
-    results = [on_finer_grids(first, value), on_finer_grids(first, lambda n: value(finer=n))]
+    results = [on_finer_grids(first, lambda n: value(finer=n))]
+    if nodes is None:
+        results.append(on_finer_grids(first, value))
     if count > 1:
         results.append(on_finer_grids(first, lambda n: value(slow=(SLOW - 1) * n + 1)))
     total = first + sum(item.value - first for item in results)

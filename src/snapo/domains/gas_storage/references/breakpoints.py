@@ -1,0 +1,52 @@
+"""Inventories at which the value of a store of constant rates can bend: nodes without any error.
+
+The best flow of a day is the least, the greatest or none at all, or it ends where the value after
+the day bends. With rates that do not depend on the inventory, and no losses, the value at its start
+bends only where one of these three flows ends at a bend after it. Backwards from the end date,
+that gives every breakpoint. Values that are linear between them stay so, whatever the prices are.
+"""
+
+import numpy as np
+
+from .day_terms import Interpolation, flow_ends, rates, volume_scale
+
+MAXIMUM = 1000  # nodes of a day; a contract of more is left to a regular grid
+SAME = 1e-9  # of the largest inventory: breakpoints nearer to one another are one
+
+
+def breakpoints(
+    schedule,
+    interpolation: Interpolation,
+    low: np.ndarray,
+    high: np.ndarray,
+    maximum: int = MAXIMUM,
+) -> list[np.ndarray] | None:
+    """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
+
+    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None where rates depend on
+    the inventory, where gas is lost, and where a day has more than `maximum`.
+    """
+    steps = schedule.steps
+    depends = [np.ptp(item, axis=1) > 0 for item in (steps.injection_rate, steps.withdrawal_rate)]
+    if np.any(depends) or np.any(np.asarray(steps.inventory_loss) != 0):
+        return None
+    near = SAME * volume_scale(schedule)
+    horizon, empty = len(steps.forward), np.zeros(1)
+    nodes = [_within(schedule.constants.end_levels, low[horizon], high[horizon], near)]
+    for t in reversed(range(horizon)):
+        keep, down, up = flow_ends(schedule, rates(schedule, interpolation, t), t, empty)
+        flows = [down, up, *([keep] if down <= keep <= up else [])]
+        before = np.concatenate([nodes[-1] - flow for flow in flows])
+        nodes.append(_within(before, low[t], high[t], near))
+        if len(nodes[-1]) > maximum:
+            return None
+    return nodes[::-1]
+
+
+def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndarray:
+    """The interval's ends and the points between them, once each."""
+    if high - low <= near:
+        return np.array([low])
+    inside = np.sort(points[(points > low + near) & (points < high - near)])
+    inside = inside[np.append(True, np.diff(inside) > near)[: len(inside)]]
+    return np.concatenate([[low], inside, [high]])
