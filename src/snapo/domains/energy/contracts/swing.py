@@ -1,10 +1,11 @@
 """Swing: a volume a day at a strike, within limits of each contract year; take-or-pay.
 
-    earnings = sum over days of discount x q (S - strike)
+    earnings = sum over days of discount x q (S - strike),   strike a number, or factor I + add
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
 with least <= q <= most on each day and, over each contract year, at most the annual maximum, and at
-least its minimum where that is firm. Source: A. Jaillet, E. Ronn, S. Tompaidis, "Valuation of
+least its minimum where that is firm. I is the month-ahead index, see `gas_storage.prices.index`.
+Source: A. Jaillet, E. Ronn, S. Tompaidis, "Valuation of
 commodity-based swing options", Management Science 50 (2004).
 """
 
@@ -18,11 +19,13 @@ import numpy as np
 from jaxtyping import Array, Bool
 from pydantic import Field
 
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
 from snapo.case.table import CaseTable, TableContext, parse
 
-from ...gas_storage.prices.process import use
+from ...gas_storage.prices.index import ONE_FACTOR, indexed
+from ...gas_storage.prices.process import Delivery, PriceProcess, use
 from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from ..core.contract import (
     ContractLayout,
@@ -38,6 +41,10 @@ GROUP = "contract"
 A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
 RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
 STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
+FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
+ADDED = Quantity(PRICE, group="strike", move=0.1)
+STRIKES = ('a number, the name of a CSV file with columns date,value, or a table such as '
+           '{ index = "month-ahead", factor = 1.0, add = 0.25 }')  # fmt: skip
 ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
 TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
 SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
@@ -57,6 +64,31 @@ class RightsTable(CaseTable):
 
     most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
     rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
+
+
+class IndexTable(CaseTable):
+    """{ index = "month-ahead", factor = 1.0, add = 0.25 }: a strike that follows an index."""
+
+    index: Literal["month-ahead"] = Field(description='"month-ahead"')
+    factor: CaseInput = FACTOR("of the index in the strike", 1.0, name="strike_factor")
+    add: CaseInput = ADDED("added to the index", 0.0, name="strike_add")
+    known: CaseInput | None = ADDED("index of the first month, fixed before today", None,
+                                    name="strike_known")  # fmt: skip
+
+
+def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
+    """A number, a CSV, or a table."""
+    if not isinstance(raw, dict):
+        if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+            raise key.error(raw, f"allowed is {STRIKES}")
+        return STRIKE.read(raw, key)
+    table, unit = key.table, key.filled(PRICE)
+    name = f"{table.name}.{key.name}"
+    index = parse(IndexTable, raw, str(table.file), name, table.notes)
+    parts = {x: getattr(index, x) for x in ("add", "known")}
+    return index.model_copy(
+        update={x: None if y is None else replace(y, unit=unit) for x, y in parts.items()}
+    )
 
 
 def _short(raw: Any, key: Any) -> CaseInput | str:
@@ -80,7 +112,7 @@ class SwingTable(CaseTable):
     side: Literal["call", "put"] = Field("call", description='"call" or "put"')
     max_daily: CaseInput = RATE("most volume a day")
     min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
-    strike: CaseInput = STRIKE("paid for a unit")
+    strike: Any = custom(_strike, STRIKES, types=("number", "string", "object"))
     year_begins: str | None = Field(None, description='a day of the year such as "10-01"')
     annual: dict | None = Field(None, description="a table like { min = 200.0, max = 300.0 }")
     shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
@@ -92,6 +124,7 @@ class SwingContract(EnergyContract):
     """The terms of a swing contract.
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
+    - `factor`, `add`, `known`: of a strike that follows an index, index []; `strike` is None then.
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
@@ -101,7 +134,10 @@ class SwingContract(EnergyContract):
 
     max_daily: CaseInput
     min_daily: CaseInput
-    strike: CaseInput
+    strike: CaseInput | None
+    factor: CaseInput | None
+    add: CaseInput | None
+    known: CaseInput | None
     annual_min: CaseInput | None
     annual_max: CaseInput | None
     taken: CaseInput
@@ -116,7 +152,10 @@ class SwingContract(EnergyContract):
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count = len(self.year_ends)
         names = [level.name for level in self.layout.levels]
-        strike = use(inputs, self.strike)
+        strike = use(inputs, self.add if self.strike is None else self.strike)  # pyright: ignore
+        index = None
+        if self.factor is not None:
+            index = (-self.sign * use(inputs, self.factor) * paid)[:, None]
         most, zero = use(inputs, self.max_daily), jnp.zeros(count)
         low, high, owed, short, again, start = [], [], [], [], [], []
         everything = jnp.sum(most) + use(inputs, self.taken)
@@ -156,8 +195,28 @@ class SwingContract(EnergyContract):
             by_level(short),
             jnp.stack(again, axis=1) if again else jnp.zeros((count, 0), bool),
             jnp.zeros((count, len(self.layout.every_move))),
+            index,
         )
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
+
+    def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
+        if not self.layout.indexed:
+            return prices
+        if prices.kind not in ONE_FACTOR:
+            allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
+            message = f"with a strike that follows an index allowed is {allowed}"
+            raise CaseError(str(where.file), "model.kind", prices.kind, message)
+        first, month = delivery.dates[0], delivery.dates[0].replace(day=1)
+        if delivery.end.day != 1:
+            message = "with a strike that follows an index allowed is the first day of a month"
+            raise where.error("end", delivery.end, message)
+        if self.known is None and first != month:
+            message = f"the index of {first:%Y-%m} was fixed before today: give it as `known`"
+            raise where.error("strike.known", None, message)
+        if self.known is not None and delivery.valuation < month - datetime.timedelta(1):
+            message = f"the index of {first:%Y-%m} is fixed on the last day before that month"
+            raise where.error("strike.known", float(self.known.values[0]), message)
+        return indexed(prices, delivery, self.known)
 
 
 def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
@@ -169,14 +228,16 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
     return _made(where, table, annual, days)
 
 
-def layout_of(unit: str, limited: bool, rights: RightsTable | None) -> ContractLayout:
+def layout_of(
+    unit: str, limited: bool, rights: RightsTable | None, indexed: bool = False
+) -> ContractLayout:
     """Levels, flows and moves: see `SwingContract`."""
     levels = ([Level("taken", unit)] if limited else []) + (
         [Level("rights", "days")] if rights else []
     )
     take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * bool(rights))
     if rights is None:
-        return ContractLayout(tuple(levels), (take,))
+        return ContractLayout(tuple(levels), (take,), indexed=indexed)
     none, one = (0.0,) * len(levels), (0.0,) * limited + (1.0,)
     modes = ("free", *(f"rest {i}" for i in range(rights.rest, 0, -1)))
     moves = [
@@ -186,7 +247,7 @@ def layout_of(unit: str, limited: bool, rights: RightsTable | None) -> ContractL
     moves += [
         ContractMove("rest", i, (i + 1) % len(modes), (), none) for i in range(1, len(modes))
     ]  # fmt: skip
-    return ContractLayout(tuple(levels), (take,), modes, tuple(moves))
+    return ContractLayout(tuple(levels), (take,), modes, tuple(moves), indexed)
 
 
 def _made(
@@ -196,9 +257,18 @@ def _made(
     rights = None
     if table.rights is not None:
         rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
-    most, least, strike = (
-        x.on(days, notes) for x in (table.max_daily, table.min_daily, table.strike)
-    )
+    most, least = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
+    strike, index = table.strike, None
+    if isinstance(strike, IndexTable):
+        strike, index = None, strike
+        if table.start.day != 1:
+            message = "with a strike that follows an index allowed is the first day of a month"
+            raise where.error("start", table.start, message)
+        if table.shortfall == "strike":
+            message = 'with a strike that follows an index allowed is "firm", or money such as 6.0'
+            raise where.error("shortfall", "strike", message)
+    else:
+        strike = strike.on(days, notes)
     for t in np.flatnonzero(least.used() > most.used())[:1]:
         message = f"on {days[t]} at most {most.used()[t]:g} may be taken"
         raise where.error("min_daily", float(least.used()[t]), message)
@@ -216,12 +286,13 @@ def _made(
         most,
         least,
         strike,
+        *((None, None, None) if index is None else (index.factor, index.add, index.known)),
         *limits,
         table.taken,
         short if minimum is not None else None,
         year_ends(where, table, days),
         layout=layout_of(  # pyright: ignore[reportCallIssue]
-            table.volume_unit, limited, rights
+            table.volume_unit, limited, rights, index is not None
         ),
         sign=1.0 if table.side == "call" else -1.0,
         at_strike=table.shortfall == "strike",

@@ -6,7 +6,9 @@ a static `ContractLayout`. It may be in one of a few modes; on each step it make
 that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
-    earnings of a step  = move's money + volume (price S + money)
+    earnings of a step  = move's money + volume (price S + index I + money)
+
+S is the spot price, and I, of a contract that follows one, the index of its prices.
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -18,6 +20,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+from snapo.case.table import TableContext
+
+from ...gas_storage.prices.process import Delivery, PriceProcess
 
 ONLY = 0  # the mode of a contract that has one
 
@@ -54,24 +60,28 @@ class ContractMove(NamedTuple):
 
 
 class ContractLayout(NamedTuple):
-    """What is fixed in a contract: compiled code depends on it."""
+    """What is fixed in a contract: compiled code depends on it.
+
+    `indexed`: whether its cash follows an index beside the spot price.
+    """
 
     levels: tuple[Level, ...]
     flows: tuple[EnergyFlow, ...]
     modes: tuple[str, ...] = ("",)
     moves: tuple[ContractMove, ...] = ()
+    indexed: bool = False
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves
+        return levels, flows, self.modes, moves, self.indexed
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
         """The inverse of `plain`."""
-        levels, flows, modes, moves = parts
+        levels, flows, modes, moves, indexed = parts
         made = tuple(Level(*x) for x in levels), tuple(EnergyFlow(*x) for x in flows)
-        return cls(*made, modes, tuple(ContractMove(*x) for x in moves))
+        return cls(*made, modes, tuple(ContractMove(*x) for x in moves), indexed)
 
     @property
     def every_move(self) -> tuple[ContractMove, ...]:
@@ -99,8 +109,8 @@ class ContractLayout(NamedTuple):
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
-    - `least`, `most`: the interval of a flow. `price`, `money`: a unit of it earns price x spot +
-      money.
+    - `least`, `most`: the interval of a flow. `price`, `index`, `money`: a unit of it earns
+      price x spot + index x the index + money; `index` is None without one.
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
@@ -117,6 +127,23 @@ class StepTerms(NamedTuple):
     short: Float[Array, "T levels"]
     restarts: Bool[Array, "T levels"]
     fixed: Float[Array, "T moves"]
+    index: Float[Array, "T flows"] | None = None
+
+
+class StepPrices(NamedTuple):
+    """Of one step: the spot price, and the index where there is one."""
+
+    spot: Any
+    index: Any = None
+
+    def unit(self, terms: StepTerms, place: Any) -> Any:
+        """What a unit of a flow earns; `place`: where it is in the leaves of `terms`."""
+        cash = terms.price[place] * self.spot + terms.money[place]
+        return cash if terms.index is None else cash + terms.index[place] * self.index
+
+    def units(self, terms: StepTerms, t: int) -> np.ndarray:
+        """[flows, columns] the same on step t of all flows, at prices of several columns."""
+        return np.asarray(self.unit(terms, (t, slice(None), None)))
 
 
 class Terms(NamedTuple):
@@ -135,3 +162,10 @@ class EnergyContract(eqx.Module):
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
         money that is owed when the step is over, a day later."""
+
+    def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
+        """The prices that its cash follows, from those of the case: here the same.
+
+        **Raises:** `CaseError` where it cannot follow them; `where`: the table `[contract]`.
+        """
+        return prices

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from snapo.problem.smooth import EXACT
 
-from .contract import ContractLayout
+from .contract import ContractLayout, StepPrices
 from .feasibility import volumes
 from .tables import UnitValues, along, nearest_row
 
@@ -51,7 +51,7 @@ def head(
     constants: Any,
     now: Any,
     state: Any,
-    spot: Array,
+    prices: StepPrices,
     free: Array,
 ) -> Head:
     """The gains of one step at one state; `free` [moves]: which are open."""
@@ -68,7 +68,7 @@ def head(
             room = volumes(layout, i, now, state.levels, EXACT, size)
             for k, flow in enumerate(move.flows):
                 effects = jnp.asarray(layout.flows[flow].effects)
-                unit = now.terms.price[flow] * spot + now.terms.money[flow]
+                unit = prices.unit(now.terms, flow)
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
                 if unit_values is not None:
                     table = unit_values.slopes[layout.pairs.index((i, flow))]
@@ -114,11 +114,11 @@ def observation(
     constants: Any,
     now: Any,
     state: Any,
-    spot: Array,
+    prices: StepPrices,
     free: Array,
 ) -> Float[Array, " features"]:
     """The head first, then the features of the network."""
-    gains = head(layout, process, constants, now, state, spot, free)
+    gains = head(layout, process, constants, now, state, prices, free)
     year, left = 2 * jnp.pi * now.time, constants.last_time - now.time
     low, high = now.intervals.low, now.intervals.high
     width = jnp.maximum(high - low, 1e-6 * constants.volume_scale)

@@ -23,8 +23,9 @@ from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
+from ...gas_storage.prices.index import IndexedPrices
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
-from .contract import ContractLayout, EnergyContract
+from .contract import ContractLayout, EnergyContract, StepPrices
 from .feasibility import intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
@@ -151,9 +152,13 @@ class EnergySimulator(PricedSimulator):
         mode = jnp.zeros(len(self.layout.modes)).at[0].set(1.0)
         return State(constants.start, mode, self.process.initial(constants.price, noise))
 
-    def spot(self, constants: Constants, now: Step, state: State) -> Float[Array, ""]:
-        """The price of the step."""
-        return self.process.level(constants.price, now.price, state.price)
+    def prices(self, constants: Constants, now: Step, state: State) -> StepPrices:
+        """The prices of the step."""
+        spot = self.process.level(constants.price, now.price, state.price)
+        if not self.layout.indexed:
+            return StepPrices(spot)
+        assert isinstance(self.process, IndexedPrices)
+        return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
         """1 for each move to levels from which the contract can be met, else 0."""
@@ -175,13 +180,13 @@ class EnergySimulator(PricedSimulator):
         return jnp.stack(result)
 
     def observe(self, constants: Constants, now: Step, state: State) -> Float[Array, " features"]:
-        spot = self.spot(constants, now, state)
+        prices = self.prices(constants, now, state)
         free = self.open_moves(now, state, constants.volume_scale)
-        return observation(self.layout, self.process, constants, now, state, spot, free)
+        return observation(self.layout, self.process, constants, now, state, prices, free)
 
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
         layout, scale = self.layout, constants.volume_scale
-        spot, terms = self.spot(constants, now, state), now.terms
+        prices, terms = self.prices(constants, now, state), now.terms
         chosen = self._weights(constants, now, state, action)
         levels = jnp.zeros_like(state.levels)
         mode = jnp.zeros_like(state.mode)
@@ -195,7 +200,7 @@ class EnergySimulator(PricedSimulator):
                     volume = room.forced[k] + action[place] * (room.most[k] - room.forced[k])
                     place += 1
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
-                    earned = earned + volume * (terms.price[flow] * spot + terms.money[flow])
+                    earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + chosen[i] * volume
             levels = levels + chosen[i] * after
             mode = mode.at[move.after].add(chosen[i])

@@ -22,7 +22,7 @@ from ...gas_storage.bounds.regression import (
 )
 from ...gas_storage.policy.guide import Reading
 from ...gas_storage.prices.process import GaussianFactors
-from ..core.contract import ContractLayout
+from ..core.contract import ContractLayout, StepPrices
 from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, UnitValueTable, Values
 from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
@@ -61,14 +61,22 @@ def fit(
         step, later = grid.steps[t], coefficients[-1]
         value = available.expected(t, later.reshape(-1, size))
         after = arrived(step, value.reshape(*later.shape[:2], -1))
-        spot = available.spot(t, schedule.steps.forward[t])
-        cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
-        value = best(step, layout, cash, terms.fixed[t], after)
+        prices = StepPrices(
+            available.spot(t, schedule.steps.forward[t]), _index(available, factors, t)
+        )
+        value = best(step, layout, prices.units(terms, t), terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
         found = available.fitted(t, flat)
         coefficients.append(found.reshape(*value.shape[:2], size))
     coefficients.reverse()
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
+
+
+def _index(available: AnyRegression, factors: GaussianFactors, t: int) -> np.ndarray | None:
+    """[Q] the index on the nodes, whose last factor is its own."""
+    if factors.index is None or not isinstance(available, Regression):
+        return None
+    return factors.index.price(factors, t, (available.basis.back(t) @ available.y)[-1])
 
 
 def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
