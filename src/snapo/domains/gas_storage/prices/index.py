@@ -58,10 +58,9 @@ class PriceIndex(NamedTuple):
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the index on date t where g has these values [n]."""
-        row = IndexRows(*(x[t] for x in self.rows))
-        moved = row.loading[:, None] * g
-        seen = of.spot(row.forward[:, None], of.noise(moved, row.variance[:, None]))
-        return row.weight @ seen + row.fixed
+        forward, loading, variance, weight, fixed, _ = (np.asarray(x[t]) for x in self.rows)
+        noise = of.noise(loading[:, None] * g, variance[:, None])
+        return weight @ of.spot(forward[:, None], noise) + fixed
 
 
 class IndexMonths(eqx.Module):
@@ -86,7 +85,11 @@ class IndexMonths(eqx.Module):
         dates = list(delivery.dates)
         months = [(day.year, day.month) for day in dates[:-1]]
         count = len(dates)
-        days, weight, ahead = np.zeros((count, 31), int), np.zeros((count, 31)), np.zeros((count, 31))
+        days, weight, ahead = (
+            np.zeros((count, 31), int),
+            np.zeros((count, 31)),
+            np.zeros((count, 31)),
+        )
         seen, renewed, fixed = np.zeros(count), np.zeros(count, bool), np.zeros(count)
         for t in range(count - 1):
             first = months.index(months[t])
@@ -173,7 +176,7 @@ class IndexedPrices(PriceProcess):
             loading,
             variance,
             jnp.asarray(months.weight),
-            months.fixed * known,
+            jnp.asarray(months.fixed) * known,
             jnp.asarray(months.renewed),
         )
         following = jnp.append(months.renewed[1:], False)
@@ -263,4 +266,5 @@ def indexed(prices: PriceProcess, delivery: Delivery, known: CaseInput | None) -
     """The prices of a case with the index beside them; they have one factor."""
     if not isinstance(prices, GivenFactors) or prices.noise_size != 1:
         raise TypeError(f"{type(prices).__name__} has no month-ahead index")
-    return IndexedPrices(prices, IndexMonths.of(delivery, known is not None), known)
+    months = IndexMonths.of(delivery, known is not None)
+    return IndexedPrices(prices, months, known)  # pyright: ignore[reportCallIssue]

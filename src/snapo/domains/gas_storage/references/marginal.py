@@ -159,10 +159,11 @@ def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
         return Transition([(moved, local)])
     slope = covariance[0, 1] / covariance[1, 1]
     rest = np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0))
+    terms = zip(shocks, probabilities, positions, strict=True)
     return Transition(
         [
-            (probability * position, transition_weights(grid.fast, decay[0] * fast + slope * shock, rest))
-            for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
+            (share * position, transition_weights(grid.fast, decay[0] * fast + slope * shock, rest))
+            for shock, share, position in terms
         ]
     )
 
