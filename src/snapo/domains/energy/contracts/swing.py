@@ -33,6 +33,7 @@ from ..core.contract import (
     EnergyContract,
     EnergyFlow,
     Level,
+    Promises,
     StepTerms,
     Terms,
 )
@@ -167,9 +168,11 @@ class SwingContract(EnergyContract):
                 money = use(inputs, self.shortfall) * settled
             elif self.at_strike:
                 money = strike * settled
-            low.append(jnp.where(self.year_ends & self.firm, least, 0.0))
+            promised = self.most_rights > 0
+            firm = self.firm and not promised
+            low.append(jnp.where(self.year_ends & firm, least, 0.0))
             high.append(ceiling + zero)
-            owed.append(zero if self.firm else least)
+            owed.append(zero if firm else least)
             short.append(money)
             again.append(jnp.asarray(self.year_ends))
             start.append(use(inputs, self.taken))
@@ -196,8 +199,24 @@ class SwingContract(EnergyContract):
             jnp.stack(again, axis=1) if again else jnp.zeros((count, 0), bool),
             jnp.zeros((count, len(self.layout.every_move))),
             index,
+            self._promises(inputs),
         )
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
+
+    def _promises(self, inputs: dict[str, Any]) -> Promises | None:
+        """Of a firm minimum with rights, in one contract year: the rest of it is at most the most
+        volume of a day, times the rights left, and times the days that rests leave."""
+        if not (self.firm and self.most_rights and self.annual_min is not None):
+            return None
+        least, most = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
+        count, modes = len(self.year_ends), len(self.layout.modes)
+        left = np.arange(count - 1, -1, -1)
+        waits = np.append(0, np.arange(modes - 1, 0, -1))
+        days = np.maximum(np.ceil((left[:, None] - waits) / modes), 0.0)
+        rights = jnp.full((count, modes), least - most * self.most_rights)
+        weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -most])])
+        bounds = jnp.stack([least - most * days, rights], axis=1)
+        return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         if not self.layout.indexed:
@@ -277,9 +296,9 @@ def _made(
         raise where.error("min_daily", float(least.used().max()), "with rights allowed is 0")
     minimum = limits[0]
     firm = table.shortfall == "firm"
+    ends = year_ends(where, table, days)
     if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
-        message = 'with rights a minimum is not firm; allowed is "strike" or an amount of money'
-        raise where.error("shortfall", "firm", message)
+        _check_promise(where, table, rights, float(minimum.values[0]), most.used(), ends)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
     return SwingContract(  # pyright: ignore[reportCallIssue]
@@ -290,7 +309,7 @@ def _made(
         *limits,
         table.taken,
         short if minimum is not None else None,
-        year_ends(where, table, days),
+        ends,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             table.volume_unit, limited, rights, index is not None
         ),
@@ -299,6 +318,28 @@ def _made(
         firm=firm,
         most_rights=0 if rights is None else rights.most,
     )
+
+
+def _check_promise(
+    where: TableContext,
+    table: SwingTable,
+    rights: RightsTable,
+    minimum: float,
+    most: np.ndarray,
+    ends: np.ndarray,
+) -> None:
+    """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
+    if np.sum(ends) > 1:
+        message = "with rights a minimum of several contract years is not firm; allowed is "
+        raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
+    if np.ptp(most) > 0:
+        message = "with rights and a firm minimum allowed is one number for all days"
+        raise where.error("max_daily", float(most.max()), message)
+    uses = min(rights.most, -(-len(ends) // (rights.rest + 1)))
+    highest = float(table.taken.values[0]) + uses * float(most[0])
+    if minimum > highest * (1 + 1e-12):
+        message = f"allowed is at most {highest:g}, from {uses} uses of {most[0]:g}"
+        raise where.error("annual.min", minimum, message)
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):

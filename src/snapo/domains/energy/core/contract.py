@@ -106,6 +106,20 @@ class ContractLayout(NamedTuple):
         return np.array([move.changes for move in self.every_move])
 
 
+class Promises(NamedTuple):
+    """Obligations that several levels, or the mode, must leave room for.
+
+    After each step, in each mode, `weights` times the levels is at least `least`. A flow with an
+    effect on the sum raises it.
+
+    The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
+    that compare values charge a missed unit more than any unit costs.
+    """
+
+    weights: Float[Array, "T promises levels"]
+    least: Float[Array, "T promises modes"]
+
+
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
@@ -114,7 +128,7 @@ class StepTerms(NamedTuple):
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move.
+    - `fixed`: [T, moves] money of a move. `promises`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -128,6 +142,7 @@ class StepTerms(NamedTuple):
     restarts: Bool[Array, "T levels"]
     fixed: Float[Array, "T moves"]
     index: Float[Array, "T flows"] | None = None
+    promises: Promises | None = None
 
 
 class StepPrices(NamedTuple):

@@ -26,7 +26,7 @@ from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.index import IndexedPrices
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
 from .contract import ContractLayout, EnergyContract, StepPrices
-from .feasibility import intervals, volumes
+from .feasibility import charged, intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -118,6 +118,7 @@ class EnergySimulator(PricedSimulator):
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices, terms = self.process.prepare(inputs), self._terms(inputs)
         forward = use(inputs, self.curve)[: self.horizon]
+        terms = terms._replace(steps=charged(terms.steps, forward))
         steps = Step(
             jnp.asarray(self.time),
             forward,
@@ -176,6 +177,10 @@ class EnergySimulator(PricedSimulator):
             within = (after >= now.intervals.next_low - near) & (
                 after <= now.intervals.next_high + near
             )
+            if now.terms.promises is not None:
+                promises = now.terms.promises
+                kept = promises.weights @ after >= promises.least[:, move.after] - near
+                within = jnp.all(within) & jnp.all(kept)
             result.append(jnp.all(within) * 1.0)
         return jnp.stack(result)
 
@@ -255,6 +260,12 @@ class EnergySimulator(PricedSimulator):
             kept = jnp.where(now.terms.restarts[i], 0.0, 1.0)
             result[f"least {level.name}"] = jnp.where(kept > 0, state.levels[i] - low, 0.0)
             result[f"most {level.name}"] = jnp.where(kept > 0, high - state.levels[i], 0.0)
+        if now.terms.promises is not None:
+            promises, again = now.terms.promises, jnp.any(now.terms.restarts)
+            least = promises.least @ state.mode
+            for k in range(len(least)):
+                room = promises.weights[k] @ state.levels - least[k]
+                result[f"promise {k + 1}"] = jnp.where(again, 0.0, room)
         return result | {flow.name: outputs[flow.name] for flow in self.layout.flows}
 
 
