@@ -10,23 +10,19 @@ commodity-based swing options", Management Science 50 (2004).
 """
 
 import datetime
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
-from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import TableContext
 
 from ...gas_storage.prices.index import ONE_FACTOR, indexed
 from ...gas_storage.prices.process import Delivery, PriceProcess, use
-from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from ..core.contract import (
     ContractLayout,
     ContractMove,
@@ -37,88 +33,6 @@ from ..core.contract import (
     StepTerms,
     Terms,
 )
-
-GROUP = "contract"
-A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
-RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
-STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
-FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
-ADDED = Quantity(PRICE, group="strike", move=0.1)
-STRIKES = ('a number, the name of a CSV file with columns date,value, or a table such as '
-           '{ index = "month-ahead", factor = 1.0, add = 0.25 }')  # fmt: skip
-ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
-TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
-SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
-                 meaning="paid for each unit short of the annual minimum")  # fmt: skip
-SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
-
-
-class AnnualTable(CaseTable):
-    """{ min = 200.0, max = 300.0 }: of each contract year."""
-
-    min: CaseInput = ANNUAL("least of a contract year", 0.0, name="annual_min")
-    max: CaseInput | None = ANNUAL("most of a contract year", None, name="annual_max")
-
-
-class RightsTable(CaseTable):
-    """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
-
-    most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
-    rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
-
-
-class IndexTable(CaseTable):
-    """{ index = "month-ahead", factor = 1.0, add = 0.25 }: a strike that follows an index."""
-
-    index: Literal["month-ahead"] = Field(description='"month-ahead"')
-    factor: CaseInput = FACTOR("of the index in the strike", 1.0, name="strike_factor")
-    add: CaseInput = ADDED("added to the index", 0.0, name="strike_add")
-    known: CaseInput | None = ADDED("index of the first month, fixed before today", None,
-                                    name="strike_known")  # fmt: skip
-
-
-def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
-    """A number, a CSV, or a table."""
-    if not isinstance(raw, dict):
-        if isinstance(raw, bool) or not isinstance(raw, int | float | str):
-            raise key.error(raw, f"allowed is {STRIKES}")
-        return STRIKE.read(raw, key)
-    table, unit = key.table, key.filled(PRICE)
-    name = f"{table.name}.{key.name}"
-    index = parse(IndexTable, raw, str(table.file), name, table.notes)
-    parts = {x: getattr(index, x) for x in ("add", "known")}
-    return index.model_copy(
-        update={x: None if y is None else replace(y, unit=unit) for x, y in parts.items()}
-    )
-
-
-def _short(raw: Any, key: Any) -> CaseInput | str:
-    """ "firm", "strike", or an amount."""
-    if raw in ("firm", "strike"):
-        return raw
-    if isinstance(raw, str):
-        raise key.error(raw, f"allowed is {SHORTFALL}")
-    result = SHORT.read(raw, key)
-    assert result is not None
-    return result
-
-
-class SwingTable(CaseTable):
-    """`[contract]` of kind "swing"."""
-
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
-    start: DateKey = Field(description=DATE)
-    end: DateKey = Field(description=DATE)
-    side: Literal["call", "put"] = Field("call", description='"call" or "put"')
-    max_daily: CaseInput = RATE("most volume a day")
-    min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
-    strike: Any = custom(_strike, STRIKES, types=("number", "string", "object"))
-    year_begins: str | None = Field(None, description='a day of the year such as "10-01"')
-    annual: dict | None = Field(None, description="a table like { min = 200.0, max = 300.0 }")
-    shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
-    taken: CaseInput = TAKEN("this contract year, before the first decision", 0.0)
-    rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
 
 
 class SwingContract(EnergyContract):
@@ -238,135 +152,21 @@ class SwingContract(EnergyContract):
         return indexed(prices, delivery, self.known)
 
 
-def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
-    """The contract on its decision days."""
-    annual = None
-    if table.annual is not None:
-        name = f"{where.name}.annual"
-        annual = parse(AnnualTable, table.annual, str(where.file), name, where.notes)
-    return _made(where, table, annual, days)
-
-
-def layout_of(
-    unit: str, limited: bool, rights: RightsTable | None, indexed: bool = False
-) -> ContractLayout:
-    """Levels, flows and moves: see `SwingContract`."""
+def layout_of(unit: str, limited: bool, rest: int | None, indexed: bool = False) -> ContractLayout:
+    """Levels, flows and moves; `rest`: days after a right that is used, None without rights."""
     levels = ([Level("taken", unit)] if limited else []) + (
-        [Level("rights", "days")] if rights else []
+        [Level("rights", "days")] if rest is not None else []
     )
-    take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * bool(rights))
-    if rights is None:
+    take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * (rest is not None))
+    if rest is None:
         return ContractLayout(tuple(levels), (take,), indexed=indexed)
     none, one = (0.0,) * len(levels), (0.0,) * limited + (1.0,)
-    modes = ("free", *(f"rest {i}" for i in range(rights.rest, 0, -1)))
+    modes = ("free", *(f"rest {i}" for i in range(rest, 0, -1)))
     moves = [
         ContractMove("wait", 0, 0, (), none),
-        ContractMove("use", 0, min(1, rights.rest), (0,), one),
+        ContractMove("use", 0, min(1, rest), (0,), one),
     ]
     moves += [
         ContractMove("rest", i, (i + 1) % len(modes), (), none) for i in range(1, len(modes))
     ]  # fmt: skip
     return ContractLayout(tuple(levels), (take,), modes, tuple(moves), indexed)
-
-
-def _made(
-    where: TableContext, table: SwingTable, annual: AnnualTable | None, days
-) -> SwingContract:
-    notes = where.notes
-    rights = None
-    if table.rights is not None:
-        rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
-    most, least = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
-    strike, index = table.strike, None
-    if isinstance(strike, IndexTable):
-        strike, index = None, strike
-        if table.start.day != 1:
-            message = "with a strike that follows an index allowed is the first day of a month"
-            raise where.error("start", table.start, message)
-        if table.shortfall == "strike":
-            message = 'with a strike that follows an index allowed is "firm", or money such as 6.0'
-            raise where.error("shortfall", "strike", message)
-    else:
-        strike = strike.on(days, notes)
-    for t in np.flatnonzero(least.used() > most.used())[:1]:
-        message = f"on {days[t]} at most {most.used()[t]:g} may be taken"
-        raise where.error("min_daily", float(least.used()[t]), message)
-    limits = _annual(where, table, annual)
-    if rights is not None and np.any(least.used() > 0):
-        raise where.error("min_daily", float(least.used().max()), "with rights allowed is 0")
-    minimum = limits[0]
-    firm = table.shortfall == "firm"
-    ends = year_ends(where, table, days)
-    if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
-        _check_promise(where, table, rights, float(minimum.values[0]), most.used(), ends)
-    limited = limits[0] is not None or limits[1] is not None
-    short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
-    return SwingContract(  # pyright: ignore[reportCallIssue]
-        most,
-        least,
-        strike,
-        *((None, None, None) if index is None else (index.factor, index.add, index.known)),
-        *limits,
-        table.taken,
-        short if minimum is not None else None,
-        ends,
-        layout=layout_of(  # pyright: ignore[reportCallIssue]
-            table.volume_unit, limited, rights, index is not None
-        ),
-        sign=1.0 if table.side == "call" else -1.0,
-        at_strike=table.shortfall == "strike",
-        firm=firm,
-        most_rights=0 if rights is None else rights.most,
-    )
-
-
-def _check_promise(
-    where: TableContext,
-    table: SwingTable,
-    rights: RightsTable,
-    minimum: float,
-    most: np.ndarray,
-    ends: np.ndarray,
-) -> None:
-    """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
-    if np.sum(ends) > 1:
-        message = "with rights a minimum of several contract years is not firm; allowed is "
-        raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
-    if np.ptp(most) > 0:
-        message = "with rights and a firm minimum allowed is one number for all days"
-        raise where.error("max_daily", float(most.max()), message)
-    uses = min(rights.most, -(-len(ends) // (rights.rest + 1)))
-    highest = float(table.taken.values[0]) + uses * float(most[0])
-    if minimum > highest * (1 + 1e-12):
-        message = f"allowed is at most {highest:g}, from {uses} uses of {most[0]:g}"
-        raise where.error("annual.min", minimum, message)
-
-
-def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None where there is none, with their units."""
-    if annual is None:
-        return None, None
-    unit = f"{table.volume_unit}/year"
-    least = replace(annual.min, unit=unit)
-    most = None if annual.max is None else replace(annual.max, unit=unit)
-    if most is not None and least.values[0] > most.values[0]:
-        message = f"allowed is at most annual.max, {most.values[0]:g}"
-        raise where.error("annual.min", float(least.values[0]), message)
-    return least, most
-
-
-def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
-    """[T] whether a day is the last of its contract year; the last day of all always is."""
-    month_day = (table.start.month, table.start.day)
-    if table.year_begins is not None:
-        try:
-            first = datetime.date.fromisoformat(f"2000-{table.year_begins}")
-        except ValueError:
-            raise where.error("year_begins", table.year_begins, 'allowed is a day of the year such '
-                              'as "10-01"') from None  # fmt: skip
-        month_day = (first.month, first.day)
-    following = [day + datetime.timedelta(1) for day in days]
-    ends = np.array([(day.month, day.day) == month_day for day in following], bool)
-    if len(ends):
-        ends[-1] = True
-    return ends

@@ -39,7 +39,7 @@ from ..contracts.battery import (
     DischargeTable,
     read_battery,
 )
-from ..contracts.swing import AnnualTable, IndexTable, RightsTable, SwingTable, read_swing
+from ..contracts.swing_tables import AnnualTable, IndexTable, RightsTable, SwingTable, read_swing
 from ..core.contract import EnergyContract
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 
