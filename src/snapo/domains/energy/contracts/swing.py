@@ -13,6 +13,7 @@ import datetime
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
@@ -23,6 +24,7 @@ from snapo.case.table import TableContext
 
 from ...gas_storage.prices.index import ONE_FACTOR, indexed
 from ...gas_storage.prices.process import Delivery, PriceProcess, use
+from ..core.bank import Bank
 from ..core.contract import (
     ContractLayout,
     ContractMove,
@@ -42,9 +44,12 @@ class SwingContract(EnergyContract):
     - `factor`, `add`, `known`: of a strike that follows an index, index []; `strike` is None then.
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
+    - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up this year;
+      `carry_most`, `carried`: the most that is carried forward, and what this year's minimum is
+      lowered by. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
     - `at_strike`: whether what is short is paid at the strike of the last day.
-    - `rest`: days between two uses of a right; `limited`: whether there are annual limits.
+    - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
     """
 
     max_daily: CaseInput
@@ -57,6 +62,10 @@ class SwingContract(EnergyContract):
     annual_max: CaseInput | None
     taken: CaseInput
     shortfall: CaseInput | None
+    make_up_price: CaseInput | None
+    made_up: CaseInput | None
+    carry_most: CaseInput | None
+    carried: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
     layout: ContractLayout = eqx.field(static=True)
     sign: float = eqx.field(static=True)
@@ -82,8 +91,7 @@ class SwingContract(EnergyContract):
                 money = use(inputs, self.shortfall) * settled
             elif self.at_strike:
                 money = strike * settled
-            promised = self.most_rights > 0
-            firm = self.firm and not promised
+            firm = self.firm and not (self.most_rights or self.layout.banked)
             low.append(jnp.where(self.year_ends & firm, least, 0.0))
             high.append(ceiling + zero)
             owed.append(zero if firm else least)
@@ -97,6 +105,15 @@ class SwingContract(EnergyContract):
             short.append(zero)
             again.append(jnp.zeros(count, bool))
             start.append(jnp.zeros(()))
+        bank = None
+        if self.layout.banked:
+            bank = self._bank(inputs, strike, paid)
+            low.append(-bank.most)
+            high.append(bank.share * bank.least)
+            owed.append(zero)
+            short.append(zero)
+            again.append(jnp.zeros(count, bool))
+            start.append(_number(inputs, self.made_up) - _number(inputs, self.carried))
 
         def by_level(rows: list) -> Array:
             return jnp.stack(rows, axis=1) if rows else jnp.zeros((count, 0))
@@ -114,13 +131,18 @@ class SwingContract(EnergyContract):
             jnp.zeros((count, len(self.layout.every_move))),
             index,
             self._promises(inputs),
+            bank,
         )
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
 
     def _promises(self, inputs: dict[str, Any]) -> Promises | None:
         """Of a firm minimum with rights, in one contract year: the rest of it is at most the most
         volume of a day, times the rights left, and times the days that rests leave."""
-        if not (self.firm and self.most_rights and self.annual_min is not None):
+        if not self.firm or self.annual_min is None:
+            return None
+        if self.layout.banked:
+            return self._carried(inputs)
+        if not self.most_rights:
             return None
         least, most = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
         count, modes = len(self.year_ends), len(self.layout.modes)
@@ -131,6 +153,32 @@ class SwingContract(EnergyContract):
         weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -most])])
         bounds = jnp.stack([least - most * days, rights], axis=1)
         return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
+
+    def _carried(self, inputs: dict[str, Any]) -> Promises:
+        """Of a firm minimum that is lowered by what was carried forward: the rest of it is at most
+        what may be taken on the days left of the year."""
+        most = use(inputs, self.max_daily)
+        following = jnp.append(most[1:], 0.0)
+
+        def back(left, row):
+            left = jnp.where(row[0], 0.0, left + row[1])
+            return left, left
+
+        rows = jnp.asarray(self.year_ends), following
+        left = jax.lax.scan(back, jnp.zeros(()), rows, reverse=True)[1]
+        least = use(inputs, self.annual_min) - left  # pyright: ignore[reportArgumentType]
+        weights = jnp.broadcast_to(jnp.array([1.0, -1.0]), (len(most), 1, 2))
+        return Promises(weights, least[:, None, None])
+
+    def _bank(self, inputs: dict[str, Any], strike: Array, paid: Array) -> Bank:
+        """What is short may be made up, what is in excess carried forward."""
+        zero, price = jnp.zeros(len(self.year_ends)), self.make_up_price
+        return Bank(
+            zero + _number(inputs, self.annual_min),
+            zero + (price is not None),
+            zero + _number(inputs, self.carry_most),
+            zero if price is None else (strike - use(inputs, price)) * paid,
+        )
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         if not self.layout.indexed:
@@ -152,8 +200,21 @@ class SwingContract(EnergyContract):
         return indexed(prices, delivery, self.known)
 
 
-def layout_of(unit: str, limited: bool, rest: int | None, indexed: bool = False) -> ContractLayout:
-    """Levels, flows and moves; `rest`: days after a right that is used, None without rights."""
+def _number(inputs: dict[str, Any], number: CaseInput | None) -> Array:
+    return jnp.zeros(()) if number is None else use(inputs, number)
+
+
+def layout_of(
+    unit: str, limited: bool, rest: int | None, indexed: bool = False, banked: bool = False
+) -> ContractLayout:
+    """Levels, flows and moves; `rest`: days after a right that is used, None without rights.
+
+    With a bank there are limits and no rights.
+    """
+    if banked:
+        take = EnergyFlow("take", f"{unit}/day", (1.0, 0.0))
+        levels = Level("taken", unit), Level("bank", unit)
+        return ContractLayout(levels, (take,), indexed=indexed, banked=True)
     levels = ([Level("taken", unit)] if limited else []) + (
         [Level("rights", "days")] if rest is not None else []
     )

@@ -24,6 +24,7 @@ STRIKES = ('a number, the name of a CSV file with columns date,value, or a table
            '{ index = "month-ahead", factor = 1.0, add = 0.25 }')  # fmt: skip
 ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
 TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
+PAID = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1)
 SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
                  meaning="paid for each unit short of the annual minimum")  # fmt: skip
 SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
@@ -41,6 +42,24 @@ class RightsTable(CaseTable):
 
     most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
     rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
+
+
+class MakeUpTable(CaseTable):
+    """{ years = 1, price = 0.0 }: units short of the minimum are paid, and taken a year later."""
+
+    years: int = Field(1, ge=1, le=1, description="1")
+    price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")
+    units: CaseInput = TAKEN("to be made up this contract year", 0.0, name="make_up_units")
+
+
+class CarryTable(CaseTable):
+    """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
+
+    years: int = Field(1, ge=1, le=1, description="1")
+    max: CaseInput = TAKEN("most that is carried forward", name="carry_forward_max")
+    units: CaseInput = TAKEN(
+        "carried forward into this contract year", 0.0, name="carry_forward_units"
+    )
 
 
 class IndexTable(CaseTable):
@@ -95,6 +114,8 @@ class SwingTable(CaseTable):
     shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
     taken: CaseInput = TAKEN("this contract year, before the first decision", 0.0)
     rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
+    make_up: dict | None = Field(None, description="a table like { years = 1, price = 0.0 }")
+    carry_forward: dict | None = Field(None, description="a table like { years = 1, max = 8.0 }")
 
 
 def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
@@ -136,6 +157,10 @@ def _made(
     ends = year_ends(where, table, days)
     if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
         _check_promise(where, table, rights, float(minimum.values[0]), most.used(), ends)
+    made_up, carried = _banked(where, table)
+    banked = made_up is not None or carried is not None
+    if banked:
+        _check_bank(where, table, limits, strike, most.used(), ends)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
     return SwingContract(  # pyright: ignore[reportCallIssue]
@@ -146,12 +171,15 @@ def _made(
         *limits,
         table.taken,
         short if minimum is not None else None,
+        *((None, None) if made_up is None else (made_up.price, made_up.units)),
+        *((None, None) if carried is None else (carried.max, carried.units)),
         ends,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             table.volume_unit,
             limited,
             None if rights is None else rights.rest,
             index is not None,
+            banked,
         ),
         sign=1.0 if table.side == "call" else -1.0,
         at_strike=table.shortfall == "strike",
@@ -180,6 +208,64 @@ def _check_promise(
     if minimum > highest * (1 + 1e-12):
         message = f"allowed is at most {highest:g}, from {uses} uses of {most[0]:g}"
         raise where.error("annual.min", minimum, message)
+
+
+def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
+    """Both clauses, their numbers with their units."""
+    unit, tables = table.volume_unit, []
+    for kind, key in ((MakeUpTable, "make_up"), (CarryTable, "carry_forward")):
+        raw = getattr(table, key)
+        if raw is None:
+            tables.append(None)
+            continue
+        made = parse(kind, raw, str(where.file), f"{where.name}.{key}", where.notes)
+        units = {"units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
+        numbers = {x: replace(y, unit=units[x]) for x, y in made if x in units}
+        tables.append(made.model_copy(update=numbers))
+    return tables[0], tables[1]
+
+
+def _check_bank(
+    where: TableContext, table: SwingTable, limits, strike: CaseInput | None, most, ends
+) -> None:
+    """What clauses between contract years need."""
+    made_up, carried = _banked(where, table)
+    key = "carry_forward" if made_up is None else "make_up"
+    if limits[0] is None:
+        raise where.error(key, None, "it needs a minimum, annual = { min = 200.0 }")
+    if table.rights is not None:
+        raise where.error(key, None, "with rights there is no such clause")
+    minimum, units = float(limits[0].values[0]), [0.0, 0.0]
+    if made_up is not None:
+        if table.shortfall != "strike":
+            message = 'with make_up allowed is "strike": what is short is paid, and made up'
+            raise where.error("shortfall", table.shortfall, message)
+        if table.side == "put":
+            raise where.error("side", "put", 'with make_up allowed is "call"')
+        price, units[0] = float(made_up.price.values[0]), float(made_up.units.values[0])
+        lowest = float(strike.used().min()) if strike is not None else np.inf
+        if price > lowest:
+            raise where.error("make_up.price", price, f"allowed is at most the strike, {lowest:g}")
+        if units[0] > minimum:
+            message = f"allowed is at most annual.min, {minimum:g}"
+            raise where.error("make_up.units", units[0], message)
+    if carried is not None:
+        units[1], highest = float(carried.units.values[0]), float(carried.max.values[0])
+        if units[1] > highest:
+            message = f"allowed is at most carry_forward.max, {highest:g}"
+            raise where.error("carry_forward.units", units[1], message)
+    if min(units) > 0:
+        message = "allowed is 0: a year is either short of its minimum or in excess"
+        raise where.error("make_up.units", units[0], message)
+    if table.shortfall != "firm":
+        return
+    known, first = float(table.taken.values[0]) + units[1], 0
+    for last in np.flatnonzero(ends):
+        highest = known + float(most[first : last + 1].sum())
+        if minimum > highest * (1 + 1e-12):
+            message = f"in a contract year at most {highest:g} can be taken"
+            raise where.error("annual.min", minimum, message)
+        known, first = 0.0, last + 1
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):

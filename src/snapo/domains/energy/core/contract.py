@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 from snapo.case.table import TableContext
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
+from .bank import Bank
 
 ONLY = 0  # the mode of a contract that has one
 
@@ -62,7 +63,8 @@ class ContractMove(NamedTuple):
 class ContractLayout(NamedTuple):
     """What is fixed in a contract: compiled code depends on it.
 
-    `indexed`: whether its cash follows an index beside the spot price.
+    - `indexed`: whether its cash follows an index beside the spot price.
+    - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
     """
 
     levels: tuple[Level, ...]
@@ -70,18 +72,19 @@ class ContractLayout(NamedTuple):
     modes: tuple[str, ...] = ("",)
     moves: tuple[ContractMove, ...] = ()
     indexed: bool = False
+    banked: bool = False
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed
+        return levels, flows, self.modes, moves, self.indexed, self.banked
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
         """The inverse of `plain`."""
-        levels, flows, modes, moves, indexed = parts
+        levels, flows, modes, moves, *flags = parts
         made = tuple(Level(*x) for x in levels), tuple(EnergyFlow(*x) for x in flows)
-        return cls(*made, modes, tuple(ContractMove(*x) for x in moves), indexed)
+        return cls(*made, modes, tuple(ContractMove(*x) for x in moves), *flags)
 
     @property
     def every_move(self) -> tuple[ContractMove, ...]:
@@ -128,7 +131,7 @@ class StepTerms(NamedTuple):
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move. `promises`: None without any.
+    - `fixed`: [T, moves] money of a move. `promises`, `bank`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -143,6 +146,7 @@ class StepTerms(NamedTuple):
     fixed: Float[Array, "T moves"]
     index: Float[Array, "T flows"] | None = None
     promises: Promises | None = None
+    bank: Bank | None = None
 
 
 class StepPrices(NamedTuple):

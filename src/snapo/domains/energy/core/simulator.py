@@ -210,10 +210,21 @@ class EnergySimulator(PricedSimulator):
             levels = levels + chosen[i] * after
             mode = mode.at[move.after].add(chosen[i])
             cash = cash + chosen[i] * earned
-        missed = smooth.positive_part(terms.owed - levels, scale)
+        owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
+        if terms.bank is not None:
+
+            def positive(x):
+                return smooth.positive_part(x, scale)
+
+            used = [terms.bank.made_up(x[0], x[-1], positive) for x in (state.levels, levels)]
+            cash = cash + terms.bank.refund * (used[1] - used[0])
+            owed = owed.at[0].set(terms.bank.owed(levels[-1], positive))
+            balance = terms.bank.settled(levels[0], levels[-1], positive)
+            settled = settled.at[-1].set(jnp.where(terms.restarts[0], balance, levels[-1]))
+        missed = smooth.positive_part(owed - levels, scale)
         lost = jnp.sum(jnp.where(terms.restarts, terms.short * missed, 0.0))
         after = State(
-            jnp.where(terms.restarts, 0.0, levels),
+            settled,
             mode,
             self.process.step(constants.price, now.price, state.price, noise),
         )

@@ -118,8 +118,9 @@ def _after(layout: ContractLayout, fitted: FittedContract, t: int) -> np.ndarray
         moved = day.ahead @ day.fit.T
     else:
         moved = available.drift(t)
-    result = (later @ moved)[:, step.arrive]
-    result[:, :, constant] -= step.lost
+    result, money = step.end.settled(later @ moved), step.end.money
+    if money is not None:
+        result[:, :, constant] += money
     return result
 
 

@@ -39,6 +39,8 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
 def joined_levels(layout: ContractLayout) -> list[set[int]]:
     """The levels in groups that no flow joins."""
     groups = [{i} for i in range(len(layout.levels))]
+    if layout.banked:  # what is short or in excess of the first level is its balance
+        groups = [{0, len(layout.levels) - 1}, *groups[1:-1]]
     for flow in layout.flows:
         touched = {i for i, effect in enumerate(flow.effects) if effect}
         if touched:

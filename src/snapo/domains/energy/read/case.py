@@ -39,7 +39,15 @@ from ..contracts.battery import (
     DischargeTable,
     read_battery,
 )
-from ..contracts.swing_tables import AnnualTable, IndexTable, RightsTable, SwingTable, read_swing
+from ..contracts.swing_tables import (
+    AnnualTable,
+    CarryTable,
+    IndexTable,
+    MakeUpTable,
+    RightsTable,
+    SwingTable,
+    read_swing,
+)
 from ..core.contract import EnergyContract
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 
@@ -84,7 +92,13 @@ KINDS: dict[str, ContractKind] = {
         SwingTable,
         read_swing,
         "Swing contract",
-        {"strike": IndexTable, "annual": AnnualTable, "rights": RightsTable},
+        {
+            "strike": IndexTable,
+            "annual": AnnualTable,
+            "rights": RightsTable,
+            "make_up": MakeUpTable,
+            "carry_forward": CarryTable,
+        },
     ),
     "battery": ContractKind(
         BatteryTable,
