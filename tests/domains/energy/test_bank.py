@@ -10,9 +10,10 @@ from tests.domains.energy.energy_cases import HOME, case_at, exact
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
-from snapo.domains.energy.setup import bare_problem, make_setup
+from snapo.domains.energy.setup import make_setup
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate, path_totals
+from snapo.testing.derivatives import wrong_derivatives
 
 START, SECOND, END = (datetime.date(2026, *x) for x in ((9, 20), (10, 1), (10, 13)))
 STRIKE, MOST, SOFT = 29.0, 8.0, 4.0
@@ -185,7 +186,7 @@ def test_policy_and_bound_enclose_the_exact_value(levels, changes, tmp_path):
     ).upper
     assert value <= upper.value + 3 * upper.standard_error
     assert upper.value - 3 * upper.standard_error <= value + 0.005 * size
+    assert wrong_derivatives(problem, rule, paths=16) == []
     if case.contract.firm:
         taken = path_totals(problem, rule, 2048, engine=engine)["take"]
         assert taken.min() >= 2 * 5 - 2 - 1e-9 and taken.max() <= 2 * MOST + 1e-9
-    assert bare_problem(case).schedule.steps.terms.bank is not None

@@ -222,7 +222,9 @@ class EnergySimulator(PricedSimulator):
             balance = terms.bank.settled(levels[0], levels[-1], positive)
             settled = settled.at[-1].set(jnp.where(terms.restarts[0], balance, levels[-1]))
         missed = smooth.positive_part(owed - levels, scale)
-        lost = jnp.sum(jnp.where(terms.restarts, terms.short * missed, 0.0))
+        # What is promised is met: `short` is then for methods that compare values.
+        short = terms.short if terms.promises is None else jnp.zeros_like(terms.short)
+        lost = jnp.sum(jnp.where(terms.restarts, short * missed, 0.0))
         after = State(
             settled,
             mode,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
-from .measure import measures_of, node_widths
+from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, balances, settling
 
 MOST = 1200  # nodes of a level
@@ -136,9 +136,11 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
         visited.append(balances(terms, start[-1], *visited[0]))
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
-    widths = node_widths(
-        layout, widest, measures, np.zeros(count) if apart is None else apart, coarse
-    )
+    least = np.zeros(count) if apart is None else apart
+    if layout.banked:
+        widths = banked_widths(visited, measures, least, LONG)
+    else:
+        widths = node_widths(layout, widest, measures, least, coarse)
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
     exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
@@ -148,9 +150,12 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     for i, (low, high) in enumerate(visited):
         restarts, measure = terms.restarts[:, i], measures[i]
         if i == counted:  # a balance, which no flow moves
-            width = widths[i] if measure is None or not exact else measure
+            width = measure if exact and measure is not None else widths[i]
             of_steps = _regular(low, high, width / parts, restarts, None if exact else 0.0)[0]
             columns.append((of_steps, of_steps[:-1]))
+            continue
+        if layout.banked and measure is not None and widths[i] <= measure * (1 + NEAR):
+            columns.append(_regular(low, high, measure, restarts))
             continue
         if exact and measure is not None:
             columns.append(_regular(low, high, measure / parts, restarts))
