@@ -46,7 +46,7 @@ def best_plan(case, low: float) -> float:
     """By integer programming, with the clauses as they are written.
 
     Columns: paid and free units of each day, whether the minimum was taken before the day, and of
-    each year what is short, what is carried out of it, and whether there is an excess.
+    each year units short, units carried out of it, and whether there is an excess.
     """
     contract, price = case.contract, case.market.forward_curve.used()
     count = len(price)
@@ -57,7 +57,7 @@ def best_plan(case, low: float) -> float:
     def number(item):
         return 0.0 if item is None else float(item.values[0])
 
-    make, carry, big = contract.made_up is not None, number(contract.carry_most), 100.0
+    make, carry, big = contract.made_up is not None, number(contract.carry_max), 100.0
     free_price = number(contract.make_up_price)
     brought = [number(contract.made_up), number(contract.carried)]
     size = 3 * count + 6
@@ -79,7 +79,7 @@ def best_plan(case, low: float) -> float:
         every = [(t, 1.0) for t in days] + [(count + t, 1.0) for t in days]
         own = [(short + y, 1.0), *every]
         before = [] if y == 0 else [(out, 1.0)]
-        # Short of the minimum, less what was carried into the year.
+        # Short of the minimum, less the units carried into the year.
         row(own + before, least=low - (brought[1] if y == 0 else 0.0))
         row(every, most=MOST)
         free_units = [(count + t, 1.0) for t in days]
@@ -146,7 +146,7 @@ def test_without_a_minimum_no_clause_has_a_value(changes, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (MAKE_UP | {"shortfall": "firm"}, "shortfall: .*is paid, and made up"),
+        (MAKE_UP | {"shortfall": "firm"}, "shortfall: .*are paid, and made up"),
         (MAKE_UP | {"annual": None}, "make_up: .*needs a minimum"),
         (MAKE_UP | {"rights": {"most": 3}}, "make_up: .*rights"),
         (MAKE_UP | {"side": "put"}, "side: .*call"),

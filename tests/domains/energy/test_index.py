@@ -110,16 +110,18 @@ def test_index_of_simulated_prices(model):
         first, *rest = jax.random.normal(jax.random.key(0), (32, 20_000, process.noise_size))
         noise = jax.random.normal(jax.random.key(1), (20_000, process.initial_noise_size))
         state = jax.vmap(process.initial, (None, 0))(schedule.constants, noise)
-        seen, rows = [], schedule.steps
+        moments, rows = [], schedule.steps
         for t, draw in enumerate([first, *rest]):
             row = jax.tree.map(lambda leaf, t=t: leaf[t], rows)
             if t in (0, 29, 30):
                 price = jax.vmap(process.index, (None, None, 0))(schedule.constants, row, state)
-                seen.append((t, np.asarray(price), np.asarray(jax.vmap(process.gaussian)(state))))
+                moments.append(
+                    (t, np.asarray(price), np.asarray(jax.vmap(process.gaussian)(state)))
+                )
             state = jax.vmap(process.step, (None, None, 0, 0))(schedule.constants, row, state, draw)
     of = process.factors(plain(schedule))
-    assert of.covariance[0, 1, 1] > 0  # seen from before the month
-    for t, price, factors in seen:
+    assert of.covariance[0, 1, 1] > 0  # fixed before the month
+    for t, price, factors in moments:
         month = slice(0, 30) if t < 30 else slice(30, 61)
         error = price.std() / np.sqrt(len(price))
         assert abs(price.mean() - case.market.forward_curve.used()[month].mean()) < 4 * error
@@ -165,14 +167,14 @@ def test_value_is_proportional_to_the_curve(tmp_path):
 
 
 def test_a_month_that_has_begun_has_its_index():
-    """Valued within October, its index is 26.5; without volatility the best days are known."""
+    """Valued within October, its index is 26.5; without volatility the best days are fixed."""
     running = {
         "market.valuation_date": datetime.date(2026, 10, 20),
         "contract.end": datetime.date(2026, 12, 1),
         "contract.annual": None,
         "model.volatility": 0.0,
     }
-    strike = {"index": "month-ahead", "factor": 0.9, "add": 0.25, "known": 26.5}
+    strike = {"index": "month-ahead", "factor": 0.9, "add": 0.25, "fixing": 26.5}
     case = indexed(**running, **{"contract.strike": strike})
     forward = case.market.forward_curve.used()
     index = np.where(np.arange(len(forward)) < 12, 26.5, forward[12:].mean())
@@ -188,13 +190,13 @@ def test_a_month_that_has_begun_has_its_index():
         ({"contract.strike": True}, "contract.strike: got true; allowed is a number"),
         ({"contract.strike": {"index": "year"}}, 'strike.index: .*allowed is "month-ahead"'),
         ({"contract.strike": {"index": "month-ahead", "sum": 1.0}}, "strike.sum"),
-        ({"contract.shortfall": "strike"}, "contract.shortfall: .*follows an index"),
+        ({"contract.shortfall": "strike"}, "contract.shortfall: .*indexed strike"),
         ({"contract.start": datetime.date(2026, 10, 5)}, "contract.start: .*first day of a month"),
         ({"contract.end": datetime.date(2027, 9, 5)}, "contract.end: .*first day of a month"),
-        ({"market.valuation_date": datetime.date(2026, 10, 5)}, "strike.known: .*give it"),
+        ({"market.valuation_date": datetime.date(2026, 10, 5)}, "strike.fixing: .*give it"),
         (
-            LATE | {"contract.strike": {"index": "month-ahead", "known": 30.0}},
-            "strike.known: .*fixed on the last day before",
+            LATE | {"contract.strike": {"index": "month-ahead", "fixing": 30.0}},
+            "strike.fixing: .*fixed on the last day before",
         ),
         (
             {

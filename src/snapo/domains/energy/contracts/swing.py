@@ -41,12 +41,12 @@ class SwingContract(EnergyContract):
     """The terms of a swing contract.
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
-    - `factor`, `add`, `known`: of a strike that follows an index, index []; `strike` is None then.
+    - `factor`, `add`, `fixing`: of an indexed strike, index []; `strike` is None then.
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up this year;
-      `carry_most`, `carried`: the most that is carried forward, and what this year's minimum is
-      lowered by. None without that clause.
+      `carry_max`, `carried`: the most that is carried forward, and the amount by which this year's
+      minimum is lower. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
     - `at_strike`: whether what is short is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
@@ -57,14 +57,14 @@ class SwingContract(EnergyContract):
     strike: CaseInput | None
     factor: CaseInput | None
     add: CaseInput | None
-    known: CaseInput | None
+    fixing: CaseInput | None
     annual_min: CaseInput | None
     annual_max: CaseInput | None
     taken: CaseInput
     shortfall: CaseInput | None
     make_up_price: CaseInput | None
     made_up: CaseInput | None
-    carry_most: CaseInput | None
+    carry_max: CaseInput | None
     carried: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
     layout: ContractLayout = eqx.field(static=True)
@@ -108,8 +108,8 @@ class SwingContract(EnergyContract):
         bank = None
         if self.layout.banked:
             bank = self._bank(inputs, strike, paid)
-            low.append(-bank.most)
-            high.append(bank.share * bank.least)
+            low.append(-bank.limit)
+            high.append(bank.share * bank.minimum)
             owed.append(zero)
             short.append(zero)
             again.append(jnp.zeros(count, bool))
@@ -155,8 +155,8 @@ class SwingContract(EnergyContract):
         return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def _carried(self, inputs: dict[str, Any]) -> Promises:
-        """Of a firm minimum that is lowered by what was carried forward: the rest of it is at most
-        what may be taken on the days left of the year."""
+        """Of a firm minimum, lower by the units carried forward: the rest of it is at most the
+        volume of the days left of the year."""
         most = use(inputs, self.max_daily)
         following = jnp.append(most[1:], 0.0)
 
@@ -171,12 +171,12 @@ class SwingContract(EnergyContract):
         return Promises(weights, least[:, None, None])
 
     def _bank(self, inputs: dict[str, Any], strike: Array, paid: Array) -> Bank:
-        """What is short may be made up, what is in excess carried forward."""
+        """Units short may be made up, units in excess are carried forward."""
         zero, price = jnp.zeros(len(self.year_ends)), self.make_up_price
         return Bank(
             zero + _number(inputs, self.annual_min),
             zero + (price is not None),
-            zero + _number(inputs, self.carry_most),
+            zero + _number(inputs, self.carry_max),
             zero if price is None else (strike - use(inputs, price)) * paid,
         )
 
@@ -185,19 +185,19 @@ class SwingContract(EnergyContract):
             return prices
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
-            message = f"with a strike that follows an index allowed is {allowed}"
+            message = f"with an indexed strike allowed is {allowed}"
             raise CaseError(str(where.file), "model.kind", prices.kind, message)
         first, month = delivery.dates[0], delivery.dates[0].replace(day=1)
         if delivery.end.day != 1:
-            message = "with a strike that follows an index allowed is the first day of a month"
+            message = "with an indexed strike allowed is the first day of a month"
             raise where.error("end", delivery.end, message)
-        if self.known is None and first != month:
-            message = f"the index of {first:%Y-%m} was fixed before today: give it as `known`"
-            raise where.error("strike.known", None, message)
-        if self.known is not None and delivery.valuation < month - datetime.timedelta(1):
+        if self.fixing is None and first != month:
+            message = f"the index of {first:%Y-%m} was fixed before today: give it as `fixing`"
+            raise where.error("strike.fixing", None, message)
+        if self.fixing is not None and delivery.valuation < month - datetime.timedelta(1):
             message = f"the index of {first:%Y-%m} is fixed on the last day before that month"
-            raise where.error("strike.known", float(self.known.values[0]), message)
-        return indexed(prices, delivery, self.known)
+            raise where.error("strike.fixing", float(self.fixing.values[0]), message)
+        return indexed(prices, delivery, self.fixing)
 
 
 def _number(inputs: dict[str, Any], number: CaseInput | None) -> Array:

@@ -63,13 +63,13 @@ class CarryTable(CaseTable):
 
 
 class IndexTable(CaseTable):
-    """{ index = "month-ahead", factor = 1.0, add = 0.25 }: a strike that follows an index."""
+    """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
 
     index: Literal["month-ahead"] = Field(description='"month-ahead"')
     factor: CaseInput = FACTOR("of the index in the strike", 1.0, name="strike_factor")
     add: CaseInput = ADDED("added to the index", 0.0, name="strike_add")
-    known: CaseInput | None = ADDED("index of the first month, fixed before today", None,
-                                    name="strike_known")  # fmt: skip
+    fixing: CaseInput | None = ADDED("index of the first month, fixed before today", None,
+                                    name="strike_fixing")  # fmt: skip
 
 
 def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
@@ -81,7 +81,7 @@ def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
     table, unit = key.table, key.filled(PRICE)
     name = f"{table.name}.{key.name}"
     index = parse(IndexTable, raw, str(table.file), name, table.notes)
-    parts = {x: getattr(index, x) for x in ("add", "known")}
+    parts = {x: getattr(index, x) for x in ("add", "fixing")}
     return index.model_copy(
         update={x: None if y is None else replace(y, unit=unit) for x, y in parts.items()}
     )
@@ -139,10 +139,10 @@ def _made(
     if isinstance(strike, IndexTable):
         strike, index = None, strike
         if table.start.day != 1:
-            message = "with a strike that follows an index allowed is the first day of a month"
+            message = "with an indexed strike allowed is the first day of a month"
             raise where.error("start", table.start, message)
         if table.shortfall == "strike":
-            message = 'with a strike that follows an index allowed is "firm", or money such as 6.0'
+            message = 'with an indexed strike allowed is "firm", or money such as 6.0'
             raise where.error("shortfall", "strike", message)
     else:
         strike = strike.on(days, notes)
@@ -167,7 +167,7 @@ def _made(
         most,
         least,
         strike,
-        *((None, None, None) if index is None else (index.factor, index.add, index.known)),
+        *((None, None, None) if index is None else (index.factor, index.add, index.fixing)),
         *limits,
         table.taken,
         short if minimum is not None else None,
@@ -228,7 +228,7 @@ def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None,
 def _check_bank(
     where: TableContext, table: SwingTable, limits, strike: CaseInput | None, most, ends
 ) -> None:
-    """What clauses between contract years need."""
+    """Refuses clauses between contract years without their conditions."""
     made_up, carried = _banked(where, table)
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
@@ -238,7 +238,7 @@ def _check_bank(
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]
     if made_up is not None:
         if table.shortfall != "strike":
-            message = 'with make_up allowed is "strike": what is short is paid, and made up'
+            message = 'with make_up allowed is "strike": units short are paid, and made up'
             raise where.error("shortfall", table.shortfall, message)
         if table.side == "put":
             raise where.error("side", "put", 'with make_up allowed is "call"')
@@ -259,13 +259,13 @@ def _check_bank(
         raise where.error("make_up.units", units[0], message)
     if table.shortfall != "firm":
         return
-    known, first = float(table.taken.values[0]) + units[1], 0
+    before, first = float(table.taken.values[0]) + units[1], 0
     for last in np.flatnonzero(ends):
-        highest = known + float(most[first : last + 1].sum())
+        highest = before + float(most[first : last + 1].sum())
         if minimum > highest * (1 + 1e-12):
             message = f"in a contract year at most {highest:g} can be taken"
             raise where.error("annual.min", minimum, message)
-        known, first = 0.0, last + 1
+        before, first = 0.0, last + 1
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):

@@ -1,5 +1,5 @@
-"""A bank between the periods of a level: what was short in one is made up in the next, and what was
-in excess lowers the next minimum.
+"""A bank between the periods of a level: units short in one are made up in the next, and units in
+excess lower the next minimum.
 
 A period ends where the counted level restarts. The balance Z of the bank is positive for volumes to
 be made up, and negative for those carried forward; both come from the last period and are lost
@@ -7,10 +7,10 @@ after one more. With the minimum m of a period, and x+ = max(x, 0):
 
     own minimum        m - (-Z)+
     made up            u(Q, Z) = (Q - m)+ - (Q - m - Z+)+,   Q the volume of the period so far
-    balance after it   share x (m - (-Z)+ - Q)+ - min((Q - m - Z+)+, most)
+    balance after it   share x (m - (-Z)+ - Q)+ - min((Q - m - Z+)+, limit)
 
-The first Z+ units above the minimum are those made up: each earns `refund` beside its flow. All
-functions are linear between multiples of a common measure of m, Z, `most` and the volumes.
+The first Z+ units above the minimum are those made up: each earns `refund` as well. All
+functions are linear between multiples of a common measure of m, Z, `limit` and the volumes.
 """
 
 from collections.abc import Callable
@@ -22,13 +22,13 @@ from jaxtyping import Array, Float
 class Bank(NamedTuple):
     """The numbers of every step.
 
-    - `least`: m; `share`: of what is short that may be made up, 1 or 0; `most` carried forward.
+    - `minimum`: m; `share`: of the units short that may be made up, 1 or 0; `limit` of units carried forward.
     - `refund`: money for each unit made up.
     """
 
-    least: Float[Array, " T"]
+    minimum: Float[Array, " T"]
     share: Float[Array, " T"]
-    most: Float[Array, " T"]
+    limit: Float[Array, " T"]
     refund: Float[Array, " T"]
 
     def at(self, t: int) -> "Bank":
@@ -37,15 +37,15 @@ class Bank(NamedTuple):
 
     def owed(self, balance: Any, positive: Callable) -> Any:
         """The own minimum of a period."""
-        return self.least - positive(-balance)
+        return self.minimum - positive(-balance)
 
     def made_up(self, counted: Any, balance: Any, positive: Callable) -> Any:
         """Units made up so far."""
-        above = counted - self.least
+        above = counted - self.minimum
         return positive(above) - positive(above - positive(balance))
 
     def settled(self, counted: Any, balance: Any, positive: Callable) -> Any:
         """The balance after a period; it falls with the volume, and rises with the balance."""
         short = positive(self.owed(balance, positive) - counted)
-        excess = positive(counted - self.least - positive(balance))
-        return self.share * short - (excess - positive(excess - self.most))
+        excess = positive(counted - self.minimum - positive(balance))
+        return self.share * short - (excess - positive(excess - self.limit))

@@ -8,7 +8,7 @@ that begin in its mode, and each flow of that move takes a volume from an interv
     levels after a step = levels + move.changes + effects[flow] volume
     earnings of a step  = move's money + volume (price S + index I + money)
 
-S is the spot price, and I, of a contract that follows one, the index of its prices.
+S is the spot price, and I, of an indexed contract, the index of its prices.
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -63,7 +63,7 @@ class ContractMove(NamedTuple):
 class ContractLayout(NamedTuple):
     """What is fixed in a contract: compiled code depends on it.
 
-    - `indexed`: whether its cash follows an index beside the spot price.
+    - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
     """
 
@@ -112,7 +112,7 @@ class ContractLayout(NamedTuple):
 class Promises(NamedTuple):
     """Obligations that several levels, or the mode, must leave room for.
 
-    After each step, in each mode, `weights` times the levels is at least `least`. A flow with an
+    After each step, in each mode, `weights` times the levels is at least `minimum`. A flow with an
     effect on the sum raises it.
 
     The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
@@ -120,7 +120,7 @@ class Promises(NamedTuple):
     """
 
     weights: Float[Array, "T promises levels"]
-    least: Float[Array, "T promises modes"]
+    minimum: Float[Array, "T promises modes"]
 
 
 class StepTerms(NamedTuple):
@@ -156,7 +156,7 @@ class StepPrices(NamedTuple):
     index: Any = None
 
     def unit(self, terms: StepTerms, place: Any) -> Any:
-        """What a unit of a flow earns; `place`: where it is in the leaves of `terms`."""
+        """The earnings of a unit of a flow; `place`: where it is in the leaves of `terms`."""
         cash = terms.price[place] * self.spot + terms.money[place]
         return cash if terms.index is None else cash + terms.index[place] * self.index
 
@@ -183,8 +183,8 @@ class EnergyContract(eqx.Module):
         money that is owed when the step is over, a day later."""
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
-        """The prices that its cash follows, from those of the case: here the same.
+        """The prices that its cash depends on, from those of the case: here the same.
 
-        **Raises:** `CaseError` where it cannot follow them; `where`: the table `[contract]`.
+        **Raises:** `CaseError` where it cannot be priced so; `where`: the table `[contract]`.
         """
         return prices

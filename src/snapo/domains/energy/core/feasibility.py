@@ -100,7 +100,7 @@ def volumes(
             room = smooth.minimum(room, leave / effect, scale)
         if now.terms.promises is not None:
             promises, effects = now.terms.promises, jnp.asarray(layout.flows[flow].effects)
-            need = promises.least[:, this.after] - promises.weights @ jnp.stack(start)
+            need = promises.minimum[:, this.after] - promises.weights @ jnp.stack(start)
             effect = promises.weights @ effects
             for k in range(len(need)):
                 more = need[k] / jnp.where(effect[k] > 0, effect[k], 1.0)

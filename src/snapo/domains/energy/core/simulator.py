@@ -179,8 +179,8 @@ class EnergySimulator(PricedSimulator):
             )
             if now.terms.promises is not None:
                 promises = now.terms.promises
-                kept = promises.weights @ after >= promises.least[:, move.after] - near
-                within = jnp.all(within) & jnp.all(kept)
+                room = promises.weights @ after - promises.minimum[:, move.after]
+                within = jnp.all(within) & jnp.all(room >= -near)
             result.append(jnp.all(within) * 1.0)
         return jnp.stack(result)
 
@@ -222,7 +222,7 @@ class EnergySimulator(PricedSimulator):
             balance = terms.bank.settled(levels[0], levels[-1], positive)
             settled = settled.at[-1].set(jnp.where(terms.restarts[0], balance, levels[-1]))
         missed = smooth.positive_part(owed - levels, scale)
-        # What is promised is met: `short` is then for methods that compare values.
+        # A promise is met: `short` is then for methods that compare values.
         short = terms.short if terms.promises is None else jnp.zeros_like(terms.short)
         lost = jnp.sum(jnp.where(terms.restarts, short * missed, 0.0))
         after = State(
@@ -274,11 +274,11 @@ class EnergySimulator(PricedSimulator):
             result[f"least {level.name}"] = jnp.where(kept > 0, state.levels[i] - low, 0.0)
             result[f"most {level.name}"] = jnp.where(kept > 0, high - state.levels[i], 0.0)
         if now.terms.promises is not None:
-            promises, again = now.terms.promises, jnp.any(now.terms.restarts)
-            least = promises.least @ state.mode
-            for k in range(len(least)):
-                room = promises.weights[k] @ state.levels - least[k]
-                result[f"promise {k + 1}"] = jnp.where(again, 0.0, room)
+            promises, restarts = now.terms.promises, jnp.any(now.terms.restarts)
+            minimum = promises.minimum @ state.mode
+            for k in range(len(minimum)):
+                room = promises.weights[k] @ state.levels - minimum[k]
+                result[f"promise {k + 1}"] = jnp.where(restarts, 0.0, room)
         return result | {flow.name: outputs[flow.name] for flow in self.layout.flows}
 
 

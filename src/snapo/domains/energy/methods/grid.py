@@ -45,7 +45,7 @@ class Passage(NamedTuple):
 
 class StepGrid(NamedTuple):
     """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-    - `end`: what its end does.
+    - `end`: its settling.
     """
 
     passages: tuple[tuple[Passage, ...], ...]

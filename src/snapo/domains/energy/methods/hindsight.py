@@ -117,8 +117,10 @@ class EnergyRelaxation:
         """[T, N] where there is one."""
         if self.factors is None or self.factors.index is None:
             return None
-        of, seen = self.factors, self._factors(states)[:, -1]
-        return np.stack([of.index.price(of, t, seen[t]) for t in range(len(self.grid.steps))])
+        of, index_factor = self.factors, self._factors(states)[:, -1]
+        return np.stack(
+            [of.index.price(of, t, index_factor[t]) for t in range(len(self.grid.steps))]
+        )
 
     def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
         """[T + 1, K, N] functions of the prices less their expectation a step before."""

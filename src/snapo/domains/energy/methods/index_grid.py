@@ -71,8 +71,8 @@ class IndexGrid:
     def _deviations(self) -> np.ndarray:
         return np.sqrt(self.of.covariance[:, 1, 1])
 
-    def seen(self, t: int) -> np.ndarray:
-        """The nodes of g on a date: one where it is known today."""
+    def index_nodes(self, t: int) -> np.ndarray:
+        """The nodes of g on a date: one where it is fixed today."""
         deviation = self._deviations[t]
         if deviation <= 1e-12:
             return np.zeros(1)
@@ -80,22 +80,22 @@ class IndexGrid:
 
     def columns(self, t: int) -> int:
         """How many there are on a date."""
-        return len(self.seen(t)) * len(self.fast.fast)
+        return len(self.index_nodes(t)) * len(self.fast.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
         """[columns] spot prices of mean `forward`."""
-        return np.tile(self.fast.spot(t, forward), len(self.seen(t)))
+        return np.tile(self.fast.spot(t, forward), len(self.index_nodes(t)))
 
     def index(self, t: int) -> np.ndarray:
         """[columns] the index."""
-        return np.repeat(self.of.index.price(self.of, t, self.seen(t)), len(self.fast.fast))
+        return np.repeat(self.of.index.price(self.of, t, self.index_nodes(t)), len(self.fast.fast))
 
     def after(self, t: int) -> IndexTransition:
         """From a date to the next."""
-        nodes, fast = self.seen(t), self._fast(t + 1, self.fast.fast)
+        nodes, fast = self.index_nodes(t), self._fast(t + 1, self.fast.fast)
         if not self.of.index.carry[t + 1, 1, 0]:
             return IndexTransition(fast, None, len(nodes))
-        return IndexTransition(fast, _read(self.seen(t + 1), self.fast.fast), len(nodes))
+        return IndexTransition(fast, _read(self.index_nodes(t + 1), self.fast.fast), len(nodes))
 
     def start(self) -> FirstDate:
         """From the valuation date, where all factors are 0, to the first date."""
@@ -105,7 +105,7 @@ class IndexGrid:
         slope = below * deviation / variance if variance > 0 else 0.0
         left = np.sqrt(max(deviation**2 - slope * below * deviation, 0.0))
         fast = transition_weights(self.fast.fast, slope * shocks, left)
-        weights = np.einsum("p,pg,pf->gf", probabilities, _read(self.seen(0), shocks), fast)
+        weights = np.einsum("p,pg,pf->gf", probabilities, _read(self.index_nodes(0), shocks), fast)
         return FirstDate(weights.ravel())
 
     def _fast(self, into: int, points: np.ndarray) -> np.ndarray:

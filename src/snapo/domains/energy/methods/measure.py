@@ -40,7 +40,7 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
 def joined_levels(layout: ContractLayout) -> list[set[int]]:
     """The levels in groups that no flow joins."""
     groups = [{i} for i in range(len(layout.levels))]
-    if layout.banked:  # what is short or in excess of the first level is its balance
+    if layout.banked:  # units of the first level become its balance
         groups = [{0, len(layout.levels) - 1}, *groups[1:-1]]
     for flow in layout.flows:
         touched = {i for i, effect in enumerate(flow.effects) if effect}
@@ -73,7 +73,7 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
 def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
     """Between nodes of a counted level and of its bank, where their product is too large.
 
-    Flows move the counted level alone, so that its nodes are multiples of the measure where it has
+    Flows move only the counted level, so that its nodes are multiples of the measure where it has
     few enough. The balance changes once a period, and has as many nodes as `nodes` of all steps
     allow. `visited`: the least and the most of both levels at all steps.
     """

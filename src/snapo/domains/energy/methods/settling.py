@@ -1,4 +1,4 @@
-"""What the end of a step does on a grid: levels restart, and a bank takes its new balance."""
+"""The end of a step on a grid: levels restart, and a bank takes its new balance."""
 
 import math
 from functools import partial
@@ -15,9 +15,9 @@ positive = partial(np.maximum, 0.0)
 class Settling(NamedTuple):
     """The end of one step.
 
-    - `arrive`: the number of the node of the next step for each node after; `lost`: what settling
-      takes there, in money.
-    - `between`: a second such node, and its weight, where balances lead between nodes.
+    - `arrive`: the number of the node of the next step for each node after; `lost`: the
+      money that settling takes there.
+    - `between`: a second such node, and its weight, where balances are between nodes.
     - `made_up`: money for the units made up until the nodes before and after; None without a bank.
     """
 
@@ -27,7 +27,7 @@ class Settling(NamedTuple):
     made_up: tuple[np.ndarray, np.ndarray] | None = None
 
     def settled(self, value: np.ndarray) -> np.ndarray:
-        """[modes, nodes after, …] where settling leads in [modes, nodes of the next step, …]."""
+        """[modes, nodes after, …] after settling, from [modes, nodes of the next step, …]."""
         if self.between is None:
             return value[:, self.arrive]
         other, weight = self.between[0], self.between[1][:, None]
@@ -73,19 +73,19 @@ def settling(
 
 
 def balances(terms: StepTerms, start: float, low: np.ndarray, high: np.ndarray):
-    """[T + 1] the least and the greatest balance at the start of each step.
+    """[T + 1] the lowest and the highest balance at the start of each step.
 
     `low`, `high` [T + 1]: of the counted level, at the start and after each step.
     """
     assert terms.bank is not None
-    least, most = np.full(len(low), start), np.full(len(low), start)
+    lowest, highest = np.full(len(low), start), np.full(len(low), start)
     for t in range(len(low) - 1):
-        least[t + 1], most[t + 1] = least[t], most[t]
+        lowest[t + 1], highest[t + 1] = lowest[t], highest[t]
         if terms.restarts[t, 0]:
             bank = terms.bank.at(t)
-            least[t + 1] = bank.settled(high[t + 1], least[t], positive)
-            most[t + 1] = bank.settled(low[t + 1], most[t], positive)
-    return least, most
+            lowest[t + 1] = bank.settled(high[t + 1], lowest[t], positive)
+            highest[t + 1] = bank.settled(low[t + 1], highest[t], positive)
+    return lowest, highest
 
 
 def _mesh(nodes) -> tuple[np.ndarray, np.ndarray]:

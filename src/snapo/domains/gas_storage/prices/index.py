@@ -1,8 +1,8 @@
-"""A spot price and the month-ahead index beside it, which contracts of energy pay.
+"""A spot price and the month-ahead index of its market, which contracts of energy pay.
 
     I(m) = mean over the days d of month m of F(d, s),   s the last day before the month
 
-with F(d, s) the forward price of d as seen on day s. With one Gaussian factor f it is a function of
+with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of
 f(s), so that spot and index are a function of two factors: f, and g, which is f(s) all month long.
 For prices of kind "one-factor", of volatility v and mean reversion a,
 
@@ -51,7 +51,7 @@ class IndexRows(NamedTuple):
 
 class PriceIndex(NamedTuple):
     """The index as dynamic programs read it. g is the last factor, without a loading of the spot
-    price; `carry` [T + 1, F, F]: what of other factors moves into a factor on the way to a date."""
+    price; `carry` [T + 1, F, F]: the shares of other factors in it into each date."""
 
     rows: IndexRows
     carry: np.ndarray
@@ -67,21 +67,21 @@ class IndexMonths(eqx.Module):
     """The months of T + 1 dates; the end date has the index of the last day.
 
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
-    - `ahead` [T + 1, D]: years from the day before the month; `seen` [T + 1]: years to that day.
+    - `ahead` [T + 1, D]: years from the day before the month; `fixing_time` [T + 1]: years to it.
     - `renewed` [T + 1]: whether a month begins with the date, the first date not among them.
-    - `fixed` [T + 1]: whether the index is known today, 1 or 0.
+    - `fixed` [T + 1]: 1 where the index was fixed before today, else 0.
     """
 
     days: Int[np.ndarray, "T+1 D"]
     weight: Float[np.ndarray, "T+1 D"]
     ahead: Float[np.ndarray, "T+1 D"]
-    seen: Float[np.ndarray, " T+1"]
+    fixing_time: Float[np.ndarray, " T+1"]
     renewed: Bool[np.ndarray, " T+1"]
     fixed: Float[np.ndarray, " T+1"]
 
     @classmethod
-    def of(cls, delivery: Delivery, known: bool) -> "IndexMonths":
-        """Of a delivery that has all days of its months, but for the first of a `known` index."""
+    def of(cls, delivery: Delivery, begun: bool) -> "IndexMonths":
+        """Of a delivery that has all days of its months, but for the first where it has `begun`."""
         dates = list(delivery.dates)
         months = [(day.year, day.month) for day in dates[:-1]]
         count = len(dates)
@@ -90,23 +90,23 @@ class IndexMonths(eqx.Module):
             np.zeros((count, 31)),
             np.zeros((count, 31)),
         )
-        seen, renewed, fixed = np.zeros(count), np.zeros(count, bool), np.zeros(count)
+        fixing_time, renewed, fixed = np.zeros(count), np.zeros(count, bool), np.zeros(count)
         for t in range(count - 1):
             first = months.index(months[t])
             last = count - 1 - months[::-1].index(months[t]) - 1
             every = np.arange(first, last + 1)
             before = dates[first].replace(day=1) - datetime.timedelta(1)
-            seen[t] = max((before - delivery.valuation).days, 0) / YEAR
+            fixing_time[t] = max((before - delivery.valuation).days, 0) / YEAR
             size = len(every)
             days[t, :size], weight[t, :size] = every, 1.0 / size
             years = np.array([(dates[i] - delivery.valuation).days for i in every]) / YEAR
-            ahead[t, :size] = years - seen[t]
+            ahead[t, :size] = years - fixing_time[t]
             renewed[t] = t == first and t > 0
-            if known and first == 0:
+            if begun and first == 0:
                 fixed[t], weight[t] = 1.0, 0.0
-        for x in (days, weight, ahead, seen, fixed):
+        for x in (days, weight, ahead, fixing_time, fixed):
             x[-1] = x[-2]
-        return cls(days, weight, ahead, seen, renewed, fixed)
+        return cls(days, weight, ahead, fixing_time, renewed, fixed)
 
 
 class IndexedStep(NamedTuple):
@@ -130,19 +130,19 @@ class IndexedState(NamedTuple):
     """The state of the spot price's process, and g [1]."""
 
     spot: Any
-    seen: Array
+    at_fixing: Array
 
 
 class IndexedPrices(PriceProcess):
     """A spot price of one factor, and the month-ahead index; see the top of this file.
 
     - `spot`: the process of the spot price; `months`: of the index.
-    - `known`: the index of the first month, fixed before today; None: the curve gives it.
+    - `fixing`: the index of the first month, fixed before today; None: the curve gives it.
     """
 
     spot: GivenFactors
     months: IndexMonths
-    known: CaseInput | None
+    fixing: CaseInput | None
     kind = "indexed"
     table = FactorTable
     martingale = True
@@ -169,14 +169,14 @@ class IndexedPrices(PriceProcess):
         speed = numbers.mean_reversion[0]
         left = jnp.exp(-speed * months.ahead)
         loading = spot.steps.loading[:, 0][months.days] * left
-        variance = loading**2 * integral(2 * speed, jnp.asarray(months.seen))[:, None]
-        known = jnp.zeros(()) if self.known is None else use(inputs, self.known)
+        variance = loading**2 * integral(2 * speed, jnp.asarray(months.fixing_time))[:, None]
+        fixing = jnp.zeros(()) if self.fixing is None else use(inputs, self.fixing)
         rows = IndexRows(
             spot.steps.forward[months.days],
             loading,
             variance,
             jnp.asarray(months.weight),
-            jnp.asarray(months.fixed) * known,
+            jnp.asarray(months.fixed) * fixing,
             jnp.asarray(months.renewed),
         )
         following = jnp.append(months.renewed[1:], False)
@@ -188,19 +188,19 @@ class IndexedPrices(PriceProcess):
         months, age = self.months, self.spot.delivery.age
         free = 1.0 - months.fixed[0]
         # A day's shock moves g where it came before the last day before the month.
-        earlier = age - (self.spot.delivery.years[0] - months.seen[0])
+        earlier = age - (self.spot.delivery.years[0] - months.fixing_time[0])
         share = jnp.exp(-speed * jnp.maximum(earlier, 0.0)) * (earlier > -0.5 / YEAR) * free
         before = share * spot.steps.next_shock[0, 0, 0]
-        variance = free * integral(2 * speed, jnp.asarray(months.seen[0]))
-        decay = jnp.exp(-speed * (self.spot.delivery.years[0] - months.seen[0]))
+        variance = free * integral(2 * speed, jnp.asarray(months.fixing_time[0]))
+        decay = jnp.exp(-speed * (self.spot.delivery.years[0] - months.fixing_time[0]))
         return before[None], jnp.stack([variance, decay])
 
     def initial(self, constants, noise):
         return IndexedState(self.spot.initial(constants.spot, noise), constants.before @ noise)
 
     def step(self, constants, now, state, noise):
-        seen = jnp.where(now.renew_next, state.spot, state.seen)
-        return IndexedState(self.spot.step(constants.spot, now.spot, state.spot, noise), seen)
+        at_fixing = jnp.where(now.renew_next, state.spot, state.at_fixing)
+        return IndexedState(self.spot.step(constants.spot, now.spot, state.spot, noise), at_fixing)
 
     def level(self, constants, now, state):
         return self.spot.level(constants.spot, now.spot, state.spot)
@@ -208,18 +208,21 @@ class IndexedPrices(PriceProcess):
     def index(self, constants, now, state) -> Array:
         """The index of the date."""
 
-        def seen(forward, loading, variance):
+        def price_on_fixing(forward, loading, variance):
             row = now.spot._replace(forward=forward, loading=loading[None], variance=variance)
-            return self.spot.level(constants.spot, row, state.seen)
+            return self.spot.level(constants.spot, row, state.at_fixing)
 
         row = now.index
-        return row.weight @ jax.vmap(seen)(row.forward, row.loading, row.variance) + row.fixed
+        return (
+            row.weight @ jax.vmap(price_on_fixing)(row.forward, row.loading, row.variance)
+            + row.fixed
+        )
 
     def forward(self, constants, now):
         return self.spot.forward(constants.spot, now.spot)
 
     def observe(self, constants, now, state):
-        pair = state.spot, state.seen
+        pair = state.spot, state.at_fixing
         return jnp.concatenate([self.spot.observe(constants.spot, now.spot, x) for x in pair])
 
     def state_at(self, constants, now, spot):
@@ -230,7 +233,7 @@ class IndexedPrices(PriceProcess):
         return self.spot.fast(state.spot)
 
     def gaussian(self, state):
-        return jnp.concatenate([state.spot, state.seen])
+        return jnp.concatenate([state.spot, state.at_fixing])
 
     def price_scale(self, prices, values):
         return self.spot.price_scale(prices, values)
@@ -253,7 +256,7 @@ class IndexedPrices(PriceProcess):
         )
 
     def describe(self) -> str:
-        return f"{self.spot.describe()}; a month-ahead index beside it"
+        return f"{self.spot.describe()}; with a month-ahead index"
 
 
 def _joint(deviation: float, variance: float, share: float) -> np.ndarray:
@@ -262,9 +265,9 @@ def _joint(deviation: float, variance: float, share: float) -> np.ndarray:
     return np.array([[deviation, 0.0], [below, np.sqrt(max(variance - below**2, 0.0))]])
 
 
-def indexed(prices: PriceProcess, delivery: Delivery, known: CaseInput | None) -> IndexedPrices:
-    """The prices of a case with the index beside them; they have one factor."""
+def indexed(prices: PriceProcess, delivery: Delivery, fixing: CaseInput | None) -> IndexedPrices:
+    """The prices of a case with the index; they have one factor."""
     if not isinstance(prices, GivenFactors) or prices.noise_size != 1:
         raise TypeError(f"{type(prices).__name__} has no month-ahead index")
-    months = IndexMonths.of(delivery, known is not None)
-    return IndexedPrices(prices, months, known)  # pyright: ignore[reportCallIssue]
+    months = IndexMonths.of(delivery, fixing is not None)
+    return IndexedPrices(prices, months, fixing)  # pyright: ignore[reportCallIssue]
