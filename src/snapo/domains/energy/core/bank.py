@@ -22,8 +22,8 @@ from jaxtyping import Array, Float
 class Bank(NamedTuple):
     """The numbers of every step.
 
-    - `minimum`: m; `share`: of the units short that may be made up, 1 or 0; `limit` of units carried forward.
-    - `refund`: money for each unit made up.
+    - `minimum`: m; `share`: of the units short that may be made up, 1 or 0.
+    - `limit`: of the units carried forward; `refund`: money for each unit made up.
     """
 
     minimum: Float[Array, " T"]
